@@ -50,9 +50,11 @@ lint: setup
 	$(BIN)/ruff format --check $(SOURCES)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python tests/words.py
 
 setup: $(STAMP)
 
+# Bytecode is compiled here, on all cores: without it, as where PYTHONDONTWRITEBYTECODE is set, each command takes longer.
 $(STAMP): pyproject.toml requirements.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 	  echo "dmframe needs Python 3.11 or later, found $$($(PYTHON) --version 2>&1); name another: make PYTHON=python3.12" >&2; \
@@ -60,6 +62,7 @@ $(STAMP): pyproject.toml requirements.lock
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install -qq --disable-pip-version-check --no-compile --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install -qq --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	$(BIN)/python -m compileall -qq -j 0 $(VENV) dmframe blocks plants || true
 	touch $@
 
 # uv is needed for this alone: the lock serves every Python and platform, and names no registry.

@@ -23,7 +23,7 @@ from typing import TypeGuard
 from dmframe import trust
 from dmframe.block import AbstractBlock
 from dmframe.errors import BlockError, UnknownNameError
-from dmframe.files import expanded, is_file
+from dmframe.files import expanded, is_file, probed
 
 GROUP = "dmframe.blocks"
 _LOADED = "__dmframe_source__"
@@ -164,6 +164,7 @@ def graphs() -> dict[str, Path]:
 def find_graph(name: str) -> Path:
     """The file of a graph: a path, or the name of a packaged one."""
     path = expanded(name)
+    probed(path)
     if path.suffix in (".yaml", ".yml") or is_file(path):
         return path
     known = graphs()

@@ -10,16 +10,18 @@ Squares and lemmas are kept apart, term by term, so that boundedness and integra
 
 from __future__ import annotations
 
+import functools
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, final
+from typing import Any, Final, final
 
 import casadi as ca
 
-from dmframe.acted import Acted
 from dmframe.barrier import Barrier, soft_between, soft_min
 from dmframe.condition import SX, Assumption, CommonLyapunov, Condition, Inequality
 from dmframe.fields import check_fields
+from dmframe.sampled import Acted, DelayLine, PlantIdentity
 from dmframe.steps import LeastSquaresSteps, NormalisedSteps, Steps
 from dmframe.terms import (
     MONOTONE,
@@ -152,21 +154,26 @@ class TrueValue:
 @final
 @dataclass(frozen=True)
 class Certificate:
-    """One block's part of the Lyapunov function.
+    r"""One block's part of the Lyapunov function.
+
+    With D the derivative d/dt along the closed loop, or, for a block whose stored states are sampled, the difference
+    over a sample, a block with storage S, dissipation d, supply s and residual e claims, identically,
+
+    .. math:: D S = s - \sum d + \sum e, \quad S = \tfrac12 \sum \mathrm{storage}
 
     Parameters
     ----------
     storage
-        S is *half* the sum of these terms.
+        S is *half* the sum of these terms. Over samples it holds sampled states of the block and parameters alone.
     dissipation
         What is lost, each term non-negative.
     supply
-        What flows in from the other blocks, beside what the block consumes.
+        The supply rate from the other blocks, besides the cross term.
     consumes
-        For a cascade: what the servo level pays for.
-    pays
-        For the block that pays: coefficients with which the consumed vector is composed of the first dissipated
-        squares' vectors, elementwise; none for a block that does not pay.
+        For a cascade: its cross term, which the servo level has to dominate.
+    dominates
+        For the block that dominates a cross term: coefficients with which the vector of that term is composed of the
+        first dissipated squares' vectors, elementwise; none for another block.
     task
         The block stands on the task level: its storage has the weight 1 where the servo level has kappa.
     truth
@@ -185,14 +192,27 @@ class Certificate:
         Inputs that the block changes before anybody follows them. What the block stores that gives one has no part in
         V: its word is about a reference that is followed.
     barriers
-        Limits that the reference velocity keeps which the block hands out; how far the robot does follows from V.
+        Limits that the reference velocity keeps which the block outputs; how far the robot does follows from V.
+    steps
+        Estimates that take normalised steps, or steps of least squares, from sample to sample. What they store, lose
+        and gain is added to the storage, the dissipation and the residual.
+    delay_lines
+        Sampled states that store earlier samples.
+    plant
+        Identities of the plant between two samples, on which the rows of the steps rest.
+    solved
+        Columns that are zero because the block has solved an equation for its output.
+    acted
+        What rows hold as the command of a sample, with the plant's signal that it has to be: a configured delay.
+    unknown
+        Free symbols for true constants with unknown values, such as where a servo's integrator started.
     """
 
     storage: tuple[Stored, ...] = ()
     dissipation: tuple[Dissipated, ...] = ()
     supply: SX = 0
     consumes: Consumed | None = None
-    pays: tuple[SX, ...] = ()
+    dominates: tuple[SX, ...] = ()
     task: bool = False
     truth: Mapping[str, SX] = field(default_factory=dict)
     excess: tuple[Bounded, ...] = ()
@@ -201,151 +221,116 @@ class Certificate:
     errors: tuple[Square, ...] = ()
     barriers: tuple[Barrier, ...] = ()
     filters: tuple[str, ...] = ()
+    steps: tuple[Steps, ...] = ()
+    delay_lines: tuple[DelayLine, ...] = ()
+    plant: tuple[PlantIdentity, ...] = ()
+    solved: tuple[SX, ...] = ()
+    acted: tuple[Acted, ...] = ()
+    unknown: Mapping[str, SX] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_fields(self)
 
     @property
+    def _parts(self) -> tuple[Any, ...]:
+        """All that is made of expressions, but for bare ones."""
+        terms = (*self.storage, *self.dissipation, *self.excess, *self.errors, *self.driven, *self.estimates.values())
+        return (*terms, *self.barriers, *self.steps, *self.delay_lines, *self.plant, *self.acted)
+
+    @property
     def pieces(self) -> list[SX]:
         """All its expressions."""
-        terms = (*self.storage, *self.dissipation, *self.excess, *self.errors, *self.driven, *self.estimates.values())
-        kept = (piece for barrier in self.barriers for piece in barrier.pieces)
         consumed = () if self.consumes is None else (self.consumes.vector, self.consumes.c)
-        pieces = (piece for term in terms for piece in term.pieces)
-        return [ca.SX(piece) for piece in (*pieces, *kept, self.supply, *consumed, *self.pays)]
+        pieces = (piece for part in self._parts for piece in part.pieces)
+        return [ca.SX(piece) for piece in (*pieces, *self.solved, self.supply, *consumed, *self.dominates)]
 
     def mapped(self, transform: Callable[[list[SX]], list[SX]]) -> Certificate:
         """The certificate with all its expressions transformed together."""
         done = iter(transform(self.pieces))
 
-        def rebuilt(term: Any) -> Any:
-            return term.with_pieces([next(done) for _ in term.pieces])
+        def rebuilt(parts: Sequence[Any]) -> tuple[Any, ...]:
+            return tuple(part.with_pieces([next(done) for _ in part.pieces]) for part in parts)
 
         return Certificate(
-            storage=tuple(rebuilt(term) for term in self.storage),
-            dissipation=tuple(rebuilt(term) for term in self.dissipation),
-            excess=tuple(rebuilt(term) for term in self.excess),
-            errors=tuple(rebuilt(term) for term in self.errors),
-            driven=tuple(rebuilt(term) for term in self.driven),
-            estimates={name: rebuilt(term) for name, term in self.estimates.items()},
-            barriers=tuple(rebuilt(term) for term in self.barriers),
+            storage=rebuilt(self.storage),
+            dissipation=rebuilt(self.dissipation),
+            excess=rebuilt(self.excess),
+            errors=rebuilt(self.errors),
+            driven=rebuilt(self.driven),
+            estimates=dict(zip(self.estimates, rebuilt(list(self.estimates.values())), strict=True)),
+            barriers=rebuilt(self.barriers),
+            steps=rebuilt(self.steps),
+            delay_lines=rebuilt(self.delay_lines),
+            plant=rebuilt(self.plant),
+            acted=rebuilt(self.acted),
+            solved=tuple(next(done) for _ in self.solved),
             supply=next(done),
             consumes=Consumed(next(done), next(done)) if self.consumes is not None else None,
-            pays=tuple(done),
+            dominates=tuple(done),
             task=self.task,
             truth=self.truth,
             filters=self.filters,
+            unknown=self.unknown,
         )
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Kept:
-    """A sampled state that holds earlier samples: the newest in front, the others pushed back, the oldest forgotten.
+def _with_former_fields(init: Callable[..., None]) -> Callable[..., None]:
+    """The constructor, which also accepts former names of fields, with a notice."""
 
-    Parameters
-    ----------
-    state
-        The state's name: a matrix that is filled with matrices like the newest, one below or one beside the other.
-    newest
-        What is stored at this sample.
-    when
-        Where it is zero nothing is stored, and the state stays as it is.
-    """
+    @functools.wraps(init)
+    def accepting(self: Certificate, *given: Any, **named: Any) -> None:
+        for former, now in _FORMER_FIELDS.items():
+            if former in named:
+                warnings.warn(f"Certificate: {former} is now {now}", DeprecationWarning, stacklevel=2)
+                named[now] = named.pop(former)
+        init(self, *given, **named)
 
-    state: str
-    newest: SX
-    when: SX = 1
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-    def pushed(self, state: SX) -> SX:
-        """What the state becomes."""
-        rows, columns = self.newest.shape
-        if columns == state.shape[1]:
-            pushed = ca.vertcat(self.newest, state[: state.shape[0] - rows, :])
-        else:
-            pushed = ca.horzcat(self.newest, state[:, : state.shape[1] - columns])
-        return pushed if isinstance(self.when, int) else ca.if_else(self.when, pushed, state)
-
-    def fits(self, state: SX) -> bool:
-        """The state holds a whole number of these."""
-        sizes = list(zip(self.newest.shape, state.shape, strict=True))
-        return any(a == b for a, b in sizes) and all(a and b % a == 0 for a, b in sizes)
+    return accepting
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Relation:
-    r"""What holds at every instant of the plant's motion, whatever is commanded: :math:`\dot p + r = 0`.
-
-    Over a sample it gives, exactly, :math:`(p(t + T) - p(t)) / T + \langle r \rangle = 0`: what an estimator may
-    learn from, whose rows stand for these means.
-
-    Parameters
-    ----------
-    momentum
-        p, a column.
-    rest
-        r, a column.
-    """
-
-    momentum: SX
-    rest: SX
-
-    def __post_init__(self) -> None:
-        check_fields(self)
+_FORMER_FIELDS: Final[Mapping[str, str]] = {"pays": "dominates"}
+Certificate.__init__ = _with_former_fields(Certificate.__init__)  # type: ignore[method-assign]
 
 
-@final
-@dataclass(frozen=True)
-class SampledCertificate:
-    r"""One block's part of a proof over samples: what V is, and what it does from one sample to the next.
+def sampled_certificate(
+    storage: tuple[Square, ...] = (),
+    decrease: tuple[Square, ...] = (),
+    residual: tuple[Square, ...] = (),
+    kept: tuple[DelayLine, ...] = (),
+    relations: tuple[PlantIdentity, ...] = (),
+    constants: Mapping[str, SX] | None = None,
+    **others: Any,
+) -> Certificate:
+    """`Certificate` by the keywords of the former ``SampledCertificate``, whose decrease and residual were halved."""
 
-    .. math:: V^+ - V = - \tfrac12 \sum \mathrm{decrease} + \tfrac12 \sum \mathrm{residual}, \quad
-        V = \tfrac12 \sum \mathrm{storage}
+    def halved(terms: Sequence[Square]) -> tuple[Square, ...]:
+        return tuple(Square(term.vector, term.weight / 2, term.of, term.positive) for term in terms)
 
-    identically, for all values of states, measurements, gains and the sampling period. V holds sampled states of the
-    block and parameters alone. What the `steps` store, lose and gain is counted with the rest.
+    return Certificate(
+        storage=storage,
+        dissipation=halved(decrease),
+        excess=halved(residual),
+        delay_lines=kept,
+        plant=relations,
+        unknown=constants or {},
+        **others,
+    )
 
-    Parameters
-    ----------
-    storage
-        V is *half* the sum of these terms.
-    decrease
-        What is lost from sample to sample, each term non-negative.
-    residual
-        What is gained.
-    steps
-        Estimates that take normalised steps, or steps of least squares.
-    kept
-        States that hold earlier samples.
-    relations
-        What the plant's motion obeys, on which the rows of the steps rest.
-    solved
-        Columns that are zero because the block has solved an equation for its output.
-    acted
-        What rows hold as the command of a sample, with what of the plant it has to be: a delay that is configured.
-    constants
-        Free symbols of what is true and constant, and that nobody knows, such as where a servo's integrator started.
-    truth
-        True values that other blocks' proofs read.
-    """
 
-    storage: tuple[Square, ...] = ()
-    decrease: tuple[Square, ...] = ()
-    residual: tuple[Square, ...] = ()
-    steps: tuple[Steps, ...] = ()
-    kept: tuple[Kept, ...] = ()
-    relations: tuple[Relation, ...] = ()
-    solved: tuple[SX, ...] = ()
-    acted: tuple[Acted, ...] = ()
-    constants: Mapping[str, SX] = field(default_factory=dict)
-    truth: Mapping[str, SX] = field(default_factory=dict)
+_FORMER: Final[Mapping[str, tuple[str, Any]]] = {
+    "SampledCertificate": ("Certificate", sampled_certificate),
+    "Kept": ("DelayLine", DelayLine),
+    "Relation": ("PlantIdentity", PlantIdentity),
+}
+"""Former public names, what replaces each, and the object that they still give."""
 
-    def __post_init__(self) -> None:
-        check_fields(self)
+
+def __getattr__(name: str) -> Any:
+    if name not in _FORMER:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    now, value = _FORMER[name]
+    warnings.warn(f"dmframe.certificate.{name} is now {now}", DeprecationWarning, stacklevel=2)
+    return value
 
 
 __all__ = [
@@ -361,19 +346,18 @@ __all__ = [
     "CommonLyapunov",
     "Condition",
     "Consumed",
+    "DelayLine",
     "Dissipated",
     "Driven",
     "Gathered",
     "Inequality",
-    "Kept",
     "LeastSquaresSteps",
     "Lemma",
     "LogDet",
     "NormSquare",
     "NormalisedSteps",
+    "PlantIdentity",
     "Potential",
-    "Relation",
-    "SampledCertificate",
     "Square",
     "Steps",
     "Stored",

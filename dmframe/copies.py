@@ -1,4 +1,4 @@
-"""Work that copies of this process share: drawing, which holds Python's lock, on several cores."""
+"""Parallel jobs in forked processes, for work that holds Python's lock, such as drawing."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from typing import Any, TypeVar, final
 T = TypeVar("T")
 
 _MOST = 200
-"""Jobs that are shared; their numbers go through a pipe as bytes."""
+"""Largest number of jobs; their numbers are bytes in a pipe."""
 
 _PROCESSES = 4
-"""At most, this one among them: each imports what it draws with by itself."""
+"""Largest number of processes, including this one."""
 
 
 @contextmanager
-def shared(jobs: Sequence[Callable[[], T]]) -> Iterator[Callable[[], list[T]]]:
-    """Begin with jobs in copies of this process; what is yielded does those that are left, and returns all results.
+def shared(jobs: Sequence[Callable[[], T]], *, busy: bool = False) -> Iterator[Callable[[], list[T]]]:
+    """Start jobs in forked processes; the yielded function does the remaining ones, and returns all results.
 
-    So the copies work while this process does something else. Where the system has no copies that can be trusted, or
-    one core, all jobs are done at that call. What fails in a copy is done again here, so that it is told as if there
-    were none. Copies whose results nobody asks for are ended.
+    The forks work while this process does something else. If forks are not safe, or there is one core, that function
+    does all jobs. A job that fails in a fork is repeated in this process, which raises its error. Forks are killed at
+    the end of the ``with`` block. A `busy` process has other work as long as a job, and forks a single job too.
     """
-    count = min(_cores(), len(jobs), _PROCESSES) - 1 if len(jobs) < _MOST else 0
+    count = min(_cores(), len(jobs) + busy, _PROCESSES) - 1 if len(jobs) < _MOST else 0
     if count < 1:
         yield lambda: [job() for job in jobs]
         return
@@ -41,7 +41,7 @@ def shared(jobs: Sequence[Callable[[], T]]) -> Iterator[Callable[[], list[T]]]:
         os.close(pipe.pop())
         for _ in range(count):
             copies.append(_Copy.of(jobs, pipe[0]))
-    except OSError:  # no pipe, no memory, no process: what is left is done here
+    except OSError:  # no pipe, memory or process: this process does the remaining jobs
         if len(pipe) != 1:
             for end in pipe:
                 os.close(end)
@@ -52,7 +52,7 @@ def shared(jobs: Sequence[Callable[[], T]]) -> Iterator[Callable[[], list[T]]]:
     def finished() -> list[T]:
         done = _taken(jobs, numbers, lambda: True)
         for copy in copies:
-            done |= copy.told()
+            done |= copy.results()
         return [done[number] if number in done else job() for number, job in enumerate(jobs)]
 
     try:
@@ -64,15 +64,15 @@ def shared(jobs: Sequence[Callable[[], T]]) -> Iterator[Callable[[], list[T]]]:
 
 
 def _cores() -> int:
-    """How many cores copies may use; one where a copy could not be trusted."""
-    alone = threading.active_count() == 1  # a copy holds the locks of threads that it has not
+    """Number of cores for forks; 1 if a fork is not safe."""
+    alone = threading.active_count() == 1  # a fork keeps the locks of threads that it does not have
     return len(os.sched_getaffinity(0)) if alone and sys.platform == "linux" else 1
 
 
 @final
 @dataclass
 class _Copy:
-    """A copy of this process, and the memory in which it leaves what it has done."""
+    """A forked process, and the memory for its results."""
 
     process: int
     memory: int
@@ -80,10 +80,10 @@ class _Copy:
 
     @classmethod
     def of(cls, jobs: Sequence[Callable[[], Any]], numbers: int) -> _Copy:
-        """One that begins with the jobs."""
+        """Fork a process that starts with the jobs."""
         memory, here = os.memfd_create("results"), os.getpid()
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # of libraries' threads: the copy draws, and calls none
+            warnings.simplefilter("ignore", DeprecationWarning)  # of libraries' threads, which the fork does not use
             try:
                 process = os.fork()
             except OSError:
@@ -93,8 +93,8 @@ class _Copy:
             _work(jobs, numbers, memory, here)
         return cls(process, memory)
 
-    def told(self) -> dict[int, Any]:
-        """Results by the jobs' numbers, of a copy that did all that it took; waits for it."""
+    def results(self) -> dict[int, Any]:
+        """Wait for the process, and return its results by the jobs' numbers; none if it failed."""
         status, self.ended = os.waitpid(self.process, 0)[1], True
         if status:
             return {}
@@ -102,12 +102,12 @@ class _Copy:
             os.lseek(self.memory, 0, os.SEEK_SET)
             with open(self.memory, "rb", closefd=False) as file:
                 found: dict[int, Any] = pickle.load(file)
-        except (OSError, EOFError, pickle.UnpicklingError):  # done again here
+        except (OSError, EOFError, pickle.UnpicklingError):  # repeated in this process
             return {}
         return found
 
     def end(self) -> None:
-        """Nobody waits for it any longer."""
+        """Kill the process, if it runs."""
         if not self.ended:
             with suppress(ProcessLookupError):
                 os.kill(self.process, signal.SIGKILL)
@@ -116,7 +116,7 @@ class _Copy:
 
 
 def _taken(jobs: Sequence[Callable[[], T]], numbers: int, going: Callable[[], bool]) -> dict[int, T]:
-    """The results of the jobs whose numbers this process took."""
+    """Take job numbers from the pipe, and return the results."""
     done = dict[int, T]()
     while going() and (number := _number(numbers)):
         done[number[0]] = jobs[number[0]]()
@@ -124,19 +124,19 @@ def _taken(jobs: Sequence[Callable[[], T]], numbers: int, going: Callable[[], bo
 
 
 def _number(numbers: int) -> bytes:
-    """The next job's; none from a pipe that fails: the jobs whose numbers are lost are done by whoever shared them."""
+    """Number of the next job; empty if the pipe fails, after which the parent does the remaining jobs."""
     try:
         return os.read(numbers, 1)
     except OSError:
         return b""
 
 
-def _work(jobs: Sequence[Callable[[], Any]], numbers: int, told: int, parent: int) -> None:
-    """The copy: take jobs as long as there are some and the parent lives; end without any of its farewells."""
+def _work(jobs: Sequence[Callable[[], Any]], numbers: int, memory: int, parent: int) -> None:
+    """In the fork: take jobs while there are some and the parent lives; exit without cleanup handlers."""
     status = 1
     try:
         done = _taken(jobs, numbers, lambda: os.getppid() == parent)
-        with open(told, "wb", closefd=False) as file:
+        with open(memory, "wb", closefd=False) as file:
             pickle.dump(done, file)
         status = 0
     finally:

@@ -1,8 +1,8 @@
-"""Every fault that dmframe reports, one class a kind.
+"""Errors of dmframe, one class for each kind.
 
-A fault's text reads *where: what was expected and found; the nearest right choice*, and its parts stand as
-attributes for programs. `path` leads to the culprit in a graph file (``("blocks", "task", "gama")``); whoever knows
-the file adds `location` (``graph.yaml:9:31``).
+The text of an error is *where: what was expected and found; the nearest valid choice*; attributes have its parts for
+programs. `path` is the place in a graph file (``("blocks", "task", "gama")``); the reader of the file adds `location`
+(``graph.yaml:9:31``).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import final
 
 
 def nearest(name: str, choices: Iterable[str]) -> str:
-    """A hint that ends an error message: the nearest right choice, or all of them where none is near."""
+    """Hint at the end of an error message: the nearest valid choice, or all of them if none is near."""
     known = sorted(choices)
     close = difflib.get_close_matches(name, [other for other in known if _alike(name, other)], n=1, cutoff=0.6)
     if close:
@@ -24,19 +24,19 @@ def nearest(name: str, choices: Iterable[str]) -> str:
 
 
 def _alike(name: str, other: str) -> bool:
-    """Not by their last word alone: J_hat is not nearly a_d_hat."""
+    """True unless only the last words of two names agree: J_hat is not similar to a_d_hat."""
     (head, _, tail), (start, _, end) = name.rpartition("_"), other.rpartition("_")
     return not head or tail != end or difflib.SequenceMatcher(None, head, start).ratio() >= 0.6
 
 
 def listed(names: Sequence[str]) -> str:
-    """As a sentence lists them: "a", "a and b", "a, b and c"."""
+    """Join names in a sentence: "a", "a and b", "a, b and c"."""
     *most, last = names or [""]
     return f"{', '.join(most)} and {last}" if most else last
 
 
 class DmframeError(Exception):
-    """The base of every fault; catch this one to catch them all."""
+    """Base class of all errors of dmframe."""
 
     def __init__(self, text: str, *, path: Sequence[str | int] = (), location: str = "") -> None:
         super().__init__(text)
@@ -46,7 +46,7 @@ class DmframeError(Exception):
 
     @property
     def faults(self) -> tuple[DmframeError, ...]:
-        """The faults that it stands for: itself, or each of several."""
+        """Itself, or each of several errors."""
         return (self,)
 
     def __str__(self) -> str:
@@ -54,13 +54,13 @@ class DmframeError(Exception):
 
 
 def visible(text: str) -> str:
-    """A text that a message quotes, in one line: what cannot be shown is escaped."""
+    """A text to quote in a message, in one line, with unprintable characters escaped."""
     return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
 
 
 @final
 class Faults(DmframeError):
-    """Several faults found in one pass; `faults` holds them in the order of the file."""
+    """Several errors found in one pass, in the order of the file."""
 
     def __init__(self, faults: Sequence[DmframeError]) -> None:
         self._faults = tuple(faults)
@@ -68,12 +68,12 @@ class Faults(DmframeError):
 
     @property
     def faults(self) -> tuple[DmframeError, ...]:
-        """Each of them."""
+        """The errors."""
         return self._faults
 
 
 def raise_all(faults: Sequence[DmframeError]) -> None:
-    """Raise nothing, the one fault, or all of them together."""
+    """Raise the error, or `Faults` for several; nothing for none."""
     if len(faults) == 1:
         raise faults[0]
     if faults:
@@ -87,7 +87,7 @@ class DocumentError(DmframeError):
 
 @final
 class UnknownNameError(DmframeError, KeyError):
-    """A name that nothing bears: a block type, a parameter, a key, a graph, a signal."""
+    """An unknown name of a block type, a parameter, a key, a graph or a signal."""
 
     def __init__(self, where: str, kind: str, name: str, choices: Iterable[str], **place: object) -> None:
         self.name, self.choices = name, tuple(sorted(choices))
@@ -96,7 +96,7 @@ class UnknownNameError(DmframeError, KeyError):
 
 @final
 class SizeError(DmframeError):
-    """A letter of a shape that nothing binds to a number."""
+    """A letter of a shape without a value."""
 
     def __init__(self, text: str, letter: str, path: Sequence[str | int] = ()) -> None:
         super().__init__(text, path=path)
@@ -110,22 +110,22 @@ class ValueFault(DmframeError):
 
 @final
 class MissingError(DmframeError):
-    """Something required that is not there: a key, a parameter, a file."""
+    """A missing key, parameter or file."""
 
 
 @final
 class ShapeError(DmframeError):
-    """Two sizes that must agree and do not."""
+    """Two sizes that do not agree."""
 
 
 @final
 class UnitError(DmframeError):
-    """A quantity in a unit that cannot be converted to the one expected."""
+    """A quantity in a unit that cannot be converted to the expected one."""
 
 
 @final
 class WiringError(DmframeError):
-    """An input without a source, with two, or a wire from or to nowhere; `missing` is the port that no block has."""
+    """An input without a source, or with two, or a wire with an unknown end; `missing` is the unknown port."""
 
     def __init__(self, text: str, *, missing: str = "", path: Sequence[str | int] = ()) -> None:
         super().__init__(text, path=path)
@@ -134,12 +134,12 @@ class WiringError(DmframeError):
 
 @final
 class AccessError(DmframeError):
-    """A controller block that reads what a closed robot hides, or a robot driven by what cannot be commanded."""
+    """A controller block that reads a hidden signal of a closed robot, or a wire to an input that is not a command."""
 
 
 @final
 class AlgebraicLoopError(DmframeError):
-    """Signals that need one another at the same instant; `ports` lists them in order."""
+    """Signals that depend on one another at the same instant; `ports` lists them in order."""
 
     def __init__(self, ports: Sequence[str], remedy: str) -> None:
         self.ports = tuple(ports)
@@ -148,17 +148,17 @@ class AlgebraicLoopError(DmframeError):
 
 @final
 class DerivativeError(DmframeError):
-    """A time derivative that the controller cannot have."""
+    """A time derivative that the controller cannot compute."""
 
 
 @final
 class BlockError(DmframeError):
-    """A block class that breaks the contract of `AbstractBlock`."""
+    """A block class that violates the contract of `AbstractBlock`."""
 
 
 @final
 class NeedsDiagramError(DmframeError):
-    """A parameter that a block reads as a number: another value of it needs another diagram."""
+    """A parameter that a block reads as a number, so that another value requires another diagram."""
 
 
 @final
@@ -173,12 +173,12 @@ class StartError(DmframeError):
 
 @final
 class EngineError(DmframeError):
-    """An integrator that failed or a step that cannot work."""
+    """A failed integrator, or an invalid step."""
 
 
 @final
 class DisagreementError(DmframeError):
-    """Two ways to compute one thing disagree, so that neither is believed: a proof and what contradicts it."""
+    """Contradicting results of two computations, such as a proof and its cross-check."""
 
 
 @final
@@ -188,9 +188,9 @@ class OutputError(DmframeError):
 
 @final
 class DriveError(DmframeError):
-    """A robot that is not to be driven, or not by this graph."""
+    """A robot that must not be driven, or not by this graph."""
 
 
 @final
 class LostError(DmframeError):
-    """A robot that no longer answers."""
+    """A robot that does not answer."""

@@ -1,4 +1,4 @@
-"""What a block's author states, held field by field to its annotations: CasADi's expressions are untyped."""
+"""Type check of dataclass fields against their annotations, for terms of block authors with untyped expressions."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import casadi as ca
 import numpy as np
 
 EXPRESSIONS: Final = (ca.SX, ca.MX, ca.DM, int, float, np.number)
-"""What may stand for an expression, which the annotations call `SX`, an `Any`."""
+"""Types that an expression may have; annotations call it `SX`, an `Any`."""
 
 
 def check_fields(stated: Any) -> None:
-    """Raise `TypeError` where a field of a dataclass holds something else than its annotation says."""
+    """Raise `TypeError` if a field of a dataclass does not match its annotation."""
     for name, kind in _kinds(stated.__class__).items():
         fault = fault_of(name, kind, getattr(stated, name))
         if fault:
@@ -29,7 +29,7 @@ def _kinds(of: type) -> dict[str, Any]:
 
 
 def fault_of(name: str, kind: Any, value: Any) -> str:
-    """What is wrong with a value, told of its innermost part; empty where nothing is."""
+    """Type error of a value, for its innermost part; empty if there is none."""
     origin, parts = get_origin(kind), get_args(kind)
     if origin is tuple and type(value) is tuple:
         found = (fault_of(f"{name}[{place}]", parts[0], item) for place, item in enumerate(value))
@@ -49,7 +49,7 @@ def _values(name: str, kind: Any, value: Mapping[Any, Any]) -> Any:
 
 
 def _is(kind: Any, value: Any) -> bool:
-    """Is a value of that kind itself: a class of an author's own, made of a term, could count for something else."""
+    """True for a value of exactly that type, not of an author's subclass, which could mean something else."""
     if kind is Any:
         numbers = isinstance(value, np.ndarray) and value.ndim <= 2 and value.dtype.kind in "iuf"
         return numbers or (isinstance(value, EXPRESSIONS) and not isinstance(value, bool))

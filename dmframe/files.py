@@ -1,10 +1,11 @@
-"""Files that a user names: written in full or not at all, and every fault names its file."""
+"""Atomic writing of files, with errors that name the file."""
 
 from __future__ import annotations
 
 import errno
 import os
 import stat
+import sys
 import uuid
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
@@ -17,7 +18,7 @@ FULL: Final = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC), errno.EFBIG
 
 
 def encoded(text: str) -> bytes:
-    r"""A text as UTF-8; what is none, such as a byte of a file's name that nobody can decode, becomes ``\udcff``."""
+    r"""UTF-8 of a text; lone surrogates, as of an undecodable byte in a file name, become ``\udcff``."""
     return text.encode("utf-8", "backslashreplace")
 
 
@@ -27,17 +28,17 @@ def printable(text: str) -> str:
 
 
 def hidden_name() -> str:
-    """A name for what is not whole yet: short, whatever the name that it will bear."""
+    """Short temporary name of an incomplete file or folder."""
     return f".dmframe-{uuid.uuid4().hex[:8]}.part"
 
 
 def is_hidden(name: str) -> bool:
-    """True for one of `hidden_name`."""
+    """True for a name of `hidden_name`."""
     return name.startswith(".dmframe-") and name.endswith(".part")
 
 
-def told_apart(names: Iterable[str], numbered: Callable[[str, int], str]) -> list[str]:
-    """The names, each `numbered` from 2 on that is one before it, also on systems that do not tell capitals apart."""
+def made_distinct(names: Iterable[str], numbered: Callable[[str, int], str]) -> list[str]:
+    """Make names unique, case-insensitively: repetitions are `numbered` from 2 on."""
     taken = dict[str, str]()
     for first in names:
         name, count = first, 2
@@ -48,40 +49,45 @@ def told_apart(names: Iterable[str], numbered: Callable[[str, int], str]) -> lis
 
 
 def reason(error: OSError) -> str:
-    """What the operating system says, without the name."""
+    """Message of the operating system, without the file name."""
     return (error.strerror or str(error)).lower()
 
 
+def probed(path: Path) -> None:
+    """Announce a look whether a file is there, for `dmframe.remembered`: the look itself raises no audit event."""
+    sys.audit("dmframe.probe", str(path))
+
+
 def expanded(path: str | Path) -> Path:
-    """A path with ``~`` as the user's home. Raises `OutputError` for one of a user that there is not."""
+    """A path with ``~`` expanded. Raises `OutputError` for an unknown user."""
     if not isinstance(path, str | Path) or "\0" in str(path):
         raise OutputError(f"expected a path, found {path!r:.60}")
     try:
         return Path(path).expanduser()
     except RuntimeError:
-        raise OutputError(f"{path}: found no home of that user; name the whole path") from None
+        raise OutputError(f"{path}: unknown user; give the full path") from None
 
 
 def check_place(path: str | Path) -> None:
-    """Raise `OutputError` where no file of that name can be: to be asked before anything is computed."""
+    """Raise `OutputError` if the file cannot be written; call it before long computations."""
     path = Path(path)
     with writing(path):
         try:
             there, mode = path, path.stat().st_mode
         except (FileNotFoundError, NotADirectoryError):
-            # of a link, the folder to which it leads
+            # for a link, the folder of its target
             there = path.parent if not path.parent.is_dir() else Path(os.path.realpath(path)).parent
             mode = 0
         if stat.S_ISDIR(mode):
-            raise OutputError(f"{path}: expected a file, found a folder; name a file in it")
+            raise OutputError(f"{path}: expected a file, found a folder; choose a file in it")
         if not mode and not there.is_dir():
-            raise OutputError(f"{path}: the folder {there} does not exist; make it first, or name another")
-        if not os.access(there, os.W_OK):  # of a file, too: its folder's rights alone would let it be replaced
+            raise OutputError(f"{path}: the folder {there} does not exist; create it first, or choose another")
+        if not os.access(there, os.W_OK):  # also for a file, which the folder's permissions alone would let be replaced
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
 
 def is_file(path: str | Path) -> bool:
-    """True for a file that is there. Never raises, as `Path.is_file` does for a name that is too long."""
+    """True for an existing file; unlike `Path.is_file`, also False for a name that is too long."""
     try:
         return Path(path).is_file()
     except OSError:
@@ -94,20 +100,19 @@ def write_text(path: str | Path, text: str, *, new: bool = False) -> None:
 
 
 def write_bytes(path: str | Path, content: bytes, *, new: bool = False) -> None:
-    """Write a file in one step, so that there is never half a one, and the old one stays where writing fails.
+    """Write a file atomically; the old one stays if writing fails.
 
-    A link is followed, and a file that was there keeps its mode. What is no regular file, such as a device or a pipe,
-    is written to and not replaced.
+    Links are followed, and an existing file keeps its mode. A device or a pipe is written to and not replaced.
 
     Parameters
     ----------
     new
-        The file must not be there yet.
+        The file must not exist.
 
     Raises
     ------
     OutputError
-        It cannot be written.
+        The file cannot be written.
     """
     path = Path(path)
     check_place(path)
@@ -120,45 +125,45 @@ def write_bytes(path: str | Path, content: bytes, *, new: bool = False) -> None:
 
 
 def put(target: Path, content: bytes) -> None:
-    """Put a regular file in the place of the one that is there, if any, and force it to the disk.
+    """Create or replace a regular file, and sync it to the disk.
 
-    The content is on the disk before the name is, so that a power cut leaves the old file or the new one.
+    The content is on the disk before the name, so that a power failure leaves the old file or the new one.
     """
     old = target.stat() if target.exists() else None
-    beside = target.with_name(hidden_name())
+    temporary = target.with_name(hidden_name())
     try:
-        with os.fdopen(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), "wb") as file:
+        with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), "wb") as file:
             file.write(content)
             forced(file)
         if old is not None:
             with suppress(OSError, AttributeError):  # only root may, and not on every system
-                os.chown(beside, old.st_uid, old.st_gid)
-            beside.chmod(stat.S_IMODE(old.st_mode))
-        beside.replace(target)
+                os.chown(temporary, old.st_uid, old.st_gid)
+            temporary.chmod(stat.S_IMODE(old.st_mode))
+        temporary.replace(target)
     except BaseException:
         with suppress(OSError):
-            beside.unlink()
+            temporary.unlink()
         raise
     sync(target.parent)
 
 
 def append(target: Path, line: str) -> None:
-    """Add a line to a file, and force it to the disk."""
+    """Append a line to a file, and sync it to the disk."""
     with target.open("ab") as file:
         file.write(encoded(line))
         forced(file)
 
 
 def forced(file: IO[bytes]) -> None:
-    """Force what was written to an open file to the disk."""
+    """Sync an open file to the disk."""
     file.flush()
     os.fsync(file.fileno())
 
 
 def sync(folder: Path) -> None:
-    """Force the names in a folder to the disk, where the system can."""
+    """Sync the names in a folder to the disk, if the system supports it."""
     if hasattr(os, "O_DIRECTORY"):
-        with suppress(OSError):  # some network drives refuse it of folders, and a user may write to one and not read it
+        with suppress(OSError):  # some network drives refuse it for folders, and a folder may be writable only
             descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
             try:
                 os.fsync(descriptor)
@@ -167,7 +172,7 @@ def sync(folder: Path) -> None:
 
 
 def sync_below(folder: Path) -> None:
-    """Force all files and names below a folder to the disk."""
+    """Sync all files and names below a folder to the disk."""
     for place, _, names in os.walk(folder, topdown=False):
         for name in names:
             with Path(place, name).open("rb+") as file:
@@ -177,12 +182,12 @@ def sync_below(folder: Path) -> None:
 
 @contextmanager
 def _claimed(path: Path) -> Iterator[None]:
-    """Hold the name of a new file with an empty one, which vanishes when it is not written."""
+    """Reserve the name of a new file by an empty one, which is deleted if writing fails."""
     with writing(path):
         try:
             os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
         except FileExistsError:
-            raise OutputError(f"{path}: expected a new file, found one; name another") from None
+            raise OutputError(f"{path}: exists already; choose a new file") from None
     try:
         yield
     except BaseException:
@@ -193,15 +198,15 @@ def _claimed(path: Path) -> Iterator[None]:
 
 @contextmanager
 def writing(path: str | Path, kind: str = "file") -> Iterator[None]:
-    """A fault of the operating system as an `OutputError` that names what was to be written, `kind`."""
+    """Convert an error of the operating system to an `OutputError` that names the file and its `kind`."""
     try:
         yield
     except OSError as error:
         thing = "file" if kind == "file" else "folder"
-        hint = f"name another {thing}"
+        hint = f"choose another {thing}"
         if error.errno in FULL:
-            hint = f"free some space, or name a {thing} on another disk"
+            hint = f"free some space, or choose a {thing} on another disk"
         elif error.errno == errno.ENAMETOOLONG:
-            hint = "name a shorter one"
+            hint = "choose a shorter name"
         what = {"file": "", "folder": "the results ", "figures": "signals and summary are written, the figures "}[kind]
         raise OutputError(f"{path}: {what}cannot be written: {reason(error)}; {hint}") from error

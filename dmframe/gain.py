@@ -1,4 +1,4 @@
-"""Gains that are symmetric positive definite matrices: what may be written for one, and an exact test of it."""
+"""Symmetric positive definite gains: an exact test, and gains from a prior of the parameters."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ Rows = tuple[tuple[float, ...], ...]
 @final
 @dataclass(frozen=True)
 class Prior:
-    """A gain that a model of the parameters gives, ``{inverse_of: model, scale: 0.1}``.
+    """Gain from a prior of the parameters, ``{inverse_of: model, scale: 0.1}``.
 
     Parameters
     ----------
     inverse_of
-        The block whose `AbstractBlock.prior` says how large the errors of its parameters may be.
+        Block whose `AbstractBlock.prior` is the expected size of the parameters' errors.
     scale
-        The factor of the whole gain.
+        Factor of the gain.
     others
-        How large a parameter is about which that block knows nothing, such as a friction: in the parameter's own unit.
+        Expected size of parameters without a prior, such as friction, in the parameter's unit.
     """
 
     inverse_of: str
@@ -32,7 +32,7 @@ class Prior:
 
 
 def check_definite(rows: Rows) -> None:
-    """Raise `ValueError` where a matrix is not square, symmetric and positive definite, decided in its decimals."""
+    """Raise `ValueError` if a matrix is not square, symmetric and positive definite; exact in its decimals."""
     n = len(rows)
     if any(len(row) != n for row in rows):
         raise ValueError(f"expected a square matrix, found {n} x {len(rows[0])}")
@@ -49,9 +49,9 @@ def check_definite(rows: Rows) -> None:
 
 
 def _last_pivot(rows: Sequence[Sequence[float]]) -> tuple[int, Fraction]:
-    """The first diagonal element of LDL' that is not positive, with its place; the last one where all are positive.
+    """First pivot of LDL' that is not positive, with its index; the last one if all are positive.
 
-    By Bareiss: its integers are the minors, and a pivot is the ratio of two of them, so that no fraction is reduced.
+    By Bareiss's algorithm: its integers are the minors, whose ratios are the pivots, without reduction of fractions.
     """
     exact = [[Fraction(repr(float(value))) for value in row] for row in rows]
     unit = lcm(*(value.denominator for row in exact for value in row))
@@ -65,6 +65,3 @@ def _last_pivot(rows: Sequence[Sequence[float]]) -> tuple[int, Fraction]:
                 left[i][j] = (left[i][j] * row[k] - left[i][k] * left[j][k]) // before
         before = row[k]
     return k, pivot
-
-
-__all__ = ["Prior", "Rows", "check_definite"]

@@ -1,4 +1,4 @@
-"""Ctrl-C while expressions are made: CasADi clears what Python raises below it, an interrupt too."""
+"""Reliable Ctrl-C during the construction of expressions: CasADi may clear exceptions, including interrupts."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from types import TracebackType
 from typing import Any, Final, final
 
 AGAIN: Final = 0.3
-"""After so many seconds an interrupt that has been cleared is raised anew [s]."""
+"""Interval at which a cleared interrupt is raised again [s]."""
 
 _ENDING: Final = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
 def in_child(renew: Callable[[], None]) -> None:
-    """Have something done in each copy of this process: a thread that holds a lock is not in the copy, its lock is."""
+    """Register a function to run in each fork of this process, in which locks of other threads stay locked."""
     if hasattr(os, "register_at_fork"):
         os.register_at_fork(after_in_child=renew)
 
 
 def _renew_properties() -> None:
-    """Give each `cached_property` of the framework a free lock: Python 3.11 has one a property, which threads hold.
+    """Renew the lock of each `cached_property` of the framework, which Python 3.11 has and other threads may hold.
 
-    It takes some milliseconds, where there were other threads.
+    It takes some milliseconds, if there were other threads.
     """
     if _threads[0] == 1:
         return
@@ -51,13 +51,13 @@ in_child(_renew_properties)
 
 @final
 class Insistent:
-    """A lock that one thread holds at a time, within which an interrupt cannot be lost.
+    """Reentrant lock within which an interrupt cannot be lost.
 
-    An interrupt that is raised inside a call of CasADi's may be cleared there, so that work goes on as if none had
-    come, or ends in a fault that is none. In the main thread it is therefore raised again and again until it goes up,
-    and at the latest where the lock is given back, in place of any other fault.
+    An interrupt during a call of CasADi may be cleared there, so that the work continues, or ends with a wrong error.
+    In the main thread it is therefore raised again periodically until it propagates, and at the latest when the lock is
+    released, in place of any other exception.
 
-    What is done under it must not catch an interrupt to go on.
+    Code under the lock must not catch an interrupt and continue.
     """
 
     def __init__(self) -> None:
@@ -67,8 +67,8 @@ class Insistent:
         in_child(self._renew)
 
     def _renew(self) -> None:
-        """In a copy of this process: free, unless the thread that made the copy holds it and goes on here."""
-        if not self._lock._is_owned():  # type: ignore[attr-defined]  # also of a thread that has just taken it
+        """In a fork: a free lock, unless the forking thread, which continues in the fork, owns it."""
+        if not self._lock._is_owned():  # type: ignore[attr-defined]  # also for a thread that has just taken it
             self._lock, self._depth = threading.RLock(), 0
             self._rest()
 
@@ -79,7 +79,7 @@ class Insistent:
             self._came = False
             for number in _ENDING:
                 if callable(old := signal.getsignal(number)):
-                    self._before[number] = signal.signal(number, self._heard(old))
+                    self._before[number] = signal.signal(number, self._wrapped(old))
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -94,10 +94,10 @@ class Insistent:
         if came and not isinstance(error, KeyboardInterrupt):
             raise KeyboardInterrupt from None
 
-    def _heard(self, old: Callable[[int, Any], Any]) -> Callable[[int, Any], None]:
+    def _wrapped(self, old: Callable[[int, Any], Any]) -> Callable[[int, Any], None]:
         def handler(number: int, frame: Any) -> None:
             try:
-                old(number, frame)  # one that only notes it, while files are written, raises nothing
+                old(number, frame)  # a handler that defers signals, while files are written, does not raise
             except KeyboardInterrupt:
                 self._came = True
                 self._insist()
@@ -107,16 +107,16 @@ class Insistent:
 
     def _insist(self) -> None:
         if not hasattr(signal, "setitimer") or signal.getsignal(signal.SIGALRM) is not signal.SIG_DFL:
-            return  # another one's alarm is left alone; the end of the work still tells
+            return  # keep another alarm; the interrupt is still raised at the end of the work
         self._before[signal.SIGALRM] = signal.signal(signal.SIGALRM, self._alarm)
         signal.setitimer(signal.ITIMER_REAL, AGAIN, AGAIN)
 
     def _alarm(self, number: int, frame: Any) -> None:
-        if not isinstance(sys.exc_info()[1], KeyboardInterrupt):  # else it is on its way up, and things are put away
+        if not isinstance(sys.exc_info()[1], KeyboardInterrupt):  # else it propagates already
             raise KeyboardInterrupt
 
     def _rest(self) -> bool:
-        """Leave signals as they were; tells whether an interrupt came."""
+        """Restore the signal handlers; return whether an interrupt came."""
         if self._came and hasattr(signal, "setitimer") and signal.SIGALRM in self._before:
             signal.setitimer(signal.ITIMER_REAL, 0)
         while self._before:

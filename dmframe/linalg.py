@@ -1,4 +1,4 @@
-r"""Symmetric linear systems in field operations only, so that exact arithmetic can follow every step."""
+r"""Symmetric linear systems with field operations only, for evaluation in exact arithmetic."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dmframe.naming import operation
 @final
 @dataclass(frozen=True)
 class Inverted:
-    """A symmetric matrix that has been inverted, and its factors; the pivots are all divisors of `solve_spd`."""
+    """A symmetric matrix that is inverted, and its factors; the pivots are the divisors of `solve_spd`."""
 
     matrix: Any
     factor: Any
@@ -28,9 +28,9 @@ _inverted: ContextVar[tuple[list[Inverted], Sequence[Inverted]] | None] = Contex
 
 @contextmanager
 def inverting(before: Sequence[Inverted] = ()) -> Iterator[list[Inverted]]:
-    """Collect the matrices that are inverted meanwhile: each has to stay positive definite.
+    """Collect the matrices that are inverted in this context, which must stay positive definite.
 
-    The factors of one that is the same as one of `before` are not computed again.
+    Factors of matrices in `before` are reused.
     """
     found = list[Inverted]()
     token = _inverted.set((found, before))
@@ -78,16 +78,18 @@ def solve_spd(A: Any, b: Any) -> Any:
     """
     L, d = _factors(A)
     n = A.shape[0]
-    x = ca.SX(b)
+    lower = [[L[i, j] for j in range(i)] for i in range(n)]
+    rows = ca.vertsplit(ca.SX(b))  # one matrix, changed in place, would be copied at each change
     for i in range(n):
         for j in range(i):
-            x[i, :] -= L[i, j] * x[j, :]
-    for i in range(n):
-        x[i, :] /= d[i]
+            if lower[i][j].nnz():
+                rows[i] = rows[i] - lower[i][j] * rows[j]
+    rows = [row / pivot for row, pivot in zip(rows, d, strict=True)]
     for i in reversed(range(n)):
         for j in range(i + 1, n):
-            x[i, :] -= L[j, i] * x[j, :]
-    return x
+            if lower[j][i].nnz():
+                rows[i] = rows[i] - lower[j][i] * rows[j]
+    return ca.vertcat(*rows)
 
 
 def _factors(A: Any) -> tuple[Any, Sequence[Any]]:
@@ -99,25 +101,25 @@ def _factors(A: Any) -> tuple[Any, Sequence[Any]]:
 
 
 def nodes(A: Any) -> tuple[Any, ...]:
-    """What an SX is made of: equal for two that are the same expression, node by node."""
+    """Identity of an SX: equal for two that are the same expression, node by node."""
     return A.shape, tuple(A.sparsity().find()), tuple(item.element_hash() for item in A.nonzeros())
 
 
 def square(gain: Any) -> Any:
-    """A gain as a matrix; a column stands for its diagonal."""
+    """A gain as a matrix; a column is the diagonal."""
     return ca.diag(gain) if gain.is_column() else gain
 
 
 def inverse_spd(A: Any) -> Any:
-    """The inverse of a symmetric positive definite matrix, zero where its blocks are."""
+    """Inverse of a symmetric positive definite matrix, with the same zero blocks."""
     return solve_spd(A, type(A).eye(A.shape[0]))
 
 
 def metric(gain: Any) -> Any:
-    """The inverse of an adaptation gain: elementwise of a column, which stands for a diagonal."""
+    """Inverse of an adaptation gain; elementwise for a column, which is a diagonal."""
     return 1 / gain if gain.is_column() else inverse_spd(gain)
 
 
 def times(gain: Any, vector: Any) -> Any:
-    """A gain times a column; a column for the gain stands for a diagonal."""
+    """Product of a gain and a column; a column as gain is a diagonal."""
     return gain * vector if gain.is_column() else gain @ vector

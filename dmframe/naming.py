@@ -1,7 +1,7 @@
-"""Names that a block's author gives to parts of a law, and operations that print as one sign.
+"""Names for parts of a law, and operations that print as one sign.
 
-A law is printed from the very methods that run: they are called a second time, with one symbol for each port, state,
-parameter and truth. `named` and `operation` say what this second reading shows; in a run both do nothing of their own.
+A law is printed from the methods that run: they are evaluated once more, with one symbol for each port, state,
+parameter and true parameter. `named` and `operation` define the result of that evaluation, and have no effect in a run.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ Expression = Any
 
 @final
 class NamingError(DmframeError):
-    """A name that cannot stand for the expression that it is given."""
+    """A name that an expression cannot have."""
 
 
 @final
 @dataclass(eq=False)
 class Naming:
-    """What a block names while it is read.
+    """Names that a block defines while it is printed.
 
     Parameters
     ----------
     make
-        Makes a symbol of a name and a shape.
+        Creates a symbol from a name and a shape.
     taken
-        What each name that is taken already is: ``{"sigma": "an input"}``.
+        Names in use, and their kinds: ``{"sigma": "an input"}``.
     definitions
-        Symbol and expression of each name, in the order in which they were given.
+        Symbol and expression of each name, in the order of their definition.
     again
-        The same for a name that was given again, with an expression that looks different: it has to be equal.
+        Repeated definitions with an expression of another form, which must be equal.
     """
 
     make: Callable[[str, tuple[int, int]], Expression]
@@ -52,14 +52,14 @@ class Naming:
     again: list[tuple[str, Expression]] = field(default_factory=list)
 
     def define(self, name: str, expression: Expression) -> Expression:
-        """The symbol of a name. Raises `NamingError`."""
+        """Define a name, and return its symbol. Raises `NamingError`."""
         if not name.isidentifier() or iskeyword(name):
             raise NamingError(f"expected a name such as K_star, found {name!r}")
         if name in self.taken:
             raise NamingError(f"the name {name} is taken, by {self.taken[name]} of the block; choose another")
         if strange := look_alikes(name):
             raise NamingError(
-                f"the name {name!a} holds {strange!a}, no Latin and no known Greek letter; choose another"
+                f"the name {name!a} has {strange!a}, which is neither a Latin nor a known Greek letter; choose another"
             )
         for other in (*self.taken, *self.definitions):
             if other != name and distinct([other, name]):
@@ -76,11 +76,11 @@ class Naming:
 
 
 _DEEP: Final = 1000
-"""How far two expressions are compared, node by node, before they count as different."""
+"""Depth up to which two expressions are compared node by node."""
 
 
 def same(first: Expression, second: Expression) -> bool:
-    """True for two expressions that are built alike; equal ones that are built differently are not."""
+    """True for two expressions of the same structure."""
     one, other = expression_of(first), expression_of(second)
     return type(one) is type(other) and bool(ca.is_equal(one, other, _DEEP))
 
@@ -91,7 +91,7 @@ def _size(value: Expression) -> str:
 
 
 def expression_of(value: Expression) -> Expression:
-    """A number as an expression; an expression as it is."""
+    """Convert a number to an expression."""
     return value if isinstance(value, ca.SX | ca.MX | ca.DM) else ca.DM(value)
 
 
@@ -100,7 +100,7 @@ _reading: ContextVar[Naming | None] = ContextVar("naming", default=None)
 
 @contextmanager
 def reading(naming: Naming | None) -> Iterator[None]:
-    """Within, `named` gives names; with None it gives none."""
+    """Context in which `named` defines names in `naming`; none with None."""
     token = _reading.set(naming)
     try:
         yield
@@ -109,15 +109,15 @@ def reading(naming: Naming | None) -> Iterator[None]:
 
 
 def named(name: str, expression: Expression) -> Expression:
-    """The expression, which is printed by this name, beside a line that says what the name stands for.
+    """Give an expression a name, by which it is printed, with its definition in a separate line.
 
     Parameters
     ----------
     name
-        As of a port: ``"K_star"``. It must not be the name of a port, state, parameter or truth of the block, and one
-        name stands for one expression.
+        Name as of a port: ``"K_star"``. It must differ from the block's ports, states, parameters and true parameters,
+        and be unique for an expression.
     expression
-        What it stands for.
+        Expression to name.
     """
     naming = _reading.get()
     return expression if naming is None else naming.define(name, expression)
@@ -126,10 +126,10 @@ def named(name: str, expression: Expression) -> Expression:
 @final
 @dataclass(frozen=True)
 class Operation:
-    """A function that prints as one sign: `sign` says how (see `dmframe.formula.read`), or is the function's name.
+    """A function that prints as one sign: `sign` is its notation (see `dmframe.formula.read`), or the function's name.
 
-    `given` are the names of a robot's arguments; `said` is what it is, in words, after the names of its arguments.
-    `function` is what an `operation` runs, by which a sign of its own is found: another may have the same name.
+    `given` are the names of a robot's arguments; `said` has the names of the arguments and the description.
+    `function` is the function of an `operation`, which identifies it, since another may have the same name.
     """
 
     sign: str
@@ -143,19 +143,19 @@ _operations: Final[dict[str, Operation]] = {}
 
 @functools.cache
 def said_of(function: Callable[..., Any]) -> tuple[tuple[str, ...], str]:
-    """The arguments of a function that it needs, and the first line of its docstring."""
+    """Required arguments of a function, and the first line of its docstring."""
     parameters = [item for item in inspect.signature(function).parameters.values() if item.default is item.empty]
     text = (inspect.getdoc(function) or "").partition("\n")[0]
     return tuple(item.name for item in parameters if item.name != "self"), text
 
 
 def operation_of(function: Any) -> Operation | None:
-    """What a called CasADi function is, if it is an operation."""
+    """Operation of a CasADi function; None if it is not an operation."""
     return _operations.get(function.name())
 
 
 def register(name: str, operation: Operation) -> None:
-    """Say how calls of a CasADi function of this name print."""
+    """Register the operation of CasADi functions of this name."""
     _operations[name] = operation
 
 
@@ -170,11 +170,11 @@ RESERVED: Final = frozenset(
     "transpose derivative solve solve_spd clip beyond and or not if else "
     "f J R_tool J_turn Y_k W_k Y_inertia Y_momentum Y_kinetic Y_gravity Y_d M C g g_full phi I d".split()
 )
-"""Names under which formulas print functions of the framework, of the robot and of mathematics."""
+"""Names of functions of mathematics, of the framework and of the robot in printed formulas."""
 
 
 def _check_name(function: Callable[..., Any]) -> None:
-    """Raise `NamingError` for a name that is none, or that prints as something else."""
+    """Raise `NamingError` for an invalid name, or one that prints as another function."""
     name = function.__name__
     if not name.isidentifier() or iskeyword(name) or look_alikes(name):
         raise NamingError(f"expected a function with a name such as saturated, found {name!a}, which would be printed")
@@ -183,12 +183,12 @@ def _check_name(function: Callable[..., Any]) -> None:
 
 
 def operation(function: Callable[..., Expression]) -> Callable[..., Expression]:
-    """Make a function of expressions one that prints as one sign: ``norm(a)``, not the root of a sum of squares.
+    """Decorate a function of expressions so that it prints as one sign: ``norm(a)``, not the root of a sum of squares.
 
-    All its arguments are expressions or numbers, given by position. In a run it is just called. The first line of its
-    docstring stands beside the law. Raises `NamingError` for a name that prints as something else.
+    All its arguments are expressions or numbers, given by position. In a run it is called directly. The first line of
+    its docstring is printed next to the law. Raises `NamingError` for a name that prints as another function.
     """
-    if (function.__module__ or "").partition(".")[0] != "dmframe":  # it has none in a text that is run
+    if (function.__module__ or "").partition(".")[0] != "dmframe":  # None in an executed text
         _check_name(function)
     name = f"{function.__module__}.{function.__qualname__}".replace(".", "_").replace("<locals>", "")
 
@@ -197,7 +197,7 @@ def operation(function: Callable[..., Expression]) -> Callable[..., Expression]:
         symbols = [ca.SX.sym(f"a{place}", *shape) for place, shape in enumerate(shapes)]
         # numbered, since functions of other files may have the same name
         sizes = "_".join([*(f"{rows}x{columns}" for rows, columns in shapes), str(len(_operations))])
-        # CasADi's names hold letters, digits and single underscores only
+        # CasADi's names have only letters, digits and single underscores
         label = "_".join(part for part in f"{name}_{sizes}".split("_") if part)
         register(label, Operation(function.__name__, said=said_of(function), function=function))
         return ca.Function(label, symbols, [ca.densify(function(*symbols))])
@@ -213,7 +213,7 @@ def operation(function: Callable[..., Expression]) -> Callable[..., Expression]:
 
 
 def derivative(expression: Expression, by: Expression) -> Expression:
-    """The Jacobian of a column by symbols; it prints as a sign of its own, named parts as their names."""
+    """Jacobian of a column with respect to symbols, which prints as one sign, with named parts as their names."""
     naming = _reading.get()
     meant = expression
     for symbol, meaning in reversed(naming.definitions.values()) if naming is not None else ():
@@ -229,7 +229,7 @@ def derivative(expression: Expression, by: Expression) -> Expression:
 
 
 def as_mx(value: Expression) -> Expression:
-    """An expression as MX; a constant SX too, which cannot be mixed with MX otherwise."""
+    """Convert an expression to MX, also a constant SX, which cannot be mixed with MX."""
     if isinstance(value, ca.SX):
         return ca.MX(ca.DM(value))
     return value if isinstance(value, ca.MX) else ca.MX(expression_of(value))

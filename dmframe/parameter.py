@@ -7,7 +7,7 @@ expression that comes out of the diagram; the value only enters a run.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, final
 
@@ -17,7 +17,7 @@ from pydantic.fields import FieldInfo
 
 from dmframe.errors import nearest
 from dmframe.gain import Prior, check_definite
-from dmframe.units import to_unit
+from dmframe.units import Stated, joint_quantity, of_sliding, to_unit
 
 Scalar = float
 """One number."""
@@ -55,6 +55,11 @@ class Spec:
     sign: str = ""
     form: str = "diagonal"
     several: bool = False
+
+    @property
+    def of_joints(self) -> bool:
+        """True for angles, or their rates, one a joint: where a joint slides it is a length."""
+        return self.shape.split()[-1:] == ["n"] and bool(of_sliding(self.unit))
 
 
 def Real(shape: str = "", unit: str = "", *, default: Any = ..., spread: bool = True) -> Any:
@@ -145,7 +150,9 @@ def _numbers(value: Any, spec: Spec) -> Any:
     if isinstance(value, bool) or not isinstance(value, int | float | str | np.floating | np.integer):
         raise ValueError(f"expected {_form(spec)}, found {_shown(value)}")
     try:
-        number = to_unit(value if isinstance(value, str) else float(value), spec.unit)
+        number = (joint_quantity if spec.of_joints else to_unit)(
+            value if isinstance(value, str) else float(value), spec.unit
+        )
     except OverflowError:
         raise ValueError(f"expected a finite number, found {_shown(value)}") from None
     if not math.isfinite(number):
@@ -153,6 +160,32 @@ def _numbers(value: Any, spec: Spec) -> Any:
     if (spec.sign == "> 0" and number <= 0) or (spec.sign == ">= 0" and number < 0):
         raise ValueError(f"expected a number {spec.sign}, found {_shown(value)}")
     return number
+
+
+def with_stated(checked: Any, read: Any) -> Any:
+    """Numbers that pydantic has checked, with the units in which those of joints were stated."""
+    if isinstance(read, tuple) and isinstance(checked, tuple) and len(read) == len(checked):
+        return tuple(map(with_stated, checked, read))
+    return read if isinstance(read, Stated) else checked
+
+
+def joint_faults(value: Any, spec: Spec, joints: Sequence[Any]) -> Iterator[str]:
+    """What is wrong with the units of a value by joint: one that turns has an angle, one that slides a length."""
+    if isinstance(value, tuple) and any(isinstance(item, tuple) for item in value):
+        for item in value:
+            yield from joint_faults(item, spec, joints)
+        return
+    items = value if isinstance(value, tuple) else (value,) * max(1, len(joints))
+    for k, item in enumerate(items):
+        known = k < len(joints) and len(items) == len(joints)
+        wanted = of_sliding(spec.unit) if known and joints[k].kind == "prismatic" else spec.unit
+        if getattr(item, "unit", wanted) != wanted:
+            what = (
+                f"{joints[k].name}: it {'turns' if wanted == spec.unit else 'slides'}"
+                if known
+                else "a joint that turns"
+            )
+            yield f"expected a quantity in {wanted} for {what}; found {float(item):.6g} {item.unit}"
 
 
 def _pair(numbers: Any, value: Any, spec: Spec) -> tuple[Any, Any]:

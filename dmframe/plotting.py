@@ -1,11 +1,10 @@
-"""How figures look and how they are saved: readable at a journal's column width, in grey, and small as SVG."""
+"""Style and output of figures: readable at a journal's column width and in grey, and small as SVG."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -17,7 +16,7 @@ COLUMN, PAGE = 3.5, 7.16
 """Widths of one column and of a page of two [inch]."""
 
 COLORS = ("#00467f", "#e69f00", "#c8503c", "#56b4e9", "#1a1a1a", "#009e73")
-"""Told apart by those who see no red or green; neighbours differ in lightness, for grey printing."""
+"""Distinguishable with red-green colour blindness; neighbours differ in lightness, for grey printing."""
 
 DASHES: tuple[Any, ...] = ("-", (0, (4, 1.5)), (0, (5, 1.2, 1, 1.2)), (0, (1, 1)), (0, (7, 2)), (0, (3, 1, 1, 1, 1, 1)))
 
@@ -26,10 +25,10 @@ FLAT = 1e-3
 """Relative change below which a curve is drawn as nearly flat."""
 
 VANISHING = 1e-9
-"""Of an error or an effort in the unit in which it is drawn, so less than a picometre: rounding, which has no scale."""
+"""Range below which a curve is drawn as zero, since it is rounding [unit of the axis]."""
 
 POINTS = 30_000
-"""Points of all the curves in a figure; an SVG spends about 25 bytes on one."""
+"""Points of all curves in a figure; each takes about 25 bytes of an SVG."""
 
 _STYLE: dict[str, Any] = {
     "axes.axisbelow": True,
@@ -67,7 +66,7 @@ _STYLE: dict[str, Any] = {
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Within, matplotlib draws in this style; outside, the user's settings are as they were."""
+    """Context with this style of matplotlib, which restores the user's settings."""
     import matplotlib as mpl
 
     with mpl.rc_context():
@@ -77,7 +76,7 @@ def styled() -> Iterator[None]:
 
 
 def new_figure(width: float, height: float) -> Any:
-    """An empty figure that no global registry knows; sizes in inches."""
+    """An empty figure outside of pyplot's registry; sizes in inches."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -87,11 +86,11 @@ def new_figure(width: float, height: float) -> Any:
 
 
 def settle(figure: Any) -> None:
-    """Lay a figure out once and for all, the labels of a column of panels in line.
+    """Compute the layout of a figure once, with aligned labels of the panels of a column.
 
-    Matplotlib would do both again each time it draws, and takes most of its time for it.
+    Matplotlib would repeat both each time it draws, which takes most of its time.
     """
-    figure.get_layout_engine().execute(figure)  # `draw_without_rendering` would also draw
+    figure.get_layout_engine().execute(figure)  # `draw_without_rendering` would draw, too
     columns = dict[int, list[Any]]()
     for axes in figure.axes:
         spec = axes.get_subplotspec()
@@ -101,11 +100,11 @@ def settle(figure: Any) -> None:
         labels = [axes.yaxis.label for axes in panels]
         for axes in panels:
             axes.apply_aspect()
-            axes.yaxis.get_tightbbox()  # puts the label beside the axes where they now are
+            axes.yaxis.get_tightbbox()  # moves the label to the present axes
         ends = [label.get_position()[0] for label in labels]  # pixels
         room = min(ends) - max(end - label.get_window_extent().x0 for end, label in zip(ends, labels, strict=True))
         for axes, end in zip(panels, ends, strict=True):
-            # one of two lines may have no room where the others stand: then each stays where it is
+            # without room for a label of two lines at the common position, labels keep theirs
             left = min(ends) if room >= 0 else end
             axes.yaxis.set_label_coords(axes.transAxes.inverted().transform((left, 0.0))[0], 0.5)
     figure.set_layout_engine("none")
@@ -113,7 +112,7 @@ def settle(figure: Any) -> None:
 
 @contextmanager
 def page(width: float, height: float) -> Iterator[Any]:
-    """An empty figure to draw on, in our style, which is settled at the end."""
+    """An empty figure in this style, whose layout is computed at the end."""
     with styled():
         figure = new_figure(width, height)
         yield figure
@@ -129,11 +128,11 @@ def figure_svg(figure: Any) -> str:
 
 
 FORMATS: Final = ("svg", "png", "pdf")
-"""In which a figure can be written."""
+"""File formats of figures."""
 
 
 def checked_formats(where: str, formats: Sequence[str]) -> tuple[str, ...]:
-    """The formats, each once. Raises `UnknownNameError` for one that there is not."""
+    """Unique formats. Raises `UnknownNameError` for an unknown one."""
     formats = (formats,) if isinstance(formats, str) else formats
     for each in formats:
         if each not in FORMATS:
@@ -151,7 +150,7 @@ def files_of(figure: Any, name: str, about: str, formats: Sequence[str] = FORMAT
 
 
 def _printed(figure: Any, ending: str, name: str, about: str) -> bytes:
-    """By a canvas of its own: `savefig` would draw twice, to settle what is settled."""
+    """Print on a canvas of the format; `savefig` would draw twice to compute the layout."""
     file, source = io.BytesIO(), f"dmframe {version()}"
     meta = {"Title": name, "Description": about}
     if ending == "png":
@@ -161,8 +160,8 @@ def _printed(figure: Any, ending: str, name: str, about: str) -> bytes:
     elif ending == "pdf":
         from matplotlib.backends.backend_pdf import FigureCanvasPdf
 
-        told = {"Title": name, "Subject": about, "Creator": source, "CreationDate": None}
-        FigureCanvasPdf(figure).print_pdf(file, metadata=told)
+        data = {"Title": name, "Subject": about, "Creator": source, "CreationDate": None}
+        FigureCanvasPdf(figure).print_pdf(file, metadata=data)
     else:
         from matplotlib.backends.backend_svg import FigureCanvasSVG
 
@@ -179,38 +178,39 @@ def look(index: int) -> dict[str, Any]:
 
 
 def thin(values: np.ndarray, most: int) -> np.ndarray:
-    """Indices that draw a curve with about `most` points and keep each stretch's lowest and highest value."""
+    """Indices of about `most` points of a curve, including the minimum and the maximum of each interval."""
     size = len(values)
     if size <= most:
         return np.arange(size)
     edges = np.linspace(0, size, max(most // 2, 1) + 1).astype(int)
-    kept = {0, size - 1}
-    for first, last in pairwise(edges.tolist()):
-        part = values[first:last]
-        kept |= {first + int(np.argmin(part)), first + int(np.argmax(part))}
-    return np.array(sorted(kept))
+    stretch = np.repeat(np.arange(edges.size - 1), np.diff(edges))
+    kept = [np.array([0, size - 1])]
+    for end in (np.minimum, np.maximum):
+        there = np.flatnonzero(values == end.reduceat(values, edges[:-1])[stretch])
+        kept.append(there[np.diff(stretch[there], prepend=-1) > 0])  # the first of each interval
+    return np.unique(np.concatenate(kept))
 
 
 def tame(values: np.ndarray) -> np.ndarray:
-    """Values that can be scaled and drawn without overflow; no panel shows what a diverged run reaches at last."""
+    """Values clipped so that they can be drawn without overflow."""
     return np.asarray(np.clip(values, -1e30, 1e30))
 
 
 def draw_curve(axes: Any, times: np.ndarray, values: np.ndarray, most: int = 2000, **kind: Any) -> None:
-    """A thinned curve; it leaves out what is no number."""
+    """Draw a decimated curve without NaN."""
     known = ~np.isnan(values)
     times, values = times[known], tame(values[known])
     kept = thin(values, most)
     if kept.size < 8:
-        kind["marker"] = "o"  # a line of one point is nothing that one sees, and of a few nothing sure
+        kind["marker"] = "o"  # a line of a few points is hardly visible
         kind["markersize"] = 3
     axes.plot(times[kept], values[kept], **kind)
 
 
 def frame(axes: Any, curves: Sequence[tuple[np.ndarray, bool]], *, zero: bool = False) -> None:
-    """Limits that show every curve in full, and a diverged one up to its last stretch, which would dwarf the rest.
+    """Set limits that show every curve, and a diverged one without its end; NaN is ignored.
 
-    With `zero` they hold zero, and what vanishes is drawn as zero. What is no number counts for nothing.
+    With `zero` the limits include zero, and a vanishing curve is drawn as zero.
     """
     known = [(values[~np.isnan(values)], diverged) for values, diverged in curves]
     ends = [span(values, diverged) for values, diverged in known if len(values)]
@@ -223,24 +223,24 @@ def frame(axes: Any, curves: Sequence[tuple[np.ndarray, bool]], *, zero: bool = 
             axes.set_ylim(-1.0, 1.0)
             axes.set_yticks([0.0])
             return
-    # what hardly changes is drawn as flat: ticks of many digits would say more than they mean
+    # a nearly constant curve is drawn as flat, to avoid ticks with many digits
     room = max(0.06 * (high - low), FLAT * max(abs(low), abs(high)) - (high - low) / 2, 1e-12)
     axes.set_ylim(low - room, high + room)
 
 
 def span(values: np.ndarray, diverged: bool) -> tuple[float, float]:
-    """Lowest and highest value; of a diverged run, before its last tenth."""
+    """Minimum and maximum; for a diverged run, without the last tenth."""
     shown = values[: max(1, int(0.9 * len(values)))] if diverged else values
     return float(np.min(shown)), float(np.max(shown))
 
 
 def unit_text(unit: str) -> str:
-    """A unit as print has it: ``1/s^2`` with a raised 2."""
+    """Typeset unit: ``1/s^2`` with a superscript 2."""
     return unit.replace("^2", "²").replace("^3", "³")
 
 
 def verbatim(text: str) -> str:
-    """A name of others as it is, which matplotlib would read as mathematics between dollar signs."""
+    """A name with dollar signs escaped, between which matplotlib would set mathematics."""
     return text.replace("$", r"\$")
 
 
@@ -249,7 +249,7 @@ NAME_LINE = 0.16
 
 
 def names_above(figure: Any, axes: Any, width: float, extra: Sequence[Any] = ()) -> None:
-    """A legend above all panels, where it covers nothing; as many columns as the width carries."""
+    """Add a legend above all panels, with as many columns as fit."""
     handles, labels = axes.get_legend_handles_labels() if axes is not None else ([], [])
     handles, labels = [*handles, *extra], [*labels, *(str(handle.get_label()) for handle in extra)]
     if not labels:

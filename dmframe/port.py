@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from typing import NamedTuple, final
 
@@ -11,8 +11,8 @@ from typing import NamedTuple, final
 class Access(StrEnum):
     """Who may read an output.
 
-    A closed robot hands out what it measures and takes what may be commanded; all else stays on its own side of the
-    line between controller and plant.
+    A closed robot outputs what it measures and accepts commands; all other signals stay on their side of the boundary
+    between controller and plant.
     """
 
     INTERNAL = "internal"
@@ -20,7 +20,7 @@ class Access(StrEnum):
     COMMANDED = "commanded"
     """A signal of the controller that the robot accepts: a joint velocity or position."""
     MEASURED = "measured"
-    """A signal of the plant that its maker hands out."""
+    """A signal of the plant that the robot outputs."""
     HIDDEN = "hidden"
     """A signal of the plant that only the plant and the analysis may read."""
 
@@ -34,13 +34,12 @@ class Side(StrEnum):
     CONTROLLER = "controller"
     """Reads what is measured, writes what is commanded."""
     PLANT = "plant"
-    """Closed: the maker's servo and the robot, and what stands between them and the controller."""
+    """Closed: the manufacturer's servo, the robot, and the channels between them and the controller."""
 
 
-@final
 @dataclass(frozen=True, slots=True)
-class Port:
-    """An input or an output of a block.
+class Signal:
+    """What an input and an output have in common.
 
     Parameters
     ----------
@@ -51,39 +50,85 @@ class Port:
         (n joints, m task coordinates, p dynamic parameters, k kinematic parameters).
     unit
         Factors separated by blanks, ``"N m s/rad"``; for a prismatic joint read m for rad and N for N m.
-    access
-        Of an output: who may read it. An output of a plant is hidden unless it says otherwise.
     derivative_of
-        The port of the same block whose time derivative this one is. Nobody needs to drive such an input: the diagram
-        derives it. Such an output is what the chain rule takes for the rate of the other output, or of the signal that
-        drives the other input.
+        The port of the same block whose time derivative this one is. Such an input needs no wire: the diagram derives
+        it. Such an output is what the chain rule takes for the rate of the other output, or of the signal that drives
+        the other input.
     optional
-        An input that is zero when nobody drives it; an output that a block may leave out.
-    full_rank
-        Of a matrix that is an output: whoever reads it counts on its rows being independent. A run tells how close it
-        came to losing that.
+        Of an input: it is zero where it has no wire. Of an output: the block may leave it out.
+    """
+
+    name: str
+    shape: str = ""
+    unit: str = ""
+    derivative_of: str = field(default="", kw_only=True)
+    optional: bool = field(default=False, kw_only=True)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Input(Signal):
+    """An input of a block, or a true parameter in `AbstractBlock.truth`.
+
+    Parameters
+    ----------
     drawn
-        Of an input that nobody drives, the distribution from which each sample draws it anew: ``normal`` (mean 0,
-        variance 1) or ``uniform`` (from -1 to 1), every element by itself. The run's seed decides the numbers.
+        Of an input without a wire, the distribution from which each sample draws every element: ``normal`` (mean 0,
+        variance 1) or ``uniform`` (from -1 to 1). The run's seed decides the numbers.
     ahead_of, ahead
-        The input of the same block that this one is, `ahead` whole samples later. Nobody needs to drive such an input:
-        the other one has to be a source's signal, whose future is known. A block that reads it runs on a clock alone.
+        The input of the same block that this one is, `ahead` whole samples later. It needs no wire: the other one has
+        to be a source's signal, whose future is known. A block with such an input is discrete-time.
+    """
+
+    drawn: str = ""
+    ahead_of: str = ""
+    ahead: int = 1
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Output(Signal):
+    """An output of a block.
+
+    Parameters
+    ----------
+    access
+        Who may read it. An output of a plant is hidden unless it says otherwise.
+    full_rank
+        Of a matrix: blocks that read it assume independent rows. A run reports how close it came to losing rank.
     instead_of
-        Of an output of a plant, the input of the same block in whose place it stands: whoever would read what drives
-        that input reads this output. A measured one stands there for controllers, any other for the plant. Of several
-        blocks that stand in for one signal each reads the one before it, in the order of the file.
+        Of an output of a plant, the input of the same block that it replaces: readers of the signal that drives that
+        input read this output. A measured output replaces it for controllers, any other for the plant. Several blocks
+        that replace one signal form a chain in the order of the file.
     rounded_by
-        Of an output that replaces an input (`instead_of`): the parameter that holds the steps to which that input is
-        rounded, step floor(input / step + 1/2), as by an encoder. `analyse` takes it as it is in the mean, the steps as
-        fine, and says so; any other rounding is a switch.
-    told
-        Of an output that is zero as long as all is well, what a run says of it where it is not.
+        Of an output with `instead_of`: the parameter that holds the steps to which that input is rounded,
+        step floor(input / step + 1/2), as by an encoder. `analyse` takes its mean, and says so; any other rounding is a
+        switch.
+    notice
+        Of an output that is zero in normal operation, the notice of a run in which it is not.
     steps
-        Of an output of a source: it is constant but for the instants at which it steps. Its derivative is zero, and a
-        proof is one of the time between two steps.
+        Of an output of a source: it is piecewise constant. Its derivative is zero, and a proof is one of the time
+        between two steps.
     shown
-        Of an output of a controller, what it is, in words: a run then tells its mean over the last eighth, and how much
-        of the estimate behind it the motion has felt.
+        Of an output of a controller, its name in words: a run then reports its mean over the last eighth, and how much
+        of the estimate behind it was excited.
+    """
+
+    access: Access = Access.INTERNAL
+    full_rank: bool = False
+    instead_of: str = ""
+    rounded_by: str = ""
+    notice: str = ""
+    steps: bool = False
+    shown: str = ""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Port:
+    """The former class of inputs and outputs, with the fields of both; a block's class makes `Input` or `Output` of it.
+
+    Write `Input` or `Output` instead: they take only the fields that apply.
     """
 
     name: str
@@ -102,6 +147,23 @@ class Port:
     steps: bool = False
     shown: str = ""
 
+    def as_kind(self, kind: type[Input] | type[Output]) -> Input | Output:
+        """The same input or output.
+
+        Raises
+        ------
+        TypeError
+            A field is set that this kind does not have.
+        """
+        given = {item.name: getattr(self, item.name) for item in fields(self)}
+        given["notice"] = given.pop("told")
+        plain = {item.name: item.default for item in fields(self)} | {"notice": ""}
+        known = {item.name for item in fields(kind)}
+        if wrong := [name for name, value in given.items() if name not in known and value != plain[name]]:
+            article = "an input" if kind is Input else "an output"
+            raise TypeError(f"{self.name}: {article} has no field {', '.join(wrong)}")
+        return kind(**{name: value for name, value in given.items() if name in known})
+
 
 @final
 @dataclass(frozen=True, slots=True)
@@ -115,7 +177,7 @@ class State:
     Parameters
     ----------
     recorded
-        It stands in a run's results unless the log names other signals. A long memory that nobody looks at need not.
+        A run records it unless the log names other signals; false for a long memory.
     sampled
         It keeps its value between samples, and `Equations.next` says what it is at the next one. Without it the state
         moves in continuous time, as `Equations.rates` says.
@@ -200,8 +262,8 @@ class Adapted:
 ANY = "*"
 """The unit of an input that takes any unit: an error that drives an adaptation, say."""
 
-TIME = Port("t", "", "s")
-"""The input that every block may declare without anyone driving it: the time."""
+TIME = Input("t", "", "s")
+"""The input that every block may declare without a wire: the time."""
 
-PERIOD = Port("T", "", "s")
+PERIOD = Input("T", "", "s")
 """The same for the sampling period; a block that reads it runs on a clock alone."""

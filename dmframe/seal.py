@@ -1,8 +1,8 @@
-"""Digests of what was written: of a JSON file's own content, and of every file of a folder.
+"""Digests of written files: within a JSON file, and of every file of a folder.
 
-A folder of results holds ``seal.json``: the SHA-256 of each of its files, and whether all that was to be written is
-there. It is written with the data, and again, as the last file, when figures and pages have followed. Digests guard
-against damage and slips, not against intent.
+A folder of results has ``seal.json``: the SHA-256 of each of its files, and whether the folder is complete. It is
+written with the data, and again, as the last file, after figures and pages. Digests detect damage and accidental
+changes, not manipulation.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, final
 
-from dmframe.files import encoded
+from dmframe.files import encoded, probed
 
 SEAL: Final = "seal.json"
 _KEY: Final = "seal"
@@ -22,20 +22,20 @@ _BLOCK: Final = 2**20
 
 
 class BrokenSeal(ValueError):
-    """A text that `sealed` did not write."""
+    """A text that was not written by `sealed`, or was changed."""
 
 
 @final
 @dataclass(frozen=True)
 class FolderSeal:
-    """What ``seal.json`` says.
+    """Content of ``seal.json``.
 
     Parameters
     ----------
     files
         SHA-256 of each file, by its path in the folder.
     complete
-        Whether the process that wrote the folder came to its end.
+        True if the process that wrote the folder has finished.
     """
 
     files: Mapping[str, str]
@@ -43,7 +43,7 @@ class FolderSeal:
 
     @property
     def text(self) -> str:
-        """The content of ``seal.json``."""
+        """Text of ``seal.json``."""
         return sealed({"version": 1, "complete": self.complete, "files": dict(sorted(self.files.items()))})
 
 
@@ -53,7 +53,7 @@ def digest(content: bytes) -> str:
 
 
 def digest_of(file: Path) -> str:
-    """SHA-256 of a file, which is not held in memory."""
+    """SHA-256 of a file, which is read in blocks."""
     found = hashlib.sha256()
     with file.open("rb") as opened_file:
         while block := opened_file.read(_BLOCK):
@@ -62,26 +62,26 @@ def digest_of(file: Path) -> str:
 
 
 def sealed(data: dict[str, Any]) -> str:
-    """The data as JSON with a digest of them."""
+    """JSON of the data with their digest."""
     return _text({**data, _KEY: digest(encoded(_text(data)))})
 
 
 def opened(content: bytes) -> dict[str, Any]:
-    """The data of `sealed`. Raises `BrokenSeal` where one bit of the text is another."""
+    """Data of a text of `sealed`. Raises `BrokenSeal` if any bit was changed."""
     try:
         data = json.loads(content.decode("utf-8"))
     except ValueError:
-        raise BrokenSeal("it is no JSON") from None
+        raise BrokenSeal("it is not JSON") from None
     if not isinstance(data, dict) or _KEY not in data:
         raise BrokenSeal("it has no digest")
     data.pop(_KEY)
     if encoded(sealed(data)) != content:  # spaces and the order of keys count too
-        raise BrokenSeal("its digest is that of another content")
+        raise BrokenSeal("its digest does not match")
     return data
 
 
 def seal_of(folder: Path) -> FolderSeal | None:
-    """The seal of a folder; None where it has none. Raises `BrokenSeal`."""
+    """Seal of a folder; None if it has none. Raises `BrokenSeal`."""
     try:
         data = opened((folder / SEAL).read_bytes())
         return FolderSeal(dict(data["files"]), bool(data["complete"]))
@@ -92,16 +92,16 @@ def seal_of(folder: Path) -> FolderSeal | None:
 
 
 def folder_of(path: Path) -> Path | None:
-    """The sealed folder to which a folder or a file belongs; None for none.
-
-    Several runs share one seal, in the folder above their own.
-    """
+    """Sealed folder of a folder or a file; None for none. Several runs share a seal in their parent folder."""
     start = path if path.is_dir() else path.parent
-    return next((folder for folder in (start, start.resolve().parent) if (folder / SEAL).exists()), None)
+    places = (start, start.resolve().parent)
+    for folder in places:
+        probed(folder / SEAL)
+    return next((folder for folder in places if (folder / SEAL).exists()), None)
 
 
 def faults(folder: Path, wanted: Callable[[str], bool] = lambda name: True) -> list[str]:
-    """What is not as it was written, one text a file; of those that are `wanted`, by their path in the folder."""
+    """Descriptions of the changed or missing files, among those that are `wanted` by their path in the folder."""
     try:
         seal = seal_of(folder)
     except BrokenSeal as error:
@@ -112,9 +112,9 @@ def faults(folder: Path, wanted: Callable[[str], bool] = lambda name: True) -> l
             continue
         try:
             if digest_of(folder / name) != known:
-                found.append(f"{name} is not what was written: its digest is another")
+                found.append(f"{name} was changed: its digest does not match")
         except OSError:
-            found.append(f"{name} was written, and cannot be read any more")
+            found.append(f"{name} is missing or cannot be read")
     return found
 
 

@@ -1,8 +1,8 @@
-"""Whose code a graph runs: ``type: my_file.py:MyBlock`` runs that file, with all the rights of the user.
+"""Trust in block files: ``type: my_file.py:MyBlock`` executes that file with the rights of the user.
 
-A file that the user wrote is run. One that others may have written, since it or a folder above it belongs to another
-user or may be written by others, or since a browser marked it as downloaded, is run only in a folder that the user has
-trusted once. It must lie in the graph's folder or below, wherever links lead.
+A file that the user wrote is executed. A file that others may have written is executed only in a folder that the user
+has trusted: one that belongs to another user, that others may write to (or a folder above it), or that a browser marked
+as downloaded. The file must be in the graph's folder or below, after resolving links.
 """
 
 from __future__ import annotations
@@ -20,37 +20,18 @@ from dmframe.errors import BlockError, MissingError
 from dmframe.files import reason, write_text
 
 _MARKS: Final = ("user.xdg.origin.url", "com.apple.quarantine")
-"""What browsers leave on what they have fetched."""
-
-MOST: Final = 1_000_000
-"""Bytes of a file that is not to be run, of which more are not looked at."""
+"""Attributes with which browsers mark downloads."""
 
 
 def read(base: Path, file: str, where: str) -> bytes:
-    """The content of a block's file that is to be run, named beside the graph in the folder `base`.
+    """Content of a block file, given relative to the graph's folder `base`; `where` is for messages.
 
-    `where` says who names it.
-
-    Raises
-    ------
-    BlockError, MissingError
-        What `look` raises; or it is not to be run.
-    """
-    content, why = look(base, file, where)
-    if why:
-        raise BlockError(f"{where}: {why}")
-    return content
-
-
-def look(base: Path, file: str, where: str) -> tuple[bytes, str]:
-    """The content of a block's file, and why it is not to be run; empty where it may be.
-
-    What is looked at is what is read: one descriptor, in folders that nobody else can exchange.
+    One descriptor is checked and read, in folders that no other user can replace.
 
     Raises
     ------
     BlockError, MissingError
-        It lies outside, it is no file, or there is none.
+        The file is outside the folder, is not a regular file, does not exist, or is not trusted.
     """
     try:
         path, folder = (base / file).resolve(), base.resolve()
@@ -62,24 +43,25 @@ def look(base: Path, file: str, where: str) -> tuple[bytes, str]:
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
     except FileNotFoundError:
         raise MissingError(
-            f"{where}: the file {base / file} does not exist; it is looked for beside the graph"
+            f"{where}: the file {base / file} does not exist; its path is relative to the graph's folder"
         ) from None
     except OSError as error:
         raise BlockError(f"{where}: {base / file} cannot be read: {reason(error)}") from None
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
-        raise BlockError(f"{where}: expected a file, found {base / file}, which is none")
+        raise BlockError(f"{where}: expected a regular file, found {base / file}")
     with os.fdopen(descriptor, "rb") as opened:
         why = _foreign(path, os.fstat(descriptor))
         if not why or _trusted(path):
-            return opened.read(), ""
-        return opened.read(MOST), (
-            f"{path.name} would run as your own program, and {why}; read it, then trust its folder once: add --trust"
-        )
+            return opened.read()
+    raise BlockError(
+        f"{where}: {path.name} would run as your own program, and {why}; read it, then trust its folder once: add "
+        "--trust"
+    )
 
 
 def remember(folder: Path) -> None:
-    """Trust a folder, and all below it, from now on. Raises `BlockError` for one that all users share, such as /tmp."""
+    """Trust a folder and all below it from now on. Raises `BlockError` for one that all users share, such as /tmp."""
     place, entry = _place(), str(folder.resolve())
     if folder.is_dir() and folder.stat().st_mode & stat.S_ISVTX and folder.stat().st_mode & stat.S_IWOTH:
         raise BlockError(f"--trust: all users share {folder}; move the graph to a folder of its own")
@@ -95,23 +77,23 @@ def _trusted(path: Path) -> bool:
 
 def _known() -> list[str]:
     try:
-        held = json.loads(_place().read_text(encoding="utf-8"))
+        data = json.loads(_place().read_text(encoding="utf-8"))
     except (OSError, ValueError, RuntimeError):  # none yet, a damaged one, or a user without a home
         return []
-    return [entry for entry in held if isinstance(entry, str)] if isinstance(held, list) else []
+    return [entry for entry in data if isinstance(entry, str)] if isinstance(data, list) else []
 
 
 def _place() -> Path:
     return Path(platformdirs.user_config_dir("dmframe", appauthor=False), "trusted_folders.json")
 
 
-def _foreign(path: Path, told: os.stat_result) -> str:
-    """Why others may have written a file, whose status is `told`; empty where nothing says so."""
-    places = [(path, told), *((folder, folder.stat()) for folder in path.parents)]
+def _foreign(path: Path, own: os.stat_result) -> str:
+    """Why others may have written a file with the status `own`; empty if they cannot."""
+    places = [(path, own), *((folder, folder.stat()) for folder in path.parents)]
     for place, status in places:
         if hasattr(os, "getuid") and status.st_uid not in (os.getuid(), 0):
             return f"{place} belongs to another user"
-        shared = bool(status.st_mode & stat.S_ISVTX) and place != path  # others may add files there, not exchange ours
+        shared = bool(status.st_mode & stat.S_ISVTX) and place != path  # others may add files, but not replace ours
         if status.st_mode & stat.S_IWOTH and not shared:
             return f"all users may write to {place}"
         if status.st_mode & stat.S_IWGRP and hasattr(os, "getgid") and status.st_gid not in (os.getgid(), 0):

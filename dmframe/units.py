@@ -1,9 +1,8 @@
-"""Quantities with a unit, as people write them in a graph: ``90 ms``, ``-90 deg``, ``800 N m s/rad``.
+"""Quantities with units, as written in graphs: ``90 ms``, ``-90 deg``, ``800 N m s/rad``.
 
 A unit's factors are separated by spaces, and everything after the slash divides: ``N m s/rad`` is N*m*s/rad and
-``J/kg K`` is J/(kg*K). The radian is a base unit here, although SI calls it the number one: a joint velocity given as
-``2 Hz`` would otherwise pass for 2 rad/s, wrong by 2 pi. Conversions are exact until the last step, so that
-``35 ms`` is the float nearest to 0.035.
+``J/kg K`` is J/(kg*K). Unlike in SI the radian is a base unit: a joint velocity of ``2 Hz`` would otherwise be read as
+2 rad/s, wrong by 2 pi. Conversions are exact until the last step, so that ``35 ms`` is the float nearest to 0.035.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ _DIVIDING: Final = ("s", "m")
 _BASES: Final = ("m", "s", "g", "rad", "A", "K")
 _SPELLINGS = ("m", "mm", "s", "ms", "min", "h", "rad", "deg", "turn", "rpm", "Hz", "kg", "N", "J", "W", "V", "A", "%")
 _WORDS = {"sec": "s", "newton": "N", "volt": "V", "ampere": "A", "joule": "J", "watt": "W"}
-"""Words that are no spelling here, with the unit that is meant."""
+"""Unsupported spellings, with the unit that is meant."""
 
 _NUMBER = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)(.*)", re.DOTALL)
 _NOT_FINITE = re.compile(r"\s*[+-]?\.?(nan|inf|infinity)\b", re.IGNORECASE)
@@ -61,18 +60,18 @@ _TOKEN = re.compile(r"[^\W\d_]+|[%°]|\^[+-]?\d(?!\d)|[()/]|1(?![\d.])|[\s*·]+"
 _LONGEST = 80  # characters of a unit
 _LARGEST = 400  # decimal exponent or count of digits up to which a number is converted exactly
 
-# the powers of ten that a prefix may show, by the unit's first factor: "kiloseconds" help nobody
+# powers of ten that a prefix may show, by the unit's first factor, without kiloseconds and the like
 _PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}
 _LARGE = dict.fromkeys(("N", "J", "W", "V", "A", "Pa"), (-6, 6))
 _PREFIXED = {"m": (-9, 3), "s": (-9, 0), "rad": (-6, 0), "Hz": (0, 6), **_LARGE}
 
 
 def to_unit(value: str | float, unit: str) -> float:
-    """Give `value` as a number of `unit`; a bare number is in `unit` already.
+    """Convert `value` to a number of `unit`; a plain number is in `unit` already.
 
     A bandwidth in 1/s may be given as an angular frequency: ``15 rad/s`` is 15 1/s.
 
-    Raises `UnitError` where a unit is unknown or cannot be converted, `ValueFault` where there is no finite number.
+    Raises `UnitError` if a unit is unknown or cannot be converted, `ValueFault` if there is no finite number.
     """
     wanted = f"a quantity in {unit}" if unit else "a plain number"
     expected = f"expected {wanted}, found {shorten(repr(value))}"
@@ -84,7 +83,7 @@ def to_unit(value: str | float, unit: str) -> float:
 
 
 class Stated(float):
-    """A joint's place with the unit in which it was stated, ``rad`` or ``m``: which one fits depends on the joint."""
+    """Joint coordinate with its unit, ``rad`` or ``m``, which must match the kind of joint."""
 
     unit: str
 
@@ -99,44 +98,53 @@ class Stated(float):
 
 
 def joint_place(value: str | float) -> float:
-    """Where a joint is, as `to_unit`: a text in radians or in metres is `Stated`, a plain number is a number.
+    """Convert a joint coordinate as `to_unit`: a text in radians or metres to `Stated`, a plain number to a number.
 
     Raises `UnitError`, `ValueFault`.
     """
+    return joint_quantity(value, "rad")
+
+
+def joint_quantity(value: str | float, unit: str) -> float:
+    """The same of ``rad``, ``rad/s`` and ``rad/s^2``, in which a sliding joint has ``m``, ``m/s`` and ``m/s^2``."""
     if not isinstance(value, str):
-        return to_unit(value, "rad")
+        return to_unit(value, unit)
     try:
-        found, unit = to_unit(value, "rad"), "rad"
+        found = to_unit(value, unit)
     except UnitError:
+        sliding = of_sliding(unit)
         try:
-            found, unit = to_unit(value, "m"), "m"
+            return Stated(to_unit(value, sliding), sliding)
         except UnitError:
             pass
-        else:
-            return Stated(found, unit)
         raise
     return found if _PLAIN.fullmatch(value.strip()) else Stated(found, unit)
+
+
+def of_sliding(unit: str) -> str:
+    """The unit of a sliding joint's quantity that has this unit for a joint that turns; empty where there is none."""
+    return f"m{unit.removeprefix('rad')}" if unit == "rad" or unit.startswith("rad/s") else ""
 
 
 _PLAIN = re.compile(r"[-+]?[\d.]+([eE][-+]?\d+)?")
 
 
 def compatible(unit_a: str, unit_b: str) -> bool:
-    """True for two units that are the same but for their spelling: ``N m s/rad`` and ``N m/(rad/s)``, but not m and mm.
+    """True for two spellings of the same unit: ``N m s/rad`` and ``N m/(rad/s)``, but not m and mm.
 
-    Raises `UnitError` where either is no unit.
+    Raises `UnitError` for an unknown unit.
     """
     return unit_a == unit_b or _size(unit_a) == _size(unit_b)
 
 
 def base_units(unit: str) -> tuple[Fraction, dict[str, int]]:
-    """How many of the base units m, s, g, rad, A and K one is, and their powers: of N, 1000 g m/s^2."""
+    """Factor and powers of the base units m, s, g, rad, A and K: for N, 1000 g m/s^2."""
     scale, dimension = _size(unit)
     return scale, dict(dimension)
 
 
 def plain(value: float, unit: str, digits: int = 3) -> str:
-    """Show a quantity to people, rounded to significant digits, with an SI prefix where that reads well: ``90 ms``."""
+    """Format a quantity, rounded to significant digits, with an SI prefix: ``90 ms``."""
     if not math.isfinite(value):
         return f"{value} {unit}".rstrip()
     rounded = Decimal(f"{value:.{digits - 1}e}")
@@ -147,7 +155,7 @@ def plain(value: float, unit: str, digits: int = 3) -> str:
 
 
 def rate_over(unit: str) -> str:
-    """The unit of a rate over a quantity: ``1/(m s)`` for m, ``1/rad`` for rad/s."""
+    """Unit of a rate over a quantity: ``1/(m s)`` for m, ``1/rad`` for rad/s."""
     powers = Counter[str]()
     powers.subtract(factors(unit))
     powers["s"] -= 1
@@ -160,12 +168,12 @@ def rate_over(unit: str) -> str:
 
 
 def shorten(text: str, most: int = 60) -> str:
-    """Cut a text that a message quotes: what a file holds may be long."""
+    """Shorten a text to quote in a message."""
     return text if len(text) <= most else text[:most] + "..."
 
 
 def sliding(unit: str) -> str:
-    """A revolute joint's unit as that of a prismatic one: read m for rad, and N for N m.
+    """Convert a revolute joint's unit to that of a prismatic one: m for rad, and N for N m.
 
     >>> sliding("N m s/rad")
     'N s/m'
@@ -191,7 +199,7 @@ def _converted(text: str, unit: str, expected: str) -> float:
             inverse = 1 / number if (number := float(digits) * float(scale * target_scale)) else math.inf
             why += f"; one over it can: {plain(inverse, unit, 6)}" if inverse and math.isfinite(inverse) else ""
         raise UnitError(f"{expected}: {why}")
-    # an exact power of ten beyond this would fill the memory before it is found too large
+    # a larger power of ten would fill the memory
     huge = len(digits) > _LARGEST or abs(int(digits.lower().partition("e")[2] or 0)) > _LARGEST
     exact = Fraction(_finite(float(digits), expected)) if huge else Fraction(digits)
     return _finite(exact * scale / target_scale, expected)
@@ -209,12 +217,12 @@ def _finite(value: float | Fraction, expected: str) -> float:
 
 def _why_not(found: str, unit: str, dimension: Mapping[str, int], target: Mapping[str, int]) -> str:
     if {**dimension, "rad": 0} == {**target, "rad": 0}:
-        return f"{found} and {unit or 'a plain number'} differ by an angle; write out rad, deg or turn"
+        return f"{found} and {unit or 'a plain number'} differ by an angle; write rad, deg or turn"
     return f"{found} cannot be converted to {unit or 'a plain number'}{_divided(found, dimension, target)}"
 
 
 def _divided(found: str, dimension: Mapping[str, int], target: Mapping[str, int]) -> str:
-    """A hint for a unit that lacks only a division by seconds or metres: deg for rad/s, kN for N/m."""
+    """Hint for a unit without a division by seconds or metres: deg for rad/s, kN for N/m."""
     apart = {key: target.get(key, 0) - dimension.get(key, 0) for key in {*dimension, *target}}
     (name, power), *others = [(key, value) for key, value in apart.items() if value] or [("", 0)]
     if not dimension or others or name not in _DIVIDING or power not in (-1, -2):
@@ -229,7 +237,7 @@ def _divided(found: str, dimension: Mapping[str, int], target: Mapping[str, int]
 
 @functools.cache
 def _size(unit: str) -> tuple[Fraction, dict[str, int]]:
-    """The factor to base units, and their exponents."""
+    """Factor to base units, and their exponents."""
     scale, dimension = Fraction(1), Counter[str]()
     for name, exponent in factors(unit).items():
         factor, base = _named(name)
@@ -241,7 +249,7 @@ def _size(unit: str) -> tuple[Fraction, dict[str, int]]:
 
 @functools.cache
 def _named(name: str) -> tuple[Fraction, dict[str, int]]:
-    """The same of one name, such as mm."""
+    """Factor and exponents of one name, such as mm."""
     known = _known(name)
     if known is None:
         pairs = ((name[:cut], name[cut:]) for cut in range(1, len(name)))
@@ -258,7 +266,7 @@ def _named(name: str) -> tuple[Fraction, dict[str, int]]:
 
 
 def _known(name: str) -> tuple[int, Fraction, str] | None:
-    """The power of ten of its prefix, and how many of which unit it then is; None for what is no unit."""
+    """Power of ten of the prefix, factor, and unit of its definition; None for an unknown unit."""
     units, prefixes = _table()
     for prefix, power in prefixes.items():
         if name.startswith(prefix) and (rest := name.removeprefix(prefix)) in units:
@@ -268,18 +276,18 @@ def _known(name: str) -> tuple[int, Fraction, str] | None:
 
 @functools.cache
 def _table() -> tuple[dict[str, tuple[Fraction, str]], dict[str, int]]:
-    """Each unit's names, with how many it is of another; a base unit is one of itself. Prefixes, none among them."""
+    """Units by name, with factor and unit of the definition; and prefixes, including the empty one."""
     units = dict[str, tuple[Fraction, str]]()
     for line in _DEFINITIONS.strip().splitlines():
         left, _, definition = line.partition(" = ")
         names, (number, _, unit) = left.split(), definition.partition(" ")
-        names += [f"{name}s" for name in names if len(name) > 2]  # but Pas and Ns are products, written with a space
+        names += [f"{name}s" for name in names if len(name) > 2]  # Pas and Ns are products, written with a space
         units |= dict.fromkeys(names, (Fraction(number), unit) if definition else (Fraction(1), names[0]))
     return units, {"": 0} | {name: power for names, power in _PREFIXES_OF.items() for name in names.split()}
 
 
 def factors(unit: str) -> Counter[str]:
-    """Read ``N m s/rad`` as ``{N: 1, m: 1, s: 1, rad: -1}``."""
+    """Parse ``N m s/rad`` to ``{N: 1, m: 1, s: 1, rad: -1}``."""
     text = unit.replace("**", "^").strip()
     tokens = [token.strip(" *·\t\n") for token in _TOKEN.findall(text)]
     readable = len(text) <= _LONGEST and not _TOKEN.sub("", text)
@@ -294,7 +302,7 @@ def factors(unit: str) -> Counter[str]:
 
 
 def _quotient(waiting: list[str]) -> Counter[str] | None:
-    """Take ``product[/product]`` from the end of `waiting`; None where that is not what waits there."""
+    """Parse ``product[/product]`` from the end of `waiting`; None if it is invalid."""
     factors = _product(waiting)
     if factors is not None and waiting and waiting[-1] == "/":
         waiting.pop()

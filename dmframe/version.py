@@ -1,10 +1,10 @@
-"""Which dmframe this is."""
+"""Version of dmframe."""
 
 from __future__ import annotations
 
 
 def version() -> str:
-    """The installed version; it is looked up when it is asked for, which takes a while."""
+    """Installed version, looked up at the call, since that takes a while."""
     from importlib.metadata import version as installed
 
     return installed("dmframe")

@@ -109,20 +109,20 @@ def trials(kind: type[AbstractBlock], shown: Example) -> Trials | None:
     label, until = f"{shown.block}.{name}", min(graph.duration, LONGEST)
     values = [_scaled(getattr(block, name), factor) for factor in FACTORS]
     rows = zip(FACTORS, values, _tried(graph, label, values, until), strict=True)
-    return Trials(label, until, tuple((f"x {factor:g}", _number(value), *told) for factor, value, told in rows))
+    return Trials(label, until, tuple((f"x {factor:g}", _number(value), *row) for factor, value, row in rows))
 
 
 def _tried(graph: dm.Graph, label: str, values: Sequence[Any], until: float) -> list[tuple[str, str, str]]:
-    """What becomes of the error with each value: all in one build, or each by itself where one of them cannot be."""
+    """The error with each value: from one build, or from separate ones where a value is rejected."""
     try:
-        return [_told(run) for run in dm.compare(graph.variants({label: values}), until=until)]
+        return [_figures(run) for run in dm.compare(graph.variants({label: values}), until=until)]
     except DmframeError as error:
         if len(values) == 1:
-            return [("", "", f"cannot be: {error.text}")]
+            return [("", "", f"rejected: {error.text}")]
         return [row for value in values for row in _tried(graph, label, [value], until)]
 
 
-def _told(run: dm.Run) -> tuple[str, str, str]:
+def _figures(run: dm.Run) -> tuple[str, str, str]:
     error = run.summary["error"]
     ended = "" if run.divergence is None else f"diverges at {run.divergence.time:.3g} s"
     if error is None:

@@ -2,8 +2,8 @@
 
     python docs/make_blocks.py FOLDER
 
-Everything on them is asked of the code: laws as they print, ports, parameters, conditions, and what happens when a
-parameter changes, which is simulated. The meaning of a signal in words is that of `notation.yaml`.
+Their content is computed from the code: printed laws, ports, parameters, conditions, and simulations with changed
+parameters. The meaning of a signal in words is that of `notation.yaml`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import dmframe as dm
 from dmframe.block import AbstractBlock, AdaptingBlock
 from dmframe.block.prose import about
 from dmframe.catalogue import block_modules, block_types, graphs
-from dmframe.certify.claim import certificates_of
+from dmframe.certify.certificates import certificates_of
 from dmframe.certify.form import NotApplicableError
 from dmframe.condition import Assumption
 from dmframe.diagram.view import view
@@ -29,7 +29,7 @@ from dmframe.formula.tree import Sum
 from dmframe.formula.where import sizes_show, where
 from dmframe.names import latex_name
 from dmframe.parameter import PAIRS, Spec, specs
-from dmframe.port import Access, Port, Side
+from dmframe.port import Access, Input, Output, Side, Signal
 from dmframe.report.notation import marked
 from dmframe.report.references import reference
 
@@ -38,27 +38,27 @@ from block_examples import Example, diagram_of, example, trials
 from make_notation import meanings
 
 FAMILIES: Final = {
-    "paths": ("Paths", "Functions of time alone: where the tool or the joints should be."),
+    "paths": ("Paths", "Functions of time: desired positions of the tool or the joints."),
     "references": (
         "References",
-        "Make of the path and of the errors the velocity or acceleration that is to be followed.",
+        "Compute the reference velocity or acceleration from the path and the errors.",
     ),
-    "models": ("Models, observers and filters", "What other blocks of the controller need to know."),
-    "adaptation": ("Adaptation", "Blocks that learn: what they adapt, V holds the error of."),
-    "commands": ("Commands", "Make of a reference and a torque what the robot's servo is told."),
+    "models": ("Models, observers and filters", "Signals that other blocks of the controller need."),
+    "adaptation": ("Adaptation", "Blocks with estimates; V contains the errors of the estimates."),
+    "commands": ("Commands", "Compute the servo's command from a reference and a torque."),
     "between": (
         "Between controller and robot",
-        "What a signal passes on its way in reality: each stands in for what it reads, so a graph needs no wires.",
+        "Non-idealities of the signal path: each replaces the signal that it reads, so a graph needs no wires.",
     ),
-    "plant": ("Robot and servo", "The other side of the line: closed, and never read but for what is measured."),
+    "plant": ("Robot and servo", "The plant: closed; controllers read its measured signals only."),
 }
 """Titles and what they hold, in the order in which signals pass them."""
 REFERENCES: Final = frozenset({"dq_r", "dq_ref", "ddq_ref"})
-"""What a reference generator hands on."""
+"""Outputs of a reference generator."""
 LONG: Final = 120
 """Letters of LaTeX beyond which a sum is broken into lines."""
 WEIGHTS: Final = (
-    "Beside them the weight of each term in V must be above zero, and of each term that is spent not below; "
+    "In addition the weight of each term of V must be positive, and that of each dissipated term non-negative; "
     "`dmframe verify` checks them at a graph's numbers."
 )
 READERS: Final = {
@@ -140,16 +140,16 @@ def _law(kind: type[AbstractBlock], shown: Example | None) -> Iterator[str]:
         options = dict(options_of(kind))
         lead = f"With `{label}`" if label else ""
     elif shown is not None:
-        law, lead = printed(diagram_of(shown.graph), shown.block), f"As it stands in the graph `{shown.graph}`"
+        law, lead = printed(diagram_of(shown.graph), shown.block), f"In the graph `{shown.graph}`"
     else:
-        yield "None without numbers of its own: see it in a graph's report."
+        yield "The law depends on numbers of the block: see it in a graph's report."
         return
     lines = [*law.lines, *(line for some in options.values() for line in some)]
     if sizes_show(lines):
         lead += ("; the" if lead else "The") + " sizes that show are those of an example"
     if lead:
         yield f"{lead}:"
-    yield _aligned(law.lines) or "Each output is a state or a parameter as it stands."
+    yield _aligned(law.lines) or "Each output is a state or a parameter."
     yield from _energy(law)
     for option, changed in options.items():
         yield f"### With `{option}`\n\n{_aligned(changed)}"
@@ -158,14 +158,16 @@ def _law(kind: type[AbstractBlock], shown: Example | None) -> Iterator[str]:
 
 
 def _energy(law: PrintedLaw) -> Iterator[str]:
-    """What the block stores, spends, is supplied with and consumes, in a table."""
-    rows = [("stores, half of", term.whole.latex) for term in law.storage]
-    rows += [("spends", term.whole.latex) for term in law.dissipation]
-    rows += [("leaves over", term.whole.latex) for term in law.excess]
-    rows += [("consumes", law.consumption.whole.latex)] if law.consumption is not None else []
-    rows += [("is supplied with", law.supply.latex)] if law.supply is not None and law.supply.text != "0" else []
+    """Table of storage, dissipation, residual, cross term and supply rate."""
+    rows = [("storage, half of", term.whole.latex) for term in law.storage]
+    rows += [("dissipation", term.whole.latex) for term in law.dissipation]
+    rows += [("residual", term.whole.latex) for term in law.excess]
+    rows += [("cross term", law.consumption.whole.latex)] if law.consumption is not None else []
+    rows += [("supply rate", law.supply.latex)] if law.supply is not None and law.supply.text != "0" else []
     if rows:
-        yield "Term by term, it\n\n" + _table(("", "term"), [(role, f"${formula}$") for role, formula in rows])
+        yield "Certificate, term by term:\n\n" + _table(
+            ("", "term"), [(role, f"${formula}$") for role, formula in rows]
+        )
     if law.estimates:
         said = ", ".join(f"${line.right.latex}$ by ${latex_name(line.name)}$" for line in law.estimates)
         yield f"It estimates {said}."
@@ -190,7 +192,7 @@ def _row(line: Line) -> str:
 def _signals(kind: type[AbstractBlock]) -> Iterator[str]:
     for title, ports in (("It takes", kind.inputs), ("It hands on", kind.outputs)):
         heads = ("symbol", "name", "shape", "unit", "meaning", "who may read it" if title == "It hands on" else "")
-        rows = [_port(port, kind, out=title == "It hands on") for port in ports]
+        rows = [_port(port, kind) for port in ports]
         yield f"{title}:\n\n{_table(heads, rows)}" if rows else f"{title} nothing."
     if kind.states:
         rows = [
@@ -199,15 +201,19 @@ def _signals(kind: type[AbstractBlock]) -> Iterator[str]:
         ]
         yield f"Its states:\n\n{_table(('symbol', 'name', 'shape', 'unit', 'meaning', ''), rows)}"
     if kind.truth:
-        rows = [_port(port, kind, out=False) for port in kind.truth]
+        rows = [_port(port, kind) for port in kind.truth]
         heads = ("symbol", "name", "shape", "unit", "meaning", "")
         yield f"True values that its proof alone reads:\n\n{_table(heads, rows)}"
 
 
-def _port(port: Port, kind: type[AbstractBlock], *, out: bool) -> tuple[str, ...]:
-    access = Access.HIDDEN if kind.side is Side.PLANT and port.access is Access.INTERNAL else port.access
-    said = [READERS[access]] * out + [f"derivative of `{port.derivative_of}`"] * bool(port.derivative_of)
-    said += ["optional"] * port.optional + [f"drawn anew at each sample: {port.drawn}"] * bool(port.drawn)
+def _port(port: Signal, kind: type[AbstractBlock]) -> tuple[str, ...]:
+    said = list[str]()
+    if isinstance(port, Output):
+        hidden = kind.side is Side.PLANT and port.access is Access.INTERNAL
+        said.append(READERS[Access.HIDDEN if hidden else port.access])
+    said += [f"derivative of `{port.derivative_of}`"] * bool(port.derivative_of) + ["optional"] * port.optional
+    if isinstance(port, Input) and port.drawn:
+        said.append(f"drawn at each sample: {port.drawn}")
     unit = {"*": "any"}.get(port.unit, port.unit or "-")
     return f"${latex_name(port.name)}$", f"`{port.name}`", port.shape or "1", unit, _meaning(port.name), "; ".join(said)
 
@@ -252,7 +258,7 @@ def _conditions(shown: Example | None) -> Iterator[str]:
         return
     diagram = diagram_of(shown.graph)
     try:
-        stated = certificates_of(diagram)[1]
+        stated = certificates_of(diagram).truths
     except NotApplicableError:
         return
     seen = view(diagram, shown.block, stated)
@@ -300,7 +306,7 @@ def _what_if(kind: type[AbstractBlock], shown: Example) -> Iterator[str]:
 
 
 def _said(text: str) -> str:
-    """Marked text as it may stand in a page: ``[Key]`` is not a link, and the name of a block is one."""
+    """Marked text for a page: ``[Key]`` is not a link, and the name of a block is one."""
     known = block_modules()
     text = re.sub(r"\[(\w+)\](?!\()", r"\\[\1\\]", text)
     return re.sub(r"`(\w+)`", lambda name: f"[`{name[1]}`]({name[1]}.md)" if name[1] in known else name[0], text)

@@ -2,9 +2,9 @@
 
     python docs/make_notation.py
 
-Symbols, units, shapes and blocks come from the code; only the meaning in words, and what the paper calls a thing,
-stand in `notation.yaml`. ``tests/docs`` says when the page is stale, when a name has no meaning or a meaning no name,
-and when one symbol would have two meanings.
+Symbols, units, shapes and blocks come from the code; only the meaning in words and the paper's symbol are in
+`notation.yaml`. ``tests/docs`` fails where the page is stale, where a name has no meaning or a meaning no name, and
+where one symbol has two meanings.
 """
 
 from __future__ import annotations
@@ -117,8 +117,8 @@ def _meant_twice(entry: Entry, meaning: Meaning) -> Iterator[str]:
     if not any(several.values()) and meaning.because:
         yield f"{entry.name} says why it has several units or meanings, and has one"
     if not meaning.because:
-        told = [which for which, true in several.items() if true]
-        yield from (f"{entry.name} has several {which}, and does not say why" for which in told)
+        unexplained = [which for which, true in several.items() if true]
+        yield from (f"{entry.name} has several {which}, and does not say why" for which in unexplained)
 
 
 def clashes(kind: type[AbstractBlock], found: Mapping[str, Entry]) -> Iterator[str]:

@@ -2,9 +2,9 @@
 
     python docs/make_paper.py
 
-What an equation is, and who states it, stands in `paper_rows.yaml`; tests and graphs that it does not name are looked
-up. ``tests/docs`` says when the page is stale, when a block cites an equation that its row does not know, and when a
-row names what is not there.
+The meaning of an equation, and the blocks that state it, are in `paper_rows.yaml`; tests and graphs that it does not
+name are looked up. ``tests/docs`` fails where the page is stale, where a block cites an equation whose row does not
+name it, and where a row names something that does not exist.
 """
 
 from __future__ import annotations

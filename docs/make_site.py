@@ -31,10 +31,10 @@ def gathered(folder: Path) -> dict[str, str | bytes]:
         files[place] = linked(text, DOCS / place, place, shown.add)
     files |= api.pages() | {"reference/references.rst": references.text()}
     files |= {shown_place(path): shown_text(path) for path in shown}
-    return files | {place: path.read_bytes() for place, path in beside().items()}
+    return files | {place: path.read_bytes() for place, path in pictures().items()}
 
 
-def beside() -> dict[str, Path]:
+def pictures() -> dict[str, Path]:
     """Pictures and tables that the pages show, by their place in the site."""
     found = {str(path.relative_to(DOCS)): path for path in DOCS.rglob("*") if path.suffix in PAGES[1:]}
     return {place: path for place, path in found.items() if not place.startswith("_")}
@@ -103,7 +103,7 @@ def remote(site: Path) -> list[str]:
 
 
 def _quiet_kernels(folder: Path) -> None:
-    """Lessons run without what a reader has set for notebooks of his own, and kernels tell errors alone."""
+    """Run lessons without the reader's own notebook settings, with kernels that log errors only."""
     profile = folder / "profile_default"
     profile.mkdir(parents=True, exist_ok=True)
     profile.joinpath("ipython_kernel_config.py").write_text("get_config().IPKernelApp.log_level = 40\n")
@@ -115,13 +115,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Build the site.")
     parser.add_argument("folder", nargs="?", type=Path, default=ROOT / "build" / "docs", metavar="FOLDER")
     parser.add_argument("--check", action="store_true", help="gather the pages only")
-    asked = parser.parse_args()
-    site: Path = asked.folder.resolve()
+    arguments = parser.parse_args()
+    site: Path = arguments.folder.resolve()
     sources_folder, cache = site.with_name(f"{site.name}-source"), site.with_name(f"{site.name}-cache")
     for folder in (sources_folder, cache):
         claim(folder)
     lay_out(gathered(sources_folder), sources_folder)
-    if asked.check:
+    if arguments.check:
         return 0
     if not site.is_dir():
         _emptied(cache)  # it says which pages need not be set again

@@ -2,10 +2,9 @@
 
     python docs/make_which.py [--draw | --laws] [GRAPH...]
 
-What a graph follows, takes, measures, knows and learns is read from it, its verdict is asked for, and its error is that
-of a run; `which.yaml` says only when to take it. All cells are kept in `which.csv`, `which_laws.csv` and
-`which_limits.csv`, of which ``--draw`` makes the tables without a run. With names only their rows are made anew, and
-those that are not there; with ``--laws`` those of competitors alone.
+All facts of a row are computed from the graph, its verdict and a run; `which.yaml` only states when to use a graph.
+Cells are stored in `which.csv`, `which_laws.csv` and `which_limits.csv`, from which ``--draw`` makes the tables
+without a run. With names only their rows and missing ones are computed; with ``--laws`` only those of competitors.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from dmframe.names import unicode_name
 from dmframe.port import Side
 from dmframe.results.metrics import goal_of
 from dmframe.simulate.keep import apart_of
-from dmframe.simulate.told import telling
+from dmframe.simulate.warnings import warning_signals
 from dmframe.units import plain
 
 DOCS = Path(__file__).parent
@@ -75,15 +74,15 @@ def words() -> dict[str, Any]:
 
 
 def faults(said: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
-    """Packaged graphs of which nothing is said, or twice, and words about graphs that there are not."""
-    told, left = said["graphs"].keys(), said["left_out"].keys()
-    yield from (f"{name} has no line in which.yaml" for name in names if name not in told | left)
-    yield from (f"{name} has a line and is left out" for name in sorted(told & left))
-    yield from (f"{name} is no packaged graph" for name in sorted((told | left) - set(names)))
+    """Packaged graphs without a line, or with two, and lines about unknown graphs."""
+    present, left = said["graphs"].keys(), said["left_out"].keys()
+    yield from (f"{name} has no line in which.yaml" for name in names if name not in present | left)
+    yield from (f"{name} has a line and is left out" for name in sorted(present & left))
+    yield from (f"{name} is no packaged graph" for name in sorted((present | left) - set(names)))
 
 
 def facts(graph: dm.Graph) -> dict[str, str]:
-    """What stands in a graph, cell by cell; its verdict and its error are not here."""
+    """Cells read from a graph, without its verdict and its error."""
     diagram, file, robot = graph.diagram, graph.experiment.file, graph.robot
     return {
         "follows": followed(diagram),
@@ -116,8 +115,8 @@ def followed(diagram: Diagram) -> str:
     if block is not None and block.side is Side.CONTROLLER:
         what, moves = f"{what}, as `{diagram.type_of(led)}` shifts it", True
     free = diagram.robot.n - rows if diagram.robot is not None else 0
-    told = "a path that waits" if diagram.loop.paced else "a path" if moves else "a point"
-    return f"{what}; {told}" + (f"; {free} joint{'s' * (free > 1)} redundant" if free > 0 else "")
+    target = "a path that waits" if diagram.loop.paced else "a path" if moves else "a point"
+    return f"{what}; {target}" + (f"; {free} joint{'s' * (free > 1)} redundant" if free > 0 else "")
 
 
 def servo(diagram: Diagram) -> str:
@@ -183,8 +182,8 @@ def error_of(run: dm.Run) -> str:
     error, turn = run.error, run.turn
     if error is None or error.rms_final is None:
         return "-"
-    told = shown(error.rms_final, error.unit)
-    return told if turn is None or turn.rms_final is None else f"{told}, {turn.rms_final:.2g}°"
+    rms = shown(error.rms_final, error.unit)
+    return rms if turn is None or turn.rms_final is None else f"{rms}, {turn.rms_final:.2g}°"
 
 
 def shown(value: float, unit: str) -> str:
@@ -221,21 +220,24 @@ def _document(name: str) -> dict[str, Any]:
 
 
 def real(graph: dm.Graph, reality: str) -> dm.Graph:
-    """A law on a robot that is not ideal; one that has to be told of a delay is told."""
+    """A law with non-idealities; one with a delay parameter is configured for the delay."""
     if reality == "none":
         return graph
     made = graph.reality(reality)
-    told = [label for label, block in graph.blocks.items() if "delay" in type(block).model_fields]
-    if not told or told == ["task"]:  # whose goal is that of a later sample: right where a predictor says from where
+    delayed = [label for label, block in graph.blocks.items() if "delay" in type(block).model_fields]
+    if not delayed or delayed == [
+        "task"
+    ]:  # whose goal is that of a later sample: right where a predictor says from where
         return made
     samples = made.experiment.data["blocks"]["transport_delay"]["samples"]
-    return made.set({f"{label}.delay": samples for label in told})
+    return made.set({f"{label}.delay": samples for label in delayed})
 
 
 def figures(run: dm.Run, graph: dm.Graph) -> dict[str, Any]:
     """Error and end of a run, and the share of its instants in which commands, torques or joints were at a limit."""
     plant = {name for name, block in graph.blocks.items() if block.side is Side.PLANT}
-    signals = [run.data[item.label].values for item in telling(graph.diagram) if item.label.split(".")[0] in plant]
+    labels = [item.label for item in warning_signals(graph.diagram) if item.label.split(".")[0] in plant]
+    signals = [run.data[label].values for label in labels]
     beyond = [np.any(np.nan_to_num(values) != 0, axis=tuple(range(1, values.ndim))) for values in signals]
     share = float(np.mean(np.any(beyond, axis=0))) if beyond else ""
     found = dict.fromkeys(FIGURES, "") | {"at_limits": share}
@@ -254,7 +256,7 @@ def law_row(law: Mapping[str, Any], k: int, circle: Mapping[str, str]) -> dict[s
 
 
 def limit_row(law: Mapping[str, Any], reality: str, on: str) -> dict[str, Any]:
-    """What a law does beside the limits that the block `safe` of a packaged graph has."""
+    """Result of a law near the limits of the block `safe` of a packaged graph."""
     ideal, safe = law_of(law["cell"], on), dm.load(on).blocks["safe"]
     graph = real(ideal, reality)
     run = graph.run(progress=False, judge=False)
@@ -296,7 +298,7 @@ def law_table(rows: list[dict[str, str]], said: Mapping[str, Any]) -> Iterator[s
 
 
 def limit_table(rows: list[dict[str, str]], said: Mapping[str, Any]) -> Iterator[str]:
-    """The table of laws beside limits, ideal and as a robot is."""
+    """The table of laws near limits, ideal and with non-idealities."""
     by_cell = {(row["law"], row["reality"]): row for row in rows}
     yield "| law | error | least room | error, `ur` | least room, `ur` | proved of the joints |"
     yield "|" + "---|" * 6
@@ -318,9 +320,9 @@ def shown_mrad(value: float) -> str:
 def _cell(row: Mapping[str, str]) -> str:
     if row["diverged_at"]:
         return f"**diverges** at {plain(float(row['diverged_at']), 's')}"
-    told = shown(float(row["rms_final"]), row["unit"])
+    rms = shown(float(row["rms_final"]), row["unit"])
     share = float(row["at_limits"] or 0)
-    return f"**{told}**, at limits {100 * share:.0f} % of the time" if share >= 0.01 else told
+    return f"**{rms}**, at limits {100 * share:.0f} % of the time" if share >= 0.01 else rms
 
 
 def read(path: Path) -> list[dict[str, str]]:
@@ -362,19 +364,19 @@ def draw() -> None:
     PAGE.write_text(text, encoding="utf-8")
 
 
-def main(asked: list[str]) -> None:
+def main(arguments: list[str]) -> None:
     """Make rows, keep them, and draw the page."""
-    said, names = words(), [word for word in asked if not word.startswith("--")]
+    said, names = words(), [word for word in arguments if not word.startswith("--")]
     if wrong := list(faults(said, dm.graphs())):
         sys.exit("\n".join(wrong))
-    if not {"--draw", "--laws"} & set(asked):
+    if not {"--draw", "--laws"} & set(arguments):
         kept = {row["graph"]: row for row in read(TABLE)} if names and TABLE.exists() else {}
         for name in said["graphs"]:
             if name not in kept or name in names:
                 kept[name] = row_of(name)
                 sys.stderr.write(f"{name}\n")
         write(TABLE, HEADS, [kept[name] for name in said["graphs"]])
-    if "--draw" not in asked and not names:
+    if "--draw" not in arguments and not names:
         circles, limits = list(enumerate(said["circles"])), said["limits"]
         write(LAWS, LAW_HEADS, [law_row(law, k, circle) for law in said["laws"] for k, circle in circles])
         near = [limit_row(law, reality, limits["on"]) for law in limits["laws"] for reality in REALITIES]

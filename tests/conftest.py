@@ -37,17 +37,33 @@ def _heard() -> None:
 THOROUGH = Path(__file__).with_name("thorough.txt")
 """Tests that ``make thorough`` runs, and ``make test`` does not; it says which have no cheaper instance there."""
 
+BUT = " but "
+"""A test with all its instances in that list, but for those that follow, with ``|`` between them."""
+
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark what stands in that list; a line that no test of a whole collection matches is a fault."""
+    """Mark what stands in that list; a name or a pattern that no test of a whole collection has is a fault."""
     lines = [line.strip() for line in THOROUGH.read_text(encoding="utf-8").splitlines()]
-    patterns = [line for line in lines if line and not line.startswith("#")]
-    unused, shapes = set(patterns), {pattern: translate(pattern.replace("[", "[[]")) for pattern in patterns}
+    lines = [line for line in lines if line and not line.startswith("#")]
+    but = dict(line.split(BUT) for line in lines if BUT in line)
+    kept = {name: {f"{name}[{instance}]" for instance in found.split(" | ")} for name, found in but.items()}
+    patterns = [line for line in lines if BUT not in line]
+    plain = {pattern for pattern in patterns if not set("*?") & set(pattern)}
+    shapes = {pattern: translate(pattern.replace("[", "[[]")) for pattern in patterns if pattern not in plain}
     any_of, each = re.compile("|".join(shapes.values())), {line: re.compile(shape) for line, shape in shapes.items()}
+    unused = set(patterns).union(*kept.values())
     for item in items:
-        if any_of.match(item.nodeid):  # seven thousand names, each asked once
-            item.add_marker(pytest.mark.thorough)
-            unused -= {pattern for pattern, shape in each.items() if shape.match(item.nodeid)}
+        name = item.nodeid
+        if (of := name.partition("[")[0]) in kept:
+            unused.discard(name)
+            if name in kept[of]:
+                continue
+        elif name in plain:
+            unused.discard(name)
+        elif not any_of.match(name):
+            continue
+        item.add_marker(pytest.mark.thorough)
+        unused -= {pattern for pattern, shape in each.items() if shape.match(name)}
     if unused and config.args == config.getini("testpaths"):
         raise pytest.UsageError(f"{THOROUGH.name}: no test is called {', '.join(sorted(unused))}")
 

@@ -56,8 +56,8 @@ def main() -> int:
         print(f"undisturbed: {4 * samples} runs in {seconds:.0f} s, {4 * samples / seconds:.0f} a second, ", end="")
         print(f"client {memory:.0f} MB", flush=True)
         hurt, seconds, memory, twice = disturbed(folder, 4 * samples)
-        told = f"{twice} rows computed that were there, client {memory:.0f} MB"
-        print(f"killed: {4 * samples} runs in {seconds:.0f} s, {told}")
+        note = f"{twice} rows computed twice, client {memory:.0f} MB"
+        print(f"killed: {4 * samples} runs in {seconds:.0f} s, {note}")
         whole = sorted(hurt["run"].to_list()) == list(range(4 * samples))
         equal = same_bits(calm, hurt)
         print(f"complete, each run once: {whole}; equal bit by bit: {equal}")
@@ -91,9 +91,9 @@ def disturbed(folder: Path, runs: int) -> tuple[polars.DataFrame, float, float, 
         before = kept(out)
         print(f"the client is killed after {before} runs", flush=True)
         memory = ended(client(folder, "hurt", "--scheduler", place))
-        told = [json.loads(line) for line in (out / "processes.jsonl").read_text().splitlines()]
+        processes = [json.loads(line) for line in (out / "processes.jsonl").read_text().splitlines()]
         found = frame(out)
-        return found, time.monotonic() - began, memory, before + told[-1]["runs"] - runs
+        return found, time.monotonic() - began, memory, before + processes[-1]["runs"] - runs
 
 
 def client(folder: Path, out: str, *words: str) -> subprocess.Popen[bytes]:

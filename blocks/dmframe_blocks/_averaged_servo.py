@@ -20,9 +20,7 @@ from typing import Any, Final, NamedTuple, final
 
 import casadi as ca
 
-from dmframe.linalg import ldl
-from dmframe.naming import Expression, operation
-from dmframe.port import Element
+from dmframe.block import Element, Expression, ldl, operation
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.parameters import DynamicParameters, Friction
 from dmframe.robot.symbolic import SymbolicRobot

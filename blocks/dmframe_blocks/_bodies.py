@@ -11,9 +11,7 @@ from typing import Any
 
 import casadi as ca
 
-from dmframe.certificate import LogDet, Square
-from dmframe.linalg import inverse_spd
-from dmframe.naming import named, operation
+from dmframe.block import LogDet, Square, inverse_spd, named, operation
 from dmframe.robot.parameters import INERTIAL
 from dmframe.robot.pseudo_inertia import dual, parameters_of, pseudo_inertia
 

@@ -8,8 +8,7 @@ from typing import Final
 
 import casadi as ca
 
-from dmframe.block import Signals
-from dmframe.certificate import SX, Condition, Inequality
+from dmframe.block import SX, Condition, Inequality, Signals
 from dmframe.robot.parameters import Friction
 
 _KINDS: Final = (("viscous", "viscous", "B"), ("coulomb", "Coulomb", "D"))

@@ -9,9 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from dmframe.block import Signals
-from dmframe.certificate import SX
-from dmframe.naming import operation
+from dmframe.block import SX, Signals, operation
 
 Row = Sequence[float]
 

@@ -10,8 +10,7 @@ from typing import Any, Final
 
 import casadi as ca
 
-from dmframe.certificate import SX, Assumption
-from dmframe.naming import operation
+from dmframe.block import SX, Assumption, operation
 
 LESS_THAN_HALF_A_TURN: Final = Assumption(
     "the tool stays less than half a turn from its orientation, |R - R_d|^2 < 8: V(0) < 4 lever^2 is enough; half a "

@@ -9,10 +9,18 @@ from typing import Any, NamedTuple, Protocol, final
 
 import casadi as ca
 
-from dmframe.block import Signals
-from dmframe.certificate import SX, Kept, LeastSquaresSteps, NormalisedSteps, Steps
-from dmframe.linalg import inverse_spd
-from dmframe.naming import Expression, named, operation
+from dmframe.block import (
+    SX,
+    DelayLine,
+    Expression,
+    LeastSquaresSteps,
+    NormalisedSteps,
+    Signals,
+    Steps,
+    inverse_spd,
+    named,
+    operation,
+)
 from dmframe_blocks._averaged_servo import AveragedServo
 
 
@@ -34,7 +42,7 @@ class Estimator(Protocol):
     def steps(self, x: Signals, true: SX, h: SX, g: SX, by: Learning) -> Steps:
         """The same for a proof."""
 
-    def kept(self, x: Signals, h: SX, g: SX) -> tuple[Kept, ...]:
+    def kept(self, x: Signals, h: SX, g: SX) -> tuple[DelayLine, ...]:
         """The states that hold rows."""
 
 
@@ -63,9 +71,9 @@ class Projection:
         rows, box = ((h, g), *stored, (h, g)), tuple(ca.horzsplit(by.box))
         return NormalisedSteps("theta", x.theta, true, by.gain, self.averaged.parts, by.floor, rows, box)
 
-    def kept(self, x: Signals, h: SX, g: SX) -> tuple[Kept, ...]:
+    def kept(self, x: Signals, h: SX, g: SX) -> tuple[DelayLine, ...]:
         """Rows and goals."""
-        return tuple(Kept(name, item.T, self._turn(x)) for name, item in (("rows", h), ("goals", g)))
+        return tuple(DelayLine(name, item.T, self._turn(x)) for name, item in (("rows", h), ("goals", g)))
 
     def _stored(self, x: Signals, rows: SX, new: SX) -> SX:
         pushed = self.averaged.pushed(rows, new)
@@ -96,7 +104,7 @@ class LeastSquares:
         states, sizes = (x.theta, x.gathered, true, by.gain), (self.averaged.parts, by.floor, by.retention)
         return LeastSquaresSteps("theta", "gathered", *states, *sizes, ((h, g),), box)
 
-    def kept(self, x: Signals, h: SX, g: SX) -> tuple[Kept, ...]:
+    def kept(self, x: Signals, h: SX, g: SX) -> tuple[DelayLine, ...]:
         """No rows."""
         return ()
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate
-from dmframe.port import Access, Port, Side
+from dmframe.block import AbstractBlock, Access, Certificate, Equations, Input, Output, Side, Signals
 
 
 @final
@@ -30,9 +28,9 @@ class Accelerometer(AbstractBlock):
     [WangTAC2020]_ Section IV: the torque-based framework needs accelerations.
     """
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (Port("ddq", "n", "rad/s^2"),)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("ddq_m", "n", "rad/s^2", Access.MEASURED),)
+    side = Side.PLANT
+    inputs = (Input("ddq", "n", "rad/s^2"),)
+    outputs = (Output("ddq_m", "n", "rad/s^2", Access.MEASURED),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""

@@ -7,11 +7,23 @@ from typing import Any, ClassVar, final
 
 import casadi as ca
 
-from dmframe.block import AdaptingBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate, TrueValue
-from dmframe.naming import named
-from dmframe.parameter import Gain, PositiveDefinite, Real, Vector
-from dmframe.port import Adapted, Element, Port
+from dmframe.block import (
+    SX,
+    Adapted,
+    AdaptingBlock,
+    Certificate,
+    Element,
+    Equations,
+    Gain,
+    Input,
+    Output,
+    PositiveDefinite,
+    Real,
+    Signals,
+    TrueValue,
+    Vector,
+    named,
+)
 from dmframe_blocks._image import image_regressor, pinhole
 
 
@@ -56,16 +68,16 @@ class AdaptiveCamera(AdaptingBlock):
     [Liu2006]_ for the Jacobian without the depth; [WangTAC2020]_ Theorem 1 for the structure.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("dq", "n", "rad/s"),
-        Port("J_hat", "3 n", "m/rad"),
-        Port("chi", "2"),
-        Port("e_chi", "2"),
+    inputs = (
+        Input("dq", "n", "rad/s"),
+        Input("J_hat", "3 n", "m/rad"),
+        Input("chi", "2"),
+        Input("e_chi", "2"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("J_chi", "2 n", "m/rad", full_rank=True),)
-    estimates: ClassVar[tuple[Adapted, ...]] = (Adapted("a_c_hat", "c", gain="Gamma_c"),)
+    outputs = (Output("J_chi", "2 n", "m/rad", full_rank=True),)
+    estimates = (Adapted("a_c_hat", "c", gain="Gamma_c"),)
     driven_by: ClassVar[str] = "e_chi"
-    truth: ClassVar[tuple[Port, ...]] = (Port("a_c", "c"), Port("task_weight"))
+    truth = (Input("a_c", "c"), Input("task_weight"))
 
     Gamma_c: Gain = PositiveDefinite("c", "1/m")
     a_c_hat: Vector = Real("c", spread=False)

@@ -8,11 +8,25 @@ from typing import Any, ClassVar, Final, Literal, final
 import casadi as ca
 
 from dmframe.adaptation import Fit
-from dmframe.block import AdaptingBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate, TrueValue
-from dmframe.naming import operation
-from dmframe.parameter import Diagonal, Gain, Positive, PositiveDefinite, Real, Scalar
-from dmframe.port import Adapted, Element, Port
+from dmframe.block import (
+    SX,
+    Adapted,
+    AdaptingBlock,
+    Certificate,
+    Diagonal,
+    Element,
+    Equations,
+    Gain,
+    Input,
+    Output,
+    Positive,
+    PositiveDefinite,
+    Real,
+    Scalar,
+    Signals,
+    TrueValue,
+    operation,
+)
 
 
 @final
@@ -75,17 +89,17 @@ class AdaptiveKinematics(AdaptingBlock):
     [WangTAC2020]_ eqs. (4), (13), (22); [SlotineLi1991]_ section 8.7 for the fit.
     """
 
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad"),
-        Port("dq", "n", "rad/s"),
-        Port("e_k", "m", "m"),
-        Port("x", "m", "m"),
+    uses_robot = True
+    inputs = (
+        Input("q", "n", "rad"),
+        Input("dq", "n", "rad/s"),
+        Input("e_k", "m", "m"),
+        Input("x", "m", "m"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("J_hat", "m n", "m/rad", full_rank=True),)
-    estimates: ClassVar[tuple[Adapted, ...]] = (Adapted("a_k_hat", "h", "m", gain="Gamma_k", ball=True, memory="G_k"),)
+    outputs = (Output("J_hat", "m n", "m/rad", full_rank=True),)
+    estimates = (Adapted("a_k_hat", "h", "m", gain="Gamma_k", ball=True, memory="G_k"),)
     driven_by: ClassVar[str] = "e_k"
-    truth: ClassVar[tuple[Port, ...]] = (Port("dx", "m", "m/s"), Port("task_weight"))
+    truth = (Input("dx", "m", "m/s"), Input("task_weight"))
 
     Gamma_k: Gain = PositiveDefinite("h")
     adapt: Literal["all", "links", "tool"] = "all"

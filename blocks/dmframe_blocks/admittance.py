@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Assumption, Certificate, Driven
-from dmframe.parameter import Diagonal, Positive
-from dmframe.port import Port, State
+from dmframe.block import (
+    AbstractBlock,
+    Assumption,
+    Certificate,
+    Diagonal,
+    Driven,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Signals,
+    State,
+)
 
 
 @final
@@ -49,16 +58,16 @@ class Admittance(AbstractBlock):
     [Siciliano2009]_ Section 9.3.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("f_ext", "m", "N"),
-        Port("x_d", "m", "m"),
-        Port("J_hat", "m n", "m/rad"),
+    inputs = (
+        Input("f_ext", "m", "N"),
+        Input("x_d", "m", "m"),
+        Input("J_hat", "m n", "m/rad"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("x_c", "m", "m"),
-        Port("tau_task", "n", "N m"),
+    outputs = (
+        Output("x_c", "m", "m"),
+        Output("tau_task", "n", "N m"),
     )
-    states: ClassVar[tuple[State, ...]] = (State("x_a", "m", "m"), State("v_a", "m", "m/s"))
+    states = (State("x_a", "m", "m"), State("v_a", "m", "m/s"))
 
     M_a: Diagonal = Positive("m", "kg")
     D_a: Diagonal = Positive("m", "N s/m")

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
 import casadi as ca
 from pydantic import model_validator
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate
-from dmframe.naming import named
-from dmframe.parameter import Positive, Real, Scalar, Vector
-from dmframe.port import Access, Port, Side
+from dmframe.block import (
+    AbstractBlock,
+    Access,
+    Certificate,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Real,
+    Scalar,
+    Side,
+    Signals,
+    Vector,
+    named,
+)
 from dmframe_blocks._directions import check_space
 
 
@@ -53,13 +63,13 @@ class Camera(AbstractBlock):
     [Liu2006]_; [HartleyZisserman2004]_ chapter 6.
     """
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (Port("x", "3", "m"),)
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("chi", "2", "", Access.MEASURED),
-        Port("depth", "", "m"),
-        Port("a_c", "9"),
-        Port("lacking", "", "m", told="the tool is nearer to the camera than depth_min"),
+    side = Side.PLANT
+    inputs = (Input("x", "3", "m"),)
+    outputs = (
+        Output("chi", "2", "", Access.MEASURED),
+        Output("depth", "", "m"),
+        Output("a_c", "9"),
+        Output("lacking", "", "m", notice="the tool is nearer to the camera than depth_min"),
     )
 
     position: Vector = Real("3", "m", spread=False)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate
-from dmframe.port import Port
+from dmframe.block import AbstractBlock, Certificate, Equations, Input, Output, Signals
 
 
 @final
@@ -26,8 +24,8 @@ class CertaintyEquivalence(AbstractBlock):
     [WangTAC2020]_ eqs. (54), (59).
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (Port("Y_d", "n p", "N m"), Port("a_d_hat", "p", ""))
-    outputs: ClassVar[tuple[Port, ...]] = (Port("tau_d", "n", "N m"),)
+    inputs = (Input("Y_d", "n p", "N m"), Input("a_d_hat", "p", ""))
+    outputs = (Output("tau_d", "n", "N m"),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""

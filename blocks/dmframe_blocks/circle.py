@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal, final
+from typing import Literal, final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.parameter import Real, Scalar, Vector
-from dmframe.port import TIME, Port, Side
+from dmframe.block import TIME, AbstractBlock, Equations, Output, Real, Scalar, Side, Signals, Vector
 
 
 @final
@@ -40,9 +38,9 @@ class Circle(AbstractBlock):
     [WangTAC2020]_ Section V.
     """
 
-    side: ClassVar[Side] = Side.SOURCE
-    inputs: ClassVar[tuple[Port, ...]] = (TIME,)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("x_d", "m", "m"),)
+    side = Side.SOURCE
+    inputs = (TIME,)
+    outputs = (Output("x_d", "m", "m"),)
 
     center: Vector = Real("m", "m", spread=False)
     radius: Scalar = Real("", "m")

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.parameter import Diagonal, Positive
-from dmframe.port import Port, Side
+from dmframe.block import AbstractBlock, Diagonal, Equations, Input, Output, Positive, Side, Signals
 
 
 @final
@@ -38,12 +36,12 @@ class CommandLimits(AbstractBlock):
     [Siciliano2009]_ Section 8.1.
     """
 
-    side: ClassVar[Side] = Side.PLANT
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s"),)
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("dq_lim", "n", "rad/s", instead_of="dq_c"),
-        Port("excess", "n", "rad/s", told="a commanded velocity is beyond its limit, and cut off"),
+    side = Side.PLANT
+    uses_robot = True
+    inputs = (Input("dq_c", "n", "rad/s"),)
+    outputs = (
+        Output("dq_lim", "n", "rad/s", instead_of="dq_c"),
+        Output("excess", "n", "rad/s", notice="a commanded velocity is beyond its limit, and cut off"),
     )
 
     speed: Diagonal | None = Positive("n", "rad/s", default=None)

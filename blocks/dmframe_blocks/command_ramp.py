@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.parameter import Diagonal, Positive, Scalar
-from dmframe.port import Port, Side, State
+from dmframe.block import AbstractBlock, Diagonal, Equations, Input, Output, Positive, Scalar, Side, Signals, State
 
 
 @final
@@ -46,10 +44,10 @@ class CommandRamp(AbstractBlock):
     [URScript2024]_ speedj.
     """
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s"),)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_ramp", "n", "rad/s", instead_of="dq_c"),)
-    states: ClassVar[tuple[State, ...]] = (State("dq_ramp", "n", "rad/s"),)
+    side = Side.PLANT
+    inputs = (Input("dq_c", "n", "rad/s"),)
+    outputs = (Output("dq_ramp", "n", "rad/s", instead_of="dq_c"),)
+    states = (State("dq_ramp", "n", "rad/s"),)
 
     acceleration: Diagonal | None = Positive("n", "rad/s^2", default=None)
     time_constant: Scalar = Positive("", "s", default=0.002)

@@ -7,11 +7,21 @@ from typing import ClassVar, final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Assumption, Certificate, Condition, Driven, Square
-from dmframe.naming import named
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import Port
+from dmframe.block import (
+    AbstractBlock,
+    Assumption,
+    Certificate,
+    Condition,
+    Driven,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Scalar,
+    Signals,
+    Square,
+    named,
+)
 
 
 @final
@@ -41,19 +51,19 @@ class ComputedTorque(AbstractBlock):
     """
 
     renamed: ClassVar[Mapping[str, str]] = {"alpha": "alpha_bar"}
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad"),
-        Port("dq", "n", "rad/s"),
-        Port("q_d", "n", "rad"),
-        Port("dq_d", "n", "rad/s", derivative_of="q_d"),
-        Port("ddq_d", "n", "rad/s^2", derivative_of="dq_d"),
+    inputs = (
+        Input("q", "n", "rad"),
+        Input("dq", "n", "rad/s"),
+        Input("q_d", "n", "rad"),
+        Input("dq_d", "n", "rad/s", derivative_of="q_d"),
+        Input("ddq_d", "n", "rad/s^2", derivative_of="dq_d"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("dq_ref", "n", "rad/s"),
-        Port("ddq_ref", "n", "rad/s^2"),
-        Port("s_star", "n", "rad/s"),
+    outputs = (
+        Output("dq_ref", "n", "rad/s"),
+        Output("ddq_ref", "n", "rad/s^2"),
+        Output("s_star", "n", "rad/s"),
     )
-    truth: ClassVar[tuple[Port, ...]] = (Port("ddq", "n", "rad/s^2"), Port("direct"))
+    truth = (Input("ddq", "n", "rad/s^2"), Input("direct"))
 
     alpha_bar: Scalar = Positive("", "1/s")
 

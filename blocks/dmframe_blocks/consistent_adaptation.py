@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, TrueValue
-from dmframe.linalg import solve_spd
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import Port, State
+from dmframe.block import (
+    AbstractBlock,
+    Certificate,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Scalar,
+    Signals,
+    State,
+    TrueValue,
+    solve_spd,
+)
 from dmframe_blocks._bodies import moved, natural, storage, weight
 
 
@@ -55,15 +63,15 @@ class ConsistentAdaptation(AbstractBlock):
     [LeeKwonPark2018]_; [WangTAC2020]_ for the law by the tracking error.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("Y_d", "n p", "N m"),
-        Port("M_hat", "n n", "N m s^2/rad"),
-        Port("s_star", "n", "rad/s"),
-        Port("a_d_nominal", "p", ""),
+    inputs = (
+        Input("Y_d", "n p", "N m"),
+        Input("M_hat", "n n", "N m s^2/rad"),
+        Input("s_star", "n", "rad/s"),
+        Input("a_d_nominal", "p", ""),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("a_d_hat", "p", ""), Port("epsilon", "n", "rad^2/(N m s^3)"))
-    states: ClassVar[tuple[State, ...]] = (State("a_d_hat", "p", "", bodies="floor", nominal="a_d_nominal"),)
-    truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
+    outputs = (Output("a_d_hat", "p", ""), Output("epsilon", "n", "rad^2/(N m s^3)"))
+    states = (State("a_d_hat", "p", "", bodies="floor", nominal="a_d_nominal"),)
+    truth = (Input("a_d", "p", ""),)
 
     c: Scalar = Positive("", "s^2/rad^2")
     Gamma: Scalar = Positive(default=1.0, several=True)

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, TrueValue
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import Port, State
+from dmframe.block import (
+    AbstractBlock,
+    Certificate,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Scalar,
+    Signals,
+    State,
+    TrueValue,
+)
 from dmframe_blocks._bodies import moved, natural, storage, weight
 
 
@@ -63,15 +71,15 @@ class ConsistentCompensator(AbstractBlock):
     [LeeKwonPark2018]_; [Wensing2018]_ for the pseudo-inertia.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("Y_d", "n p", "N m"),
-        Port("sigma", "n", "rad/s"),
-        Port("tau_task", "n", "N m", optional=True),
-        Port("a_d_nominal", "p", ""),
+    inputs = (
+        Input("Y_d", "n p", "N m"),
+        Input("sigma", "n", "rad/s"),
+        Input("tau_task", "n", "N m", optional=True),
+        Input("a_d_nominal", "p", ""),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("tau_dc", "n", "N m"), Port("a_d_hat", "p", ""))
-    states: ClassVar[tuple[State, ...]] = (State("a_d_hat", "p", "", bodies="floor", nominal="a_d_nominal"),)
-    truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
+    outputs = (Output("tau_dc", "n", "N m"), Output("a_d_hat", "p", ""))
+    states = (State("a_d_hat", "p", "", bodies="floor", nominal="a_d_nominal"),)
+    truth = (Input("a_d", "p", ""),)
 
     c: Scalar = Positive("", "1/J")
     Gamma: Scalar = Positive(default=1.0, several=True)

@@ -7,11 +7,22 @@ from typing import ClassVar, final
 
 import casadi as ca
 
-from dmframe.block import AdaptingBlock, Equations, Signals
-from dmframe.certificate import SX, Assumption, Certificate, Condition, TrueValue
-from dmframe.linalg import solve_spd
-from dmframe.parameter import Gain, PositiveDefinite
-from dmframe.port import Adapted, Port
+from dmframe.block import (
+    SX,
+    Adapted,
+    AdaptingBlock,
+    Assumption,
+    Certificate,
+    Condition,
+    Equations,
+    Gain,
+    Input,
+    Output,
+    PositiveDefinite,
+    Signals,
+    TrueValue,
+    solve_spd,
+)
 
 
 @final
@@ -48,17 +59,15 @@ class DirectAdaptation(AdaptingBlock):
     [WangTAC2020]_ eqs. (59), (60).
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("Y_d", "n p", "N m"),
-        Port("M_hat", "n n", "N m s^2/rad"),
-        Port("s_star", "n", "rad/s"),
-        Port("a_d_nominal", "p", ""),
+    inputs = (
+        Input("Y_d", "n p", "N m"),
+        Input("M_hat", "n n", "N m s^2/rad"),
+        Input("s_star", "n", "rad/s"),
+        Input("a_d_nominal", "p", ""),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("a_d_hat", "p", ""), Port("epsilon", "n", "rad^2/(N m s^3)"))
-    estimates: ClassVar[tuple[Adapted, ...]] = (
-        Adapted("a_d_hat", "p", gain="Gamma", nominal="a_d_nominal", ball=True),
-    )
-    truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
+    outputs = (Output("a_d_hat", "p", ""), Output("epsilon", "n", "rad^2/(N m s^3)"))
+    estimates = (Adapted("a_d_hat", "p", gain="Gamma", nominal="a_d_nominal", ball=True),)
+    truth = (Input("a_d", "p", ""),)
     driven_by: ClassVar[str] = "epsilon"
 
     Gamma: Gain = PositiveDefinite("p")

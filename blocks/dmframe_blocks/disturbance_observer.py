@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, final
+from typing import Any, Literal, final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX
-from dmframe.naming import named
-from dmframe.parameter import Diagonal, Positive
-from dmframe.port import PERIOD, Access, Port, State
-from dmframe.terms import clip
+from dmframe.block import (
+    PERIOD,
+    SX,
+    AbstractBlock,
+    Access,
+    Diagonal,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Signals,
+    State,
+    clip,
+    named,
+)
 
 
 @final
@@ -55,20 +64,20 @@ class DisturbanceObserver(AbstractBlock):
     [YoucefToumiIto1990]_, time delay control, for commands of velocity.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad"),
-        Port("dq_r", "n", "rad/s"),
-        Port("dq_sent", "n", "rad/s", optional=True),
-        Port("q_echo", "n", "rad", optional=True),
-        Port("t", "", "s", optional=True),
+    inputs = (
+        Input("q", "n", "rad"),
+        Input("dq_r", "n", "rad/s"),
+        Input("dq_sent", "n", "rad/s", optional=True),
+        Input("q_echo", "n", "rad", optional=True),
+        Input("t", "", "s", optional=True),
         PERIOD,
     )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("dq_c", "n", "rad/s", Access.COMMANDED),
-        Port("q_start", "n", "rad"),
-        Port("lag", "n", "rad/s"),
+    outputs = (
+        Output("dq_c", "n", "rad/s", Access.COMMANDED),
+        Output("q_start", "n", "rad"),
+        Output("lag", "n", "rad/s"),
     )
-    states: ClassVar[tuple[State, ...]] = (
+    states = (
         State("q_before", "n", "rad", sampled=True),
         State("q_aim", "n", "rad", sampled=True, optional=True),
         State("queue", "n d", "rad/s", sampled=True),

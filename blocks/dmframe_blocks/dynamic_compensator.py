@@ -7,10 +7,21 @@ from typing import ClassVar, final
 
 import casadi as ca
 
-from dmframe.block import AdaptingBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate, TrueValue
-from dmframe.parameter import Diagonal, Gain, PositiveDefinite, Real
-from dmframe.port import Adapted, Port
+from dmframe.block import (
+    SX,
+    Adapted,
+    AdaptingBlock,
+    Certificate,
+    Diagonal,
+    Equations,
+    Gain,
+    Input,
+    Output,
+    PositiveDefinite,
+    Real,
+    Signals,
+    TrueValue,
+)
 
 
 @final
@@ -48,20 +59,18 @@ class DynamicCompensator(AdaptingBlock):
     [WangTAC2020]_ eqs. (12), (15).
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("Y_d", "n p", "N m"),
-        Port("sigma", "n", "rad/s"),
-        Port("tau_task", "n", "N m", optional=True),
-        Port("tau_known", "n", "N m", optional=True),
-        Port("a_d_nominal", "p", "", optional=True),
-        Port("Y_f", "n p", "N m", optional=True),
-        Port("e_f", "n", "rad/s", optional=True),
+    inputs = (
+        Input("Y_d", "n p", "N m"),
+        Input("sigma", "n", "rad/s"),
+        Input("tau_task", "n", "N m", optional=True),
+        Input("tau_known", "n", "N m", optional=True),
+        Input("a_d_nominal", "p", "", optional=True),
+        Input("Y_f", "n p", "N m", optional=True),
+        Input("e_f", "n", "rad/s", optional=True),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("tau_dc", "n", "N m"), Port("a_d_hat", "p", ""))
-    estimates: ClassVar[tuple[Adapted, ...]] = (
-        Adapted("a_d_hat", "p", gain="Gamma", nominal="a_d_nominal", ball=True),
-    )
-    truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
+    outputs = (Output("tau_dc", "n", "N m"), Output("a_d_hat", "p", ""))
+    estimates = (Adapted("a_d_hat", "p", gain="Gamma", nominal="a_d_nominal", ball=True),)
+    truth = (Input("a_d", "p", ""),)
     driven_by: ClassVar[str] = "sigma"
 
     Gamma: Gain = PositiveDefinite("p")

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar, final
+from typing import final
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX
-from dmframe.parameter import Diagonal, NonNegative, Positive
-from dmframe.port import Port, Side, State
+from dmframe.block import (
+    SX,
+    AbstractBlock,
+    Diagonal,
+    Equations,
+    Input,
+    NonNegative,
+    Output,
+    Positive,
+    Side,
+    Signals,
+    State,
+)
 
 
 @final
@@ -43,20 +52,20 @@ class ElasticJoints(AbstractBlock):
     [Spong1987]_
     """
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("u", "n", "V"),
-        Port("K", "n", "N m/V"),
-        Port("q", "n", "rad"),
-        Port("dq", "n", "rad/s"),
+    side = Side.PLANT
+    inputs = (
+        Input("u", "n", "V"),
+        Input("K", "n", "N m/V"),
+        Input("q", "n", "rad"),
+        Input("dq", "n", "rad/s"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("u_link", "n", "V", instead_of="u"),
-        Port("theta", "n", "rad"),
-        Port("dtheta", "n", "rad/s", derivative_of="theta"),
+    outputs = (
+        Output("u_link", "n", "V", instead_of="u"),
+        Output("theta", "n", "rad"),
+        Output("dtheta", "n", "rad/s", derivative_of="theta"),
     )
-    states: ClassVar[tuple[State, ...]] = (State("theta", "n", "rad"), State("dtheta", "n", "rad/s"))
-    truth: ClassVar[tuple[Port, ...]] = (Port("g", "n", "N m"),)
+    states = (State("theta", "n", "rad"), State("dtheta", "n", "rad/s"))
+    truth = (Input("g", "n", "N m"),)
 
     stiffness: Diagonal = Positive("n", "N m/rad")
     damping: Diagonal = NonNegative("n", "N m s/rad", default=0.0)

@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, final
+from typing import Any, Literal, final
 
 import casadi as ca
 from pydantic import model_validator
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX
-from dmframe.parameter import Diagonal, NonNegative, Positive, Scalar
-from dmframe.port import PERIOD, Access, Port, Side, State
+from dmframe.block import (
+    PERIOD,
+    SX,
+    AbstractBlock,
+    Access,
+    Diagonal,
+    Equations,
+    Input,
+    NonNegative,
+    Output,
+    Positive,
+    Scalar,
+    Side,
+    Signals,
+    State,
+)
 
 
 @final
@@ -65,22 +77,22 @@ class Encoder(AbstractBlock):
     [FranklinPowell1998]_ for rounding and differences.
     """
 
-    side: ClassVar[Side] = Side.PLANT
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad"),
-        Port("dq", "n", "rad/s"),
-        Port("x", "m", "m"),
+    side = Side.PLANT
+    uses_robot = True
+    inputs = (
+        Input("q", "n", "rad"),
+        Input("dq", "n", "rad/s"),
+        Input("x", "m", "m"),
         PERIOD,
-        Port("eta", "n", drawn="normal"),
-        Port("eta_old", "n", drawn="normal"),
+        Input("eta", "n", drawn="normal"),
+        Input("eta_old", "n", drawn="normal"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("q_m", "n", "rad", Access.MEASURED, instead_of="q", rounded_by="step"),
-        Port("dq_m", "n", "rad/s", Access.MEASURED, derivative_of="q_m", instead_of="dq"),
-        Port("x_m", "m", "m", Access.MEASURED, optional=True, instead_of="x"),
+    outputs = (
+        Output("q_m", "n", "rad", Access.MEASURED, instead_of="q", rounded_by="step"),
+        Output("dq_m", "n", "rad/s", Access.MEASURED, derivative_of="q_m", instead_of="dq"),
+        Output("x_m", "m", "m", Access.MEASURED, optional=True, instead_of="x"),
     )
-    states: ClassVar[tuple[State, ...]] = (
+    states = (
         State("q_old", "n", "rad", optional=True, sampled=True),
         State("v_old", "n", "rad/s", optional=True, sampled=True),
         State("zeta", "n", "rad", optional=True),

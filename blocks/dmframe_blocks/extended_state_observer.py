@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar, final
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX
-from dmframe.parameter import Diagonal, Positive
-from dmframe.port import Access, Port, State
+from dmframe.block import SX, AbstractBlock, Access, Diagonal, Equations, Input, Output, Positive, Signals, State
 
 
 @final
@@ -52,9 +49,9 @@ class ExtendedStateObserver(AbstractBlock):
     function beside it.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"), Port("dq_r", "n", "rad/s"))
-    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s", Access.COMMANDED),)
-    states: ClassVar[tuple[State, ...]] = (State("q_hat", "n", "rad"), State("d_hat", "n", "rad/s"))
+    inputs = (Input("q", "n", "rad"), Input("dq_r", "n", "rad/s"))
+    outputs = (Output("dq_c", "n", "rad/s", Access.COMMANDED),)
+    states = (State("q_hat", "n", "rad"), State("d_hat", "n", "rad/s"))
 
     unproved: ClassVar[str] = (
         "its disturbance holds what the servo makes of the command, and how fast that changes can only be assumed; if "

@@ -7,10 +7,21 @@ from typing import ClassVar, final
 
 import casadi as ca
 
-from dmframe.block import AdaptingBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate, TrueValue
-from dmframe.parameter import Diagonal, Gain, PositiveDefinite, Real
-from dmframe.port import Adapted, Port
+from dmframe.block import (
+    SX,
+    Adapted,
+    AdaptingBlock,
+    Certificate,
+    Diagonal,
+    Equations,
+    Gain,
+    Input,
+    Output,
+    PositiveDefinite,
+    Real,
+    Signals,
+    TrueValue,
+)
 
 
 @final
@@ -44,16 +55,14 @@ class FilteredAdaptation(AdaptingBlock):
     [WangTAC2020]_ eqs. (54)-(58); [SlotineLi1991]_ section 9.2.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("Y_f", "n p", "N m"),
-        Port("e_f", "n", "rad/s"),
-        Port("a_d_nominal", "p", "", optional=True),
+    inputs = (
+        Input("Y_f", "n p", "N m"),
+        Input("e_f", "n", "rad/s"),
+        Input("a_d_nominal", "p", "", optional=True),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("a_d_hat", "p", ""),)
-    estimates: ClassVar[tuple[Adapted, ...]] = (
-        Adapted("a_d_hat", "p", gain="Gamma", nominal="a_d_nominal", ball=True),
-    )
-    truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
+    outputs = (Output("a_d_hat", "p", ""),)
+    estimates = (Adapted("a_d_hat", "p", gain="Gamma", nominal="a_d_nominal", ball=True),)
+    truth = (Input("a_d", "p", ""),)
     driven_by: ClassVar[str] = "e_f"
 
     Gamma: Gain = PositiveDefinite("p")

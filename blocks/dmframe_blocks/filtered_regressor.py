@@ -3,16 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate, Driven, Square, TrueValue
+from dmframe.block import (
+    SX,
+    AbstractBlock,
+    Certificate,
+    Diagonal,
+    Driven,
+    Element,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Scalar,
+    Signals,
+    Square,
+    State,
+    TrueValue,
+    derivative,
+    named,
+)
 from dmframe.errors import ValueFault
-from dmframe.naming import derivative, named
-from dmframe.parameter import Diagonal, Positive, Scalar
-from dmframe.port import Element, Port, State
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.parameters import DynamicParameters, Friction, Part
 
@@ -77,34 +91,34 @@ class FilteredRegressor(AbstractBlock):
     [SlotineLi1991]_ section 9.2 for the filter by parts; [WangTAC2020]_ eqs. (49)-(58) for what it stands in for.
     """
 
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad"),
-        Port("dq", "n", "rad/s"),
-        Port("q_c", "n", "rad"),
-        Port("dq_c", "n", "rad/s"),
-        Port("a_d_hat", "p", ""),
-        Port("w", "n", "rad/(N m s)"),
-        Port("w_I", "n", "1/s"),
+    uses_robot = True
+    inputs = (
+        Input("q", "n", "rad"),
+        Input("dq", "n", "rad/s"),
+        Input("q_c", "n", "rad"),
+        Input("dq_c", "n", "rad/s"),
+        Input("a_d_hat", "p", ""),
+        Input("w", "n", "rad/(N m s)"),
+        Input("w_I", "n", "1/s"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("Y_f", "n p", "N m"),
-        Port("e_f", "n", "rad/s"),
-        Port("tau_f", "n", "N m"),
-        Port("q_f", "n", "rad"),
+    outputs = (
+        Output("Y_f", "n p", "N m"),
+        Output("e_f", "n", "rad/s"),
+        Output("tau_f", "n", "N m"),
+        Output("q_f", "n", "rad"),
     )
-    states: ClassVar[tuple[State, ...]] = (
+    states = (
         State("Y_z", "n p", "N m"),
         State("v_f", "n", "rad/s"),
         State("q_f", "n", "rad"),
         State("b_hat", "n", "rad/s", optional=True),
     )
-    truth: ClassVar[tuple[Port, ...]] = (
-        Port("a_d", "p", ""),
-        Port("K", "n", "N m/V"),
-        Port("K_P", "n", "V s/rad"),
-        Port("K_I", "n", "V/rad"),
-        Port("i", "n", "rad"),
+    truth = (
+        Input("a_d", "p", ""),
+        Input("K", "n", "N m/V"),
+        Input("K_P", "n", "V s/rad"),
+        Input("K_I", "n", "V/rad"),
+        Input("i", "n", "rad"),
     )
 
     bandwidth: Scalar = Positive("", "1/s")

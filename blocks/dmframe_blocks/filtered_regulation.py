@@ -7,10 +7,18 @@ from typing import ClassVar, final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Square
-from dmframe.parameter import Diagonal, Positive, Scalar
-from dmframe.port import Port
+from dmframe.block import (
+    AbstractBlock,
+    Certificate,
+    Diagonal,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Scalar,
+    Signals,
+    Square,
+)
 
 
 @final
@@ -50,18 +58,18 @@ class FilteredRegulation(AbstractBlock):
     """
 
     renamed: ClassVar[Mapping[str, str]] = {"dq_ref": "dq_r"}
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("y", "n", "m^2/rad"),
-        Port("x", "m", "m"),
-        Port("x_d", "m", "m"),
-        Port("J_hat", "m n", "m/rad"),
+    inputs = (
+        Input("y", "n", "m^2/rad"),
+        Input("x", "m", "m"),
+        Input("x_d", "m", "m"),
+        Input("J_hat", "m n", "m/rad"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("dq_r", "n", "rad/s"),
-        Port("tau_task", "n", "N m"),
-        Port("e_k", "m", "m"),
+    outputs = (
+        Output("dq_r", "n", "rad/s"),
+        Output("tau_task", "n", "N m"),
+        Output("e_k", "m", "m"),
     )
-    truth: ClassVar[tuple[Port, ...]] = (Port("dx", "m", "m/s"),)
+    truth = (Input("dx", "m", "m/s"),)
 
     K_2: Diagonal = Positive("n", "rad^2/(m^2 s)")
     alpha: Scalar = Positive("", "N/m")

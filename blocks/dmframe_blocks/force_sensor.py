@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.parameter import Diagonal, NonNegative, Real
-from dmframe.port import Access, Port, Side
+from dmframe.block import AbstractBlock, Access, Diagonal, Equations, Input, NonNegative, Output, Real, Side, Signals
 
 
 @final
@@ -37,9 +35,9 @@ class ForceSensor(AbstractBlock):
     [Siciliano2009]_ Section 5.4.1.
     """
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (Port("f_ext", "m", "N"), Port("eta", "m", drawn="normal"))
-    outputs: ClassVar[tuple[Port, ...]] = (Port("f_m", "m", "N", Access.MEASURED, instead_of="f_ext"),)
+    side = Side.PLANT
+    inputs = (Input("f_ext", "m", "N"), Input("eta", "m", drawn="normal"))
+    outputs = (Output("f_m", "m", "N", Access.MEASURED, instead_of="f_ext"),)
 
     offset: Diagonal = Real("m", "N", default=0.0)
     noise: Diagonal = NonNegative("m", "N", default=0.0)

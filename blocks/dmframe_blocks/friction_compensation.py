@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.parameter import Diagonal, NonNegative, Positive, Scalar
-from dmframe.port import Port, Side
+from dmframe.block import (
+    AbstractBlock,
+    Diagonal,
+    Equations,
+    Input,
+    NonNegative,
+    Output,
+    Positive,
+    Scalar,
+    Side,
+    Signals,
+)
 
 
 @final
@@ -39,9 +48,9 @@ class FrictionCompensation(AbstractBlock):
     [Siciliano2009]_ Section 7.2.
     """
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (Port("u", "n", "V"), Port("K", "n", "N m/V"), Port("dq", "n", "rad/s"))
-    outputs: ClassVar[tuple[Port, ...]] = (Port("u_comp", "n", "V", instead_of="u"),)
+    side = Side.PLANT
+    inputs = (Input("u", "n", "V"), Input("K", "n", "N m/V"), Input("dq", "n", "rad/s"))
+    outputs = (Output("u_comp", "n", "V", instead_of="u"),)
 
     coulomb: Diagonal = NonNegative("n", "N m")
     velocity: Scalar = Positive("", "rad/s", default=0.02)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import casadi as ca
 from pydantic import model_validator
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.parameter import Real, Rows, Table, Vector
-from dmframe.port import TIME, Port, Side
+from dmframe.block import TIME, AbstractBlock, Equations, Output, Real, Rows, Side, Signals, Table, Vector
 from dmframe_blocks._loads import check_bodies, check_times, now_held
 
 
@@ -37,12 +35,12 @@ class Gripper(AbstractBlock):
     It steps: a proof is one of the time between two of its instants. What is expected may be wrong.
     """
 
-    side: ClassVar[Side] = Side.SOURCE
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (TIME,)
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("odd", steps=True),
-        Port("a_expected", "10", optional=True, steps=True),
+    side = Side.SOURCE
+    uses_robot = True
+    inputs = (TIME,)
+    outputs = (
+        Output("odd", steps=True),
+        Output("a_expected", "10", optional=True, steps=True),
     )
 
     at: Vector = Real("*", "s", spread=False)

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Square
-from dmframe.naming import named
-from dmframe.parameter import Diagonal, Positive, Scalar
-from dmframe.port import Port, State
+from dmframe.block import (
+    AbstractBlock,
+    Certificate,
+    Diagonal,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Scalar,
+    Signals,
+    Square,
+    State,
+    named,
+)
 from dmframe_blocks._image import image_regressor
 
 
@@ -62,14 +71,14 @@ class ImageRegulation(AbstractBlock):
     [Liu2006]_ for the depth as a weight; [WangTAC2020]_ Theorem 1 for the structure.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (Port("chi", "2"), Port("chi_d", "2"), Port("J_chi", "2 n", "m/rad"))
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("dq_r", "n", "rad/s"),
-        Port("tau_task", "n", "N m"),
-        Port("e_chi", "2"),
+    inputs = (Input("chi", "2"), Input("chi_d", "2"), Input("J_chi", "2 n", "m/rad"))
+    outputs = (
+        Output("dq_r", "n", "rad/s"),
+        Output("tau_task", "n", "N m"),
+        Output("e_chi", "2"),
     )
-    states: ClassVar[tuple[State, ...]] = (State("y", "n", "m/rad"),)
-    truth: ClassVar[tuple[Port, ...]] = (Port("depth", "", "m"), Port("a_c", "9"), Port("dx", "3", "m/s"))
+    states = (State("y", "n", "m/rad"),)
+    truth = (Input("depth", "", "m"), Input("a_c", "9"), Input("dx", "3", "m/s"))
 
     K_1: Diagonal = Positive("n", "1/s")
     K_2: Diagonal = Positive("n", "rad^2/(m s)")

@@ -7,10 +7,23 @@ from typing import ClassVar, final
 
 import casadi as ca
 
-from dmframe.block import AdaptingBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate, Lemma, Square, TrueValue
-from dmframe.parameter import Diagonal, Gain, PositiveDefinite, Real
-from dmframe.port import Adapted, Port
+from dmframe.block import (
+    SX,
+    Adapted,
+    AdaptingBlock,
+    Certificate,
+    Diagonal,
+    Equations,
+    Gain,
+    Input,
+    Lemma,
+    Output,
+    PositiveDefinite,
+    Real,
+    Signals,
+    Square,
+    TrueValue,
+)
 
 
 @final
@@ -48,16 +61,14 @@ class IndirectAdaptation(AdaptingBlock):
     [WangTAC2020]_ eqs. (54)-(58).
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("Y_d", "n p", "N m"),
-        Port("tau_d", "n", "N m"),
-        Port("a_d_nominal", "p", "", optional=True),
+    inputs = (
+        Input("Y_d", "n p", "N m"),
+        Input("tau_d", "n", "N m"),
+        Input("a_d_nominal", "p", "", optional=True),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("a_d_hat", "p", ""), Port("epsilon", "n", "N m"))
-    estimates: ClassVar[tuple[Adapted, ...]] = (
-        Adapted("a_d_hat", "p", gain="Gamma", nominal="a_d_nominal", ball=True),
-    )
-    truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
+    outputs = (Output("a_d_hat", "p", ""), Output("epsilon", "n", "N m"))
+    estimates = (Adapted("a_d_hat", "p", gain="Gamma", nominal="a_d_nominal", ball=True),)
+    truth = (Input("a_d", "p", ""),)
     driven_by: ClassVar[str] = "epsilon"
     ignores_at_source: ClassVar[bool] = True
 

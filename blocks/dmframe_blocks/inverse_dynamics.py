@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar, final
+from typing import final
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Condition, Inequality
-from dmframe.parameter import Real, Scalar
-from dmframe.port import Access, Port
+from dmframe.block import (
+    AbstractBlock,
+    Access,
+    Certificate,
+    Condition,
+    Equations,
+    Inequality,
+    Input,
+    Output,
+    Real,
+    Scalar,
+    Signals,
+)
 
 
 @final
@@ -44,18 +53,18 @@ class InverseDynamics(AbstractBlock):
     [Siciliano2009]_ Section 8.5.2.
     """
 
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad"),
-        Port("dq", "n", "rad/s"),
-        Port("dq_ref", "n", "rad/s"),
-        Port("ddq_ref", "n", "rad/s^2", derivative_of="dq_ref"),
+    uses_robot = True
+    inputs = (
+        Input("q", "n", "rad"),
+        Input("dq", "n", "rad/s"),
+        Input("dq_ref", "n", "rad/s"),
+        Input("ddq_ref", "n", "rad/s^2", derivative_of="dq_ref"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("tau_c", "n", "N m", Access.COMMANDED),)
-    truth: ClassVar[tuple[Port, ...]] = (
-        Port("B", "n", "N m s/rad"),
-        Port("D", "n", "N m"),
-        Port("g_share"),
+    outputs = (Output("tau_c", "n", "N m", Access.COMMANDED),)
+    truth = (
+        Input("B", "n", "N m s/rad"),
+        Input("D", "n", "N m"),
+        Input("g_share"),
     )
 
     off: Scalar | None = Real(default=None)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate
-from dmframe.port import Port
+from dmframe.block import AbstractBlock, Certificate, Equations, Input, Output, Signals
 
 
 @final
@@ -37,11 +35,11 @@ class JointFeedforward(AbstractBlock):
     [WangTAC2020]_ Section IV-A, its last remark.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("q_d", "n", "rad"),
-        Port("dq_d", "n", "rad/s", derivative_of="q_d"),
+    inputs = (
+        Input("q_d", "n", "rad"),
+        Input("dq_d", "n", "rad/s", derivative_of="q_d"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_r", "n", "rad/s"),)
+    outputs = (Output("dq_r", "n", "rad/s"),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""

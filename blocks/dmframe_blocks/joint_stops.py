@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
 import casadi as ca
 from pydantic import model_validator
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate
-from dmframe.parameter import Diagonal, NonNegative, Positive, Real
-from dmframe.port import Port, Side
+from dmframe.block import (
+    AbstractBlock,
+    Certificate,
+    Diagonal,
+    Equations,
+    Input,
+    NonNegative,
+    Output,
+    Positive,
+    Real,
+    Side,
+    Signals,
+)
 
 
 @final
@@ -50,17 +59,17 @@ class JointStops(AbstractBlock):
     [HuntCrossley1975]_
     """
 
-    side: ClassVar[Side] = Side.PLANT
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("u", "n", "V"),
-        Port("K", "n", "N m/V"),
-        Port("q", "n", "rad"),
-        Port("dq", "n", "rad/s"),
+    side = Side.PLANT
+    uses_robot = True
+    inputs = (
+        Input("u", "n", "V"),
+        Input("K", "n", "N m/V"),
+        Input("q", "n", "rad"),
+        Input("dq", "n", "rad/s"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("u_stop", "n", "V", optional=True, instead_of="u"),
-        Port("beyond", "n", "rad", told="a joint is beyond its range"),
+    outputs = (
+        Output("u_stop", "n", "V", optional=True, instead_of="u"),
+        Output("beyond", "n", "rad", notice="a joint is beyond its range"),
     )
 
     lower: Diagonal | None = Real("n", "rad", default=None)

@@ -5,11 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar, final
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Consumed, Square
-from dmframe.naming import named
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import Port
+from dmframe.block import (
+    AbstractBlock,
+    Certificate,
+    Consumed,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Scalar,
+    Signals,
+    Square,
+    named,
+)
 
 
 @final
@@ -40,13 +48,13 @@ class JointTracking(AbstractBlock):
     """
 
     renamed: ClassVar[Mapping[str, str]] = {"alpha": "alpha_bar", "dq_ref": "dq_r"}
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad"),
-        Port("q_d", "n", "rad"),
-        Port("dq_d", "n", "rad/s", derivative_of="q_d"),
+    inputs = (
+        Input("q", "n", "rad"),
+        Input("q_d", "n", "rad"),
+        Input("dq_d", "n", "rad/s", derivative_of="q_d"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_r", "n", "rad/s"),)
-    truth: ClassVar[tuple[Port, ...]] = (Port("dq", "n", "rad/s"),)
+    outputs = (Output("dq_r", "n", "rad/s"),)
+    truth = (Input("dq", "n", "rad/s"),)
 
     alpha_bar: Scalar = Positive("", "1/s")
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar, final
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.port import Access, Port
+from dmframe.block import AbstractBlock, Access, Equations, Input, Output, Signals
 
 
 @final
@@ -33,8 +32,8 @@ class KinematicCommand(AbstractBlock):
     """
 
     renamed: ClassVar[Mapping[str, str]] = {"dq_ref": "dq_r"}
-    inputs: ClassVar[tuple[Port, ...]] = (Port("dq_r", "n", "rad/s"),)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s", Access.COMMANDED),)
+    inputs = (Input("dq_r", "n", "rad/s"),)
+    outputs = (Output("dq_c", "n", "rad/s", Access.COMMANDED),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate
-from dmframe.port import Port
+from dmframe.block import AbstractBlock, Certificate, Equations, Input, Output, Signals
 
 
 @final
@@ -35,11 +33,11 @@ class Kinematics(AbstractBlock):
     [WangTAC2020]_ eqs. (1), (2).
     """
 
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"), Port("dq", "n", "rad/s"), Port("x", "m", "m"))
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("J_hat", "m n", "m/rad", full_rank=True),
-        Port("dx", "m", "m/s", derivative_of="x"),
+    uses_robot = True
+    inputs = (Input("q", "n", "rad"), Input("dq", "n", "rad/s"), Input("x", "m", "m"))
+    outputs = (
+        Output("J_hat", "m n", "m/rad", full_rank=True),
+        Output("dx", "m", "m/s", derivative_of="x"),
     )
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:

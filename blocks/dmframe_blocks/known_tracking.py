@@ -5,12 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar, final
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Consumed, Square
-from dmframe.linalg import solve_spd
-from dmframe.naming import named
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import Port
+from dmframe.block import (
+    AbstractBlock,
+    Certificate,
+    Consumed,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Scalar,
+    Signals,
+    Square,
+    named,
+    solve_spd,
+)
 
 
 @final
@@ -48,15 +56,15 @@ class KnownTracking(AbstractBlock):
     """
 
     renamed: ClassVar[Mapping[str, str]] = {"z": "dq_null", "dq_ref": "dq_r"}
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("x", "m", "m"),
-        Port("x_d", "m", "m"),
-        Port("dx_d", "m", "m/s", derivative_of="x_d"),
-        Port("J_hat", "m n", "m/rad"),
-        Port("dq_null", "n", "rad/s", optional=True),
+    inputs = (
+        Input("x", "m", "m"),
+        Input("x_d", "m", "m"),
+        Input("dx_d", "m", "m/s", derivative_of="x_d"),
+        Input("J_hat", "m n", "m/rad"),
+        Input("dq_null", "n", "rad/s", optional=True),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_r", "n", "rad/s"),)
-    truth: ClassVar[tuple[Port, ...]] = (Port("dq", "n", "rad/s"),)
+    outputs = (Output("dq_r", "n", "rad/s"),)
+    truth = (Input("dq", "n", "rad/s"),)
 
     gamma: Scalar = Positive("", "rad^2/(m^2 s)")
 

@@ -3,17 +3,33 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import casadi as ca
 from pydantic import model_validator
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate, Lemma, Square
-from dmframe.linalg import solve_spd
-from dmframe.naming import named, operation
-from dmframe.parameter import Diagonal, NonNegative, Positive, Real, Scalar, Vector
-from dmframe.port import TIME, Port, Side, State
+from dmframe.block import (
+    SX,
+    TIME,
+    AbstractBlock,
+    Certificate,
+    Diagonal,
+    Equations,
+    Input,
+    Lemma,
+    NonNegative,
+    Output,
+    Positive,
+    Real,
+    Scalar,
+    Side,
+    Signals,
+    Square,
+    Vector,
+    named,
+    operation,
+    solve_spd,
+)
 from dmframe_blocks._loads import with_body
 from dmframe_blocks.manipulator import Manipulator
 
@@ -63,12 +79,12 @@ class LoadedManipulator(AbstractBlock):
     [Siciliano2009]_ Section 7.2.
     """
 
-    side: ClassVar[Side] = Side.PLANT
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (*Manipulator.inputs, Port("a_load", "10", optional=True), TIME)
-    outputs: ClassVar[tuple[Port, ...]] = (*Manipulator.outputs, Port("load", "", "kg"))
-    states: ClassVar[tuple[State, ...]] = Manipulator.states
-    truth: ClassVar[tuple[Port, ...]] = Manipulator.truth
+    side = Side.PLANT
+    uses_robot = True
+    inputs = (*Manipulator.inputs, Input("a_load", "10", optional=True), TIME)
+    outputs = (*Manipulator.outputs, Output("load", "", "kg"))
+    states = Manipulator.states
+    truth = Manipulator.truth
 
     payload: Vector | None = Real("*", "kg", default=None, spread=False)
     payload_at: Vector | None = Real("*", "s", default=None, spread=False)

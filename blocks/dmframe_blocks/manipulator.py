@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate, Lemma, Square
-from dmframe.linalg import solve_spd
-from dmframe.parameter import Diagonal, NonNegative, Positive, Scalar
-from dmframe.port import Access, Port, Side, State
+from dmframe.block import (
+    SX,
+    AbstractBlock,
+    Access,
+    Certificate,
+    Diagonal,
+    Equations,
+    Input,
+    Lemma,
+    NonNegative,
+    Output,
+    Positive,
+    Scalar,
+    Side,
+    Signals,
+    Square,
+    State,
+    solve_spd,
+)
 
 
 @final
@@ -64,29 +78,29 @@ class Manipulator(AbstractBlock):
     [WangTAC2020]_ eqs. (1), (3), properties P2 and P3; Section V for the friction.
     """
 
-    side: ClassVar[Side] = Side.PLANT
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("u", "n", "V"),
-        Port("tau_ext", "n", "N m", optional=True),
+    side = Side.PLANT
+    uses_robot = True
+    inputs = (
+        Input("u", "n", "V"),
+        Input("tau_ext", "n", "N m", optional=True),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad", Access.MEASURED),
-        Port("dq", "n", "rad/s", Access.MEASURED, derivative_of="q"),
-        Port("x", "m", "m", Access.MEASURED),
-        Port("dx", "m", "m/s", derivative_of="x"),
-        Port("ddq", "n", "rad/s^2", derivative_of="dq"),
-        Port("g", "n", "N m"),
-        Port("K", "n", "N m/V"),
-        Port("B", "n", "N m s/rad"),
-        Port("D", "n", "N m"),
-        Port("g_share"),
+    outputs = (
+        Output("q", "n", "rad", Access.MEASURED),
+        Output("dq", "n", "rad/s", Access.MEASURED, derivative_of="q"),
+        Output("x", "m", "m", Access.MEASURED),
+        Output("dx", "m", "m/s", derivative_of="x"),
+        Output("ddq", "n", "rad/s^2", derivative_of="dq"),
+        Output("g", "n", "N m"),
+        Output("K", "n", "N m/V"),
+        Output("B", "n", "N m s/rad"),
+        Output("D", "n", "N m"),
+        Output("g_share"),
     )
-    states: ClassVar[tuple[State, ...]] = (State("q", "n", "rad"), State("dq", "n", "rad/s"))
-    truth: ClassVar[tuple[Port, ...]] = (
-        Port("sigma", "n", "rad/s"),
-        Port("dq_ref", "n", "rad/s"),
-        Port("ddq_ref", "n", "rad/s^2", derivative_of="dq_ref"),
+    states = (State("q", "n", "rad"), State("dq", "n", "rad/s"))
+    truth = (
+        Input("sigma", "n", "rad/s"),
+        Input("dq_ref", "n", "rad/s"),
+        Input("ddq_ref", "n", "rad/s^2", derivative_of="dq_ref"),
     )
 
     viscous: Diagonal = NonNegative("n", "N m s/rad", default=0.0)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate
-from dmframe.port import Port
+from dmframe.block import AbstractBlock, Certificate, Equations, Input, Output, Signals
 from dmframe.robot.parameters import DynamicParameters
 
 
@@ -27,9 +25,9 @@ class MassEstimate(AbstractBlock):
     [WangTAC2020]_ eq. (59).
     """
 
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"), Port("a_d_hat", "p", ""))
-    outputs: ClassVar[tuple[Port, ...]] = (Port("M_hat", "n n", "N m s^2/rad"),)
+    uses_robot = True
+    inputs = (Input("q", "n", "rad"), Input("a_d_hat", "p", ""))
+    outputs = (Output("M_hat", "n n", "N m s^2/rad"),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import Any, ClassVar, Literal, final
+from typing import Any, Literal, final
 
 import casadi as ca
 from pydantic import model_validator
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX
-from dmframe.parameter import NonNegative, Scalar
-from dmframe.port import Access, Port, Side, State
+from dmframe.block import SX, AbstractBlock, Access, Equations, Input, NonNegative, Output, Scalar, Side, Signals, State
 
 _MEASURED = ("q", "dq", "x")
 
@@ -43,26 +40,26 @@ class MeasurementDelay(AbstractBlock):
     [AstromWittenmark1997]_ Section 3.2.
     """
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad"),
-        Port("dq", "n", "rad/s"),
-        Port("x", "m", "m"),
-        Port("q_c", "n", "rad", optional=True),
+    side = Side.PLANT
+    inputs = (
+        Input("q", "n", "rad"),
+        Input("dq", "n", "rad/s"),
+        Input("x", "m", "m"),
+        Input("q_c", "n", "rad", optional=True),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("q_late", "n", "rad", Access.MEASURED, instead_of="q"),
-        Port("dq_late", "n", "rad/s", Access.MEASURED, derivative_of="q_late", instead_of="dq"),
-        Port("x_late", "m", "m", Access.MEASURED, instead_of="x"),
-        Port("q_c_late", "n", "rad", Access.MEASURED, optional=True, instead_of="q_c"),
+    outputs = (
+        Output("q_late", "n", "rad", Access.MEASURED, instead_of="q"),
+        Output("dq_late", "n", "rad/s", Access.MEASURED, derivative_of="q_late", instead_of="dq"),
+        Output("x_late", "m", "m", Access.MEASURED, instead_of="x"),
+        Output("q_c_late", "n", "rad", Access.MEASURED, optional=True, instead_of="q_c"),
     )
-    states: ClassVar[tuple[State, ...]] = (
+    states = (
         State("q_line", "n 5", "rad", sampled=True),
         State("dq_line", "n 5", "rad/s", sampled=True),
         State("x_line", "m 5", "m", sampled=True),
         State("q_c_line", "n 5", "rad", optional=True, sampled=True),
     )
-    truth: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"),)
+    truth = (Input("q", "n", "rad"),)
 
     samples: Literal[0, 1, 2, 3, 4] = 1
     share: Scalar | None = NonNegative(default=None)

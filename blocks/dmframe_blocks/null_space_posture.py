@@ -5,10 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import ClassVar, final
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Assumption, Certificate, Condition
-from dmframe.parameter import Diagonal, Positive, Real
-from dmframe.port import Port
+from dmframe.block import (
+    AbstractBlock,
+    Assumption,
+    Certificate,
+    Condition,
+    Diagonal,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Real,
+    Signals,
+)
 
 
 @final
@@ -40,8 +49,8 @@ class NullSpacePosture(AbstractBlock):
     """
 
     renamed: ClassVar[Mapping[str, str]] = {"z": "dq_null", "k": "K_null"}
-    inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"),)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_null", "n", "rad/s"),)
+    inputs = (Input("q", "n", "rad"),)
+    outputs = (Output("dq_null", "n", "rad/s"),)
 
     K_null: Diagonal = Positive("n", "1/s")
     q_0: Diagonal = Real("n", "rad")

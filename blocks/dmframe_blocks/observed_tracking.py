@@ -7,12 +7,22 @@ from typing import ClassVar, final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Condition, Consumed, Inequality, Square
-from dmframe.linalg import solve_spd
-from dmframe.naming import named
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import Port
+from dmframe.block import (
+    AbstractBlock,
+    Certificate,
+    Condition,
+    Consumed,
+    Equations,
+    Inequality,
+    Input,
+    Output,
+    Positive,
+    Scalar,
+    Signals,
+    Square,
+    named,
+    solve_spd,
+)
 
 
 @final
@@ -53,19 +63,19 @@ class ObservedTracking(AbstractBlock):
     """
 
     renamed: ClassVar[Mapping[str, str]] = {"z": "dq_null", "dq_ref": "dq_r"}
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("x", "m", "m"),
-        Port("x_o", "m", "m"),
-        Port("x_d", "m", "m"),
-        Port("dx_d", "m", "m/s", derivative_of="x_d"),
-        Port("J_hat", "m n", "m/rad"),
-        Port("dq_null", "n", "rad/s", optional=True),
+    inputs = (
+        Input("x", "m", "m"),
+        Input("x_o", "m", "m"),
+        Input("x_d", "m", "m"),
+        Input("dx_d", "m", "m/s", derivative_of="x_d"),
+        Input("J_hat", "m n", "m/rad"),
+        Input("dq_null", "n", "rad/s", optional=True),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_r", "n", "rad/s"), Port("e_k", "m", "m"))
-    truth: ClassVar[tuple[Port, ...]] = (
-        Port("dq", "n", "rad/s"),
-        Port("dx", "m", "m/s"),
-        Port("beta", "", "rad^2/(m^2 s)"),
+    outputs = (Output("dq_r", "n", "rad/s"), Output("e_k", "m", "m"))
+    truth = (
+        Input("dq", "n", "rad/s"),
+        Input("dx", "m", "m/s"),
+        Input("beta", "", "rad^2/(m^2 s)"),
     )
 
     gamma: Scalar = Positive("", "rad^2/(m^2 s)")

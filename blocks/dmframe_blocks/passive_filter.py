@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Square
-from dmframe.parameter import Diagonal, Positive
-from dmframe.port import Port, State
+from dmframe.block import (
+    AbstractBlock,
+    Certificate,
+    Diagonal,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Signals,
+    Square,
+    State,
+)
 
 
 @final
@@ -37,14 +45,14 @@ class PassiveFilter(AbstractBlock):
     [WangTAC2020]_ eq. (8).
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("x", "m", "m"),
-        Port("x_d", "m", "m"),
-        Port("J_hat", "m n", "m/rad"),
+    inputs = (
+        Input("x", "m", "m"),
+        Input("x_d", "m", "m"),
+        Input("J_hat", "m n", "m/rad"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("y", "n", "m^2/rad"),)
-    states: ClassVar[tuple[State, ...]] = (State("y", "n", "m^2/rad"),)
-    truth: ClassVar[tuple[Port, ...]] = (Port("K_2", "n", "rad^2/(m^2 s)"), Port("task_weight"))
+    outputs = (Output("y", "n", "m^2/rad"),)
+    states = (State("y", "n", "m^2/rad"),)
+    truth = (Input("K_2", "n", "rad^2/(m^2 s)"), Input("task_weight"))
 
     K_1: Diagonal = Positive("n", "1/s")
 

@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, final
+from typing import Any, Literal, final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.naming import named, operation
-from dmframe.parameter import Diagonal, Positive, Scalar
-from dmframe.port import PERIOD, Port, State
+from dmframe.block import (
+    PERIOD,
+    AbstractBlock,
+    Diagonal,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Scalar,
+    Signals,
+    State,
+    named,
+    operation,
+)
 
 
 @final
@@ -48,15 +58,15 @@ class PathPace(AbstractBlock):
     [Siciliano2009]_ Section 4.2, for a path apart from the timing law along it.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s"), PERIOD)
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("t_path", "", "s"),
-        Port("t_path_1", "", "s"),
-        Port("t_path_2", "", "s"),
-        Port("t_path_3", "", "s"),
-        Port("pace"),
+    inputs = (Input("dq_c", "n", "rad/s"), PERIOD)
+    outputs = (
+        Output("t_path", "", "s"),
+        Output("t_path_1", "", "s"),
+        Output("t_path_2", "", "s"),
+        Output("t_path_3", "", "s"),
+        Output("pace"),
     )
-    states: ClassVar[tuple[State, ...]] = (
+    states = (
         State("path_time", "", "s", sampled=True),
         State("rates", "d", sampled=True),
     )

@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Driven
-from dmframe.naming import named
-from dmframe.parameter import Diagonal, Positive, Scalar
-from dmframe.port import Port, State
+from dmframe.block import (
+    AbstractBlock,
+    Certificate,
+    Diagonal,
+    Driven,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Scalar,
+    Signals,
+    State,
+    named,
+)
 
 
 @final
@@ -51,13 +60,13 @@ class PathWait(AbstractBlock):
     [Siciliano2009]_ Section 4.2, for a path apart from the timing law along it.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("x", "m", "m"),
-        Port("x_d", "m", "m"),
-        Port("dq_r", "n", "rad/s"),
+    inputs = (
+        Input("x", "m", "m"),
+        Input("x_d", "m", "m"),
+        Input("dq_r", "n", "rad/s"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("t_path", "", "s"), Port("pace"))
-    states: ClassVar[tuple[State, ...]] = (State("t_path", "", "s"), State("pace"))
+    outputs = (Output("t_path", "", "s"), Output("pace"))
+    states = (State("t_path", "", "s"), State("pace"))
 
     reach: Scalar = Positive("", "m", default=0.05)
     u_max: Diagonal = Positive("n", "rad/s", default=2.0)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
 from pydantic import model_validator
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.parameter import Real, Rows, Table, Vector
-from dmframe.port import TIME, Port, Side
+from dmframe.block import TIME, AbstractBlock, Equations, Output, Real, Rows, Side, Signals, Table, Vector
 from dmframe_blocks._loads import check_bodies, now_held
 
 
@@ -40,10 +38,10 @@ class Payload(AbstractBlock):
     [Siciliano2009]_ Section 7.2.
     """
 
-    side: ClassVar[Side] = Side.SOURCE
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (TIME,)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("a_load", "10", steps=True),)
+    side = Side.SOURCE
+    uses_robot = True
+    inputs = (TIME,)
+    outputs = (Output("a_load", "10", steps=True),)
 
     mass: Vector = Real("*", "kg", spread=False)
     at: Vector = Real("*", "s", spread=False)

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate
-from dmframe.naming import operation
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import Port
+from dmframe.block import AbstractBlock, Certificate, Equations, Input, Output, Positive, Scalar, Signals, operation
 
 
 @final
@@ -31,11 +27,11 @@ class PayloadEstimate(AbstractBlock):
     [Siciliano2009]_ Section 7.2.
     """
 
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (Port("a_d_hat", "p"),)
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("m_load_hat", "", "kg", shown="mass of the load"),
-        Port("c_load_hat", "3", "m", shown="its centre from the tool, in the last joint's frame"),
+    uses_robot = True
+    inputs = (Input("a_d_hat", "p"),)
+    outputs = (
+        Output("m_load_hat", "", "kg", shown="mass of the load"),
+        Output("c_load_hat", "3", "m", shown="its centre from the tool, in the last joint's frame"),
     )
 
     least: Scalar = Positive("", "kg", default=0.2)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal, final
+from typing import Any, Literal, final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Condition
-from dmframe.port import Element, Port
+from dmframe.block import AbstractBlock, Certificate, Condition, Element, Equations, Input, Output, Signals
 from dmframe.robot.parameters import INERTIAL, DynamicParameters, Friction
 from dmframe_blocks._friction import columns_for
 
@@ -48,20 +46,20 @@ class PayloadRegressor(AbstractBlock):
     [WangTAC2020]_ eq. (5), Remark 6.
     """
 
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad"),
-        Port("dq", "n", "rad/s"),
-        Port("dq_ref", "n", "rad/s"),
-        Port("ddq_ref", "n", "rad/s^2", derivative_of="dq_ref"),
+    uses_robot = True
+    inputs = (
+        Input("q", "n", "rad"),
+        Input("dq", "n", "rad/s"),
+        Input("dq_ref", "n", "rad/s"),
+        Input("ddq_ref", "n", "rad/s^2", derivative_of="dq_ref"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("Y_d", "n p", "N m"), Port("tau_known", "n", "N m"))
-    truth: ClassVar[tuple[Port, ...]] = (
-        Port("a_held", "10"),
-        Port("a_load", "10"),
-        Port("g_share"),
-        Port("B", "n", "N m s/rad"),
-        Port("D", "n", "N m"),
+    outputs = (Output("Y_d", "n p", "N m"), Output("tau_known", "n", "N m"))
+    truth = (
+        Input("a_held", "10"),
+        Input("a_load", "10"),
+        Input("g_share"),
+        Input("B", "n", "N m s/rad"),
+        Input("D", "n", "N m"),
     )
 
     gravity: Literal["known", "share"] = "known"

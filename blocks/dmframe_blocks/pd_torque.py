@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Square
-from dmframe.naming import named
-from dmframe.parameter import Diagonal, Positive
-from dmframe.port import Access, Port
+from dmframe.block import (
+    AbstractBlock,
+    Access,
+    Certificate,
+    Diagonal,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Signals,
+    Square,
+    named,
+)
 
 
 @final
@@ -51,22 +59,22 @@ class PdTorque(AbstractBlock):
     [TakegakiArimoto1981]_.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad"),
-        Port("dq", "n", "rad/s"),
-        Port("q_d", "n", "rad"),
-        Port("dq_d", "n", "rad/s", derivative_of="q_d"),
-        Port("tau_dc", "n", "N m", optional=True),
+    inputs = (
+        Input("q", "n", "rad"),
+        Input("dq", "n", "rad/s"),
+        Input("q_d", "n", "rad"),
+        Input("dq_d", "n", "rad/s", derivative_of="q_d"),
+        Input("tau_dc", "n", "N m", optional=True),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("tau_c", "n", "N m", Access.COMMANDED),
-        Port("dq_ref", "n", "rad/s"),
-        Port("sigma", "n", "rad/s"),
+    outputs = (
+        Output("tau_c", "n", "N m", Access.COMMANDED),
+        Output("dq_ref", "n", "rad/s"),
+        Output("sigma", "n", "rad/s"),
     )
-    truth: ClassVar[tuple[Port, ...]] = (
-        Port("K", "n", "N m/V"),
-        Port("B", "n", "N m s/rad"),
-        Port("u", "n", "V"),
+    truth = (
+        Input("K", "n", "N m/V"),
+        Input("B", "n", "N m s/rad"),
+        Input("u", "n", "V"),
     )
 
     K_e: Diagonal = Positive("n", "N m/rad")

@@ -7,11 +7,28 @@ from typing import ClassVar, final
 
 import casadi as ca
 
-from dmframe.block import AdaptingBlock, Equations, Signals
-from dmframe.certificate import SX, Assumption, Certificate, Condition, Driven, Inequality, Square, TrueValue
-from dmframe.naming import named
-from dmframe.parameter import Diagonal, Positive, Real
-from dmframe.port import Access, Adapted, Port, State
+from dmframe.block import (
+    SX,
+    Access,
+    Adapted,
+    AdaptingBlock,
+    Assumption,
+    Certificate,
+    Condition,
+    Diagonal,
+    Driven,
+    Equations,
+    Inequality,
+    Input,
+    Output,
+    Positive,
+    Real,
+    Signals,
+    Square,
+    State,
+    TrueValue,
+    named,
+)
 
 
 @final
@@ -61,37 +78,37 @@ class PiInverse(AdaptingBlock):
     [WangTAC2020]_ eqs. (12), (14), (16).
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad"),
-        Port("dq", "n", "rad/s"),
-        Port("q_c", "n", "rad"),
-        Port("dq_r", "n", "rad/s"),
-        Port("tau_dc", "n", "N m"),
-        Port("tau_f", "n", "N m", optional=True),
-        Port("q_f", "n", "rad", optional=True),
-        Port("e_f", "n", "rad/s", optional=True),
+    inputs = (
+        Input("q", "n", "rad"),
+        Input("dq", "n", "rad/s"),
+        Input("q_c", "n", "rad"),
+        Input("dq_r", "n", "rad/s"),
+        Input("tau_dc", "n", "N m"),
+        Input("tau_f", "n", "N m", optional=True),
+        Input("q_f", "n", "rad", optional=True),
+        Input("e_f", "n", "rad/s", optional=True),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("dq_c", "n", "rad/s", Access.COMMANDED),
-        Port("dq_ref", "n", "rad/s"),
-        Port("sigma", "n", "rad/s"),
-        Port("w", "n", "rad/(N m s)"),
-        Port("w_I", "n", "1/s"),
+    outputs = (
+        Output("dq_c", "n", "rad/s", Access.COMMANDED),
+        Output("dq_ref", "n", "rad/s"),
+        Output("sigma", "n", "rad/s"),
+        Output("w", "n", "rad/(N m s)"),
+        Output("w_I", "n", "1/s"),
     )
-    states: ClassVar[tuple[State, ...]] = (State("q_r", "n", "rad"),)
-    estimates: ClassVar[tuple[Adapted, ...]] = (
+    states = (State("q_r", "n", "rad"),)
+    estimates = (
         Adapted("w", "n", "rad/(N m s)", gain="Lambda"),
         Adapted("w_I", "n", "1/s", gain="Lambda_I"),
     )
     driven_by: ClassVar[str] = "sigma"
-    truth: ClassVar[tuple[Port, ...]] = (
-        Port("K", "n", "N m/V"),
-        Port("K_P", "n", "V s/rad"),
-        Port("K_I", "n", "V/rad"),
-        Port("B", "n", "N m s/rad"),
-        Port("i", "n", "rad"),
-        Port("u", "n", "V"),
-        Port("momentum", "n", "N m s"),
+    truth = (
+        Input("K", "n", "N m/V"),
+        Input("K_P", "n", "V s/rad"),
+        Input("K_I", "n", "V/rad"),
+        Input("B", "n", "N m s/rad"),
+        Input("i", "n", "rad"),
+        Input("u", "n", "V"),
+        Input("momentum", "n", "N m s"),
     )
 
     Lambda: Diagonal = Positive("n", "1/(N^2 m^2 s)")
@@ -135,7 +152,7 @@ class PiInverse(AdaptingBlock):
             storage=(Square(e, truth.K * truth.K_I),),
             estimates={"w": w, "w_I": w_I},
             dissipation=(Square(sigma, K_star + truth.B),),
-            pays=(1,),
+            dominates=(1,),
             supply=-ca.dot(sigma, truth.K * truth.u - u.tau_dc - truth.B * sigma) - ca.dot(u.e_f, filtered),
             driven=(
                 Driven(

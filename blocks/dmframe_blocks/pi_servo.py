@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar, final
+from typing import final
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate
-from dmframe.parameter import Diagonal, Positive
-from dmframe.port import Access, Port, Side, State
+from dmframe.block import (
+    SX,
+    AbstractBlock,
+    Access,
+    Certificate,
+    Diagonal,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Side,
+    Signals,
+    State,
+)
 
 
 @final
@@ -37,22 +47,22 @@ class PiServo(AbstractBlock):
     [WangTAC2020]_ eq. (6).
     """
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad"),
-        Port("dq", "n", "rad/s"),
-        Port("dq_c", "n", "rad/s"),
-        Port("q_step", "n", "rad", optional=True),
+    side = Side.PLANT
+    inputs = (
+        Input("q", "n", "rad"),
+        Input("dq", "n", "rad/s"),
+        Input("dq_c", "n", "rad/s"),
+        Input("q_step", "n", "rad", optional=True),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("q_c", "n", "rad", Access.MEASURED),
-        Port("u", "n", "V"),
-        Port("i", "n", "rad"),
-        Port("K_P", "n", "V s/rad"),
-        Port("K_I", "n", "V/rad"),
+    outputs = (
+        Output("q_c", "n", "rad", Access.MEASURED),
+        Output("u", "n", "V"),
+        Output("i", "n", "rad"),
+        Output("K_P", "n", "V s/rad"),
+        Output("K_I", "n", "V/rad"),
     )
-    states: ClassVar[tuple[State, ...]] = (State("q_c", "n", "rad"), State("i", "n", "rad"))
-    truth: ClassVar[tuple[Port, ...]] = (Port("g", "n", "N m"), Port("K", "n", "N m/V"))
+    states = (State("q_c", "n", "rad"), State("i", "n", "rad"))
+    truth = (Input("g", "n", "N m"), Input("K", "n", "N m/V"))
 
     K_P: Diagonal = Positive("n", "V s/rad")
     K_I: Diagonal = Positive("n", "V/rad")

@@ -7,11 +7,26 @@ from typing import ClassVar, final
 
 import casadi as ca
 
-from dmframe.block import AdaptingBlock, Equations, Signals
-from dmframe.certificate import SX, Assumption, Certificate, Condition, Driven, Inequality, TrueValue
-from dmframe.naming import named
-from dmframe.parameter import Diagonal, Positive, Real
-from dmframe.port import Access, Adapted, Port
+from dmframe.block import (
+    SX,
+    Access,
+    Adapted,
+    AdaptingBlock,
+    Assumption,
+    Certificate,
+    Condition,
+    Diagonal,
+    Driven,
+    Equations,
+    Inequality,
+    Input,
+    Output,
+    Positive,
+    Real,
+    Signals,
+    TrueValue,
+    named,
+)
 
 
 @final
@@ -53,31 +68,31 @@ class PiTorqueInverse(AdaptingBlock):
     [WangTAC2020]_ eqs. (49)-(53).
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad"),
-        Port("dq", "n", "rad/s"),
-        Port("q_c", "n", "rad"),
-        Port("tau_d", "n", "N m"),
-        Port("epsilon", "n", "*", optional=True),
-        Port("tau_f", "n", "N m", optional=True),
-        Port("q_f", "n", "rad", optional=True),
-        Port("e_f", "n", "rad/s", optional=True),
+    inputs = (
+        Input("q", "n", "rad"),
+        Input("dq", "n", "rad/s"),
+        Input("q_c", "n", "rad"),
+        Input("tau_d", "n", "N m"),
+        Input("epsilon", "n", "*", optional=True),
+        Input("tau_f", "n", "N m", optional=True),
+        Input("q_f", "n", "rad", optional=True),
+        Input("e_f", "n", "rad/s", optional=True),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("dq_c", "n", "rad/s", Access.COMMANDED),
-        Port("w", "n", "rad/(N m s)"),
-        Port("w_I", "n", "1/s"),
+    outputs = (
+        Output("dq_c", "n", "rad/s", Access.COMMANDED),
+        Output("w", "n", "rad/(N m s)"),
+        Output("w_I", "n", "1/s"),
     )
-    estimates: ClassVar[tuple[Adapted, ...]] = (
+    estimates = (
         Adapted("w", "n", "rad/(N m s)", gain="Lambda"),
         Adapted("w_I", "n", "1/s", gain="Lambda_I"),
     )
     driven_by: ClassVar[str] = "epsilon"
-    truth: ClassVar[tuple[Port, ...]] = (
-        Port("K", "n", "N m/V"),
-        Port("K_P", "n", "V s/rad"),
-        Port("K_I", "n", "V/rad"),
-        Port("i", "n", "rad"),
+    truth = (
+        Input("K", "n", "N m/V"),
+        Input("K_P", "n", "V s/rad"),
+        Input("K_I", "n", "V/rad"),
+        Input("i", "n", "rad"),
     )
 
     Lambda: Diagonal = Positive("n")

@@ -7,21 +7,29 @@ from typing import ClassVar, Literal, final
 
 import casadi as ca
 
-from dmframe.block import AdaptingBlock, Equations, Signals
-from dmframe.certificate import (
+from dmframe.block import (
     SX,
+    Access,
+    Adapted,
+    AdaptingBlock,
     Assumption,
     Certificate,
     CommonLyapunov,
     Condition,
+    Diagonal,
     Driven,
+    Equations,
     Inequality,
+    Input,
+    Output,
+    Positive,
+    Real,
+    Signals,
     Square,
+    State,
     TrueValue,
+    named,
 )
-from dmframe.naming import named
-from dmframe.parameter import Diagonal, Positive, Real
-from dmframe.port import Access, Adapted, Port, State
 
 
 @final
@@ -84,38 +92,38 @@ class PidInverse(AdaptingBlock):
     [WangTAC2020]_ eqs. (32)-(39), Theorem 4 and Remark 5.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad"),
-        Port("dq", "n", "rad/s"),
-        Port("q_c", "n", "rad"),
-        Port("dq_r", "n", "rad/s"),
-        Port("tau_dc", "n", "N m"),
+    inputs = (
+        Input("q", "n", "rad"),
+        Input("dq", "n", "rad/s"),
+        Input("q_c", "n", "rad"),
+        Input("dq_r", "n", "rad/s"),
+        Input("tau_dc", "n", "N m"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("dq_c", "n", "rad/s", Access.COMMANDED),
-        Port("dq_ref", "n", "rad/s"),
-        Port("sigma", "n", "rad/s"),
+    outputs = (
+        Output("dq_c", "n", "rad/s", Access.COMMANDED),
+        Output("dq_ref", "n", "rad/s"),
+        Output("sigma", "n", "rad/s"),
     )
-    states: ClassVar[tuple[State, ...]] = (
+    states = (
         State("q_r", "n", "rad", optional=True),
         State("q_tie", "n", "rad", optional=True),
         State("z", "n", "rad s"),
     )
-    estimates: ClassVar[tuple[Adapted, ...]] = (
+    estimates = (
         Adapted("w", "n", "rad/(N m s)", gain="Lambda"),
         Adapted("w_P", "n", "1/s", gain="Lambda_P"),
         Adapted("w_I", "n", "1/s^2", gain="Lambda_I"),
     )
     driven_by: ClassVar[str] = "sigma"
-    truth: ClassVar[tuple[Port, ...]] = (
-        Port("K", "n", "N m/V"),
-        Port("K_D", "n", "V s/rad"),
-        Port("K_P", "n", "V/rad"),
-        Port("K_I", "n", "V/(rad s)"),
-        Port("B", "n", "N m s/rad"),
-        Port("i", "n", "rad s"),
-        Port("u", "n", "V"),
-        Port("momentum", "n", "N m s"),
+    truth = (
+        Input("K", "n", "N m/V"),
+        Input("K_D", "n", "V s/rad"),
+        Input("K_P", "n", "V/rad"),
+        Input("K_I", "n", "V/(rad s)"),
+        Input("B", "n", "N m s/rad"),
+        Input("i", "n", "rad s"),
+        Input("u", "n", "V"),
+        Input("momentum", "n", "N m s"),
     )
 
     K_c: Diagonal = Positive("n", "1/s")
@@ -169,7 +177,7 @@ class PidInverse(AdaptingBlock):
                 "w_I": TrueValue(K_I / K_D, K_star),
             },
             dissipation=(Square(s, K_star + B), Square(e, K * M_bar * p.K_c)),
-            pays=(1,) if self.tie == "velocity" else (1, p.K_c),
+            dominates=(1,) if self.tie == "velocity" else (1, p.K_c),
             supply=-ca.dot(sigma, K * truth.u - u.tau_dc - B * sigma),
             driven=(
                 Driven(

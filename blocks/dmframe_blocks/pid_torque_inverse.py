@@ -7,11 +7,27 @@ from typing import ClassVar, final
 
 import casadi as ca
 
-from dmframe.block import AdaptingBlock, Equations, Signals
-from dmframe.certificate import SX, Assumption, Certificate, CommonLyapunov, Condition, Driven, TrueValue
-from dmframe.naming import named
-from dmframe.parameter import Diagonal, Positive, Real
-from dmframe.port import Access, Adapted, Port, State
+from dmframe.block import (
+    SX,
+    Access,
+    Adapted,
+    AdaptingBlock,
+    Assumption,
+    Certificate,
+    CommonLyapunov,
+    Condition,
+    Diagonal,
+    Driven,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Real,
+    Signals,
+    State,
+    TrueValue,
+    named,
+)
 
 
 @final
@@ -54,27 +70,27 @@ class PidTorqueInverse(AdaptingBlock):
     [WangTAC2020]_ eqs. (49)-(53).
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad"),
-        Port("dq", "n", "rad/s"),
-        Port("q_c", "n", "rad"),
-        Port("tau_d", "n", "N m"),
-        Port("epsilon", "n", "*"),
+    inputs = (
+        Input("q", "n", "rad"),
+        Input("dq", "n", "rad/s"),
+        Input("q_c", "n", "rad"),
+        Input("tau_d", "n", "N m"),
+        Input("epsilon", "n", "*"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s", Access.COMMANDED),)
-    states: ClassVar[tuple[State, ...]] = (State("z", "n", "rad s"),)
-    estimates: ClassVar[tuple[Adapted, ...]] = (
+    outputs = (Output("dq_c", "n", "rad/s", Access.COMMANDED),)
+    states = (State("z", "n", "rad s"),)
+    estimates = (
         Adapted("w", "n", "rad/(N m s)", gain="Lambda"),
         Adapted("w_P", "n", "1/s", gain="Lambda_P"),
         Adapted("w_I", "n", "1/s^2", gain="Lambda_I"),
     )
     driven_by: ClassVar[str] = "epsilon"
-    truth: ClassVar[tuple[Port, ...]] = (
-        Port("K", "n", "N m/V"),
-        Port("K_D", "n", "V s/rad"),
-        Port("K_P", "n", "V/rad"),
-        Port("K_I", "n", "V/(rad s)"),
-        Port("i", "n", "rad s"),
+    truth = (
+        Input("K", "n", "N m/V"),
+        Input("K_D", "n", "V s/rad"),
+        Input("K_P", "n", "V/rad"),
+        Input("K_I", "n", "V/(rad s)"),
+        Input("i", "n", "rad s"),
     )
 
     Lambda: Diagonal = Positive("n")

@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar, final
+from typing import final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate, Condition, Consumed, Square
-from dmframe.linalg import solve_spd
-from dmframe.naming import named
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import Port
+from dmframe.block import (
+    SX,
+    AbstractBlock,
+    Certificate,
+    Condition,
+    Consumed,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Scalar,
+    Signals,
+    Square,
+    named,
+    solve_spd,
+)
 from dmframe_blocks._quaternions import LESS_THAN_HALF_A_TURN, apart, left, right, turn_from
 
 
@@ -62,23 +72,23 @@ class PoseTracking(AbstractBlock):
     [WangTAC2020]_ eq. (30), for a pose; [Siciliano2009]_ section 3.7.3 for errors of an orientation.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("x", "m", "m"),
-        Port("x_d", "m", "m"),
-        Port("dx_d", "m", "m/s", derivative_of="x_d"),
-        Port("R", "3 3"),
-        Port("p_d", "4"),
-        Port("dp_d", "4", "1/s", derivative_of="p_d"),
-        Port("J_pose", "r n", "m/rad"),
-        Port("lever", "", "m/rad"),
-        Port("dq_null", "n", "rad/s", optional=True),
+    inputs = (
+        Input("x", "m", "m"),
+        Input("x_d", "m", "m"),
+        Input("dx_d", "m", "m/s", derivative_of="x_d"),
+        Input("R", "3 3"),
+        Input("p_d", "4"),
+        Input("dp_d", "4", "1/s", derivative_of="p_d"),
+        Input("J_pose", "r n", "m/rad"),
+        Input("lever", "", "m/rad"),
+        Input("dq_null", "n", "rad/s", optional=True),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("dq_r", "n", "rad/s"),
-        Port("R_d", "3 3"),
-        Port("R_apart"),
+    outputs = (
+        Output("dq_r", "n", "rad/s"),
+        Output("R_d", "3 3"),
+        Output("R_apart"),
     )
-    truth: ClassVar[tuple[Port, ...]] = (Port("dq", "n", "rad/s"),)
+    truth = (Input("dq", "n", "rad/s"),)
 
     gamma: Scalar = Positive("", "rad^2/(m^2 s)")
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate
-from dmframe.port import Access, Port
+from dmframe.block import AbstractBlock, Access, Certificate, Equations, Input, Output, Signals
 
 
 @final
@@ -34,8 +32,8 @@ class PositionCommand(AbstractBlock):
     [WangTAC2020]_, the servos, which take :math:`\dot q_c` and its integral.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (Port("q_c", "n", "rad"),)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("q_t", "n", "rad", Access.COMMANDED),)
+    inputs = (Input("q_c", "n", "rad"),)
+    outputs = (Output("q_t", "n", "rad", Access.COMMANDED),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""

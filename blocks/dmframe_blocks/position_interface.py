@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate
-from dmframe.port import Port, Side
+from dmframe.block import AbstractBlock, Certificate, Equations, Input, Output, Side, Signals
 
 
 @final
@@ -36,9 +34,9 @@ class PositionInterface(AbstractBlock):
     [WangTAC2020]_, the servos.
     """
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (Port("q_t", "n", "rad"), Port("q_c", "n", "rad"))
-    outputs: ClassVar[tuple[Port, ...]] = (Port("q_step", "n", "rad"),)
+    side = Side.PLANT
+    inputs = (Input("q_t", "n", "rad"), Input("q_c", "n", "rad"))
+    outputs = (Output("q_step", "n", "rad"),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""

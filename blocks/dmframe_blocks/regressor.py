@@ -4,15 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
-from typing import Any, ClassVar, Literal, final
+from typing import Any, Literal, final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate, Condition
-from dmframe.naming import operation
-from dmframe.parameter import NonNegative, Scalar
-from dmframe.port import Element, Port
+from dmframe.block import (
+    SX,
+    AbstractBlock,
+    Certificate,
+    Condition,
+    Element,
+    Equations,
+    Input,
+    NonNegative,
+    Output,
+    Scalar,
+    Signals,
+    operation,
+)
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.parameters import INERTIAL, WEIGHING, DynamicParameters, Friction, Part
 from dmframe.robot.pseudo_inertia import natural_gain
@@ -60,23 +69,23 @@ class Regressor(AbstractBlock):
     [WangTAC2020]_ eq. (5), and Section V for the friction.
     """
 
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad"),
-        Port("dq", "n", "rad/s"),
-        Port("dq_ref", "n", "rad/s"),
-        Port("ddq_ref", "n", "rad/s^2", derivative_of="dq_ref"),
+    uses_robot = True
+    inputs = (
+        Input("q", "n", "rad"),
+        Input("dq", "n", "rad/s"),
+        Input("dq_ref", "n", "rad/s"),
+        Input("ddq_ref", "n", "rad/s^2", derivative_of="dq_ref"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("Y_d", "n p", "N m"),
-        Port("a_d_nominal", "p", "", optional=True),
+    outputs = (
+        Output("Y_d", "n p", "N m"),
+        Output("a_d_nominal", "p", "", optional=True),
     )
-    truth: ClassVar[tuple[Port, ...]] = (
-        Port("B", "n", "N m s/rad"),
-        Port("D", "n", "N m"),
-        Port("tau_bias", "n", "N m"),
-        Port("g_share"),
-        Port("a_held", "10"),
+    truth = (
+        Input("B", "n", "N m s/rad"),
+        Input("D", "n", "N m"),
+        Input("tau_bias", "n", "N m"),
+        Input("g_share"),
+        Input("a_held", "10"),
     )
 
     friction: tuple[Friction, ...] = ("viscous",)

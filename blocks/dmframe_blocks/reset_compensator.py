@@ -7,11 +7,25 @@ from typing import Any, ClassVar, final
 
 import casadi as ca
 
-from dmframe.block import AdaptingBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate, Square, TrueValue
-from dmframe.naming import named, operation
-from dmframe.parameter import Diagonal, NonNegative, Positive, Real, Scalar
-from dmframe.port import Adapted, Port
+from dmframe.block import (
+    SX,
+    Adapted,
+    AdaptingBlock,
+    Certificate,
+    Diagonal,
+    Equations,
+    Input,
+    NonNegative,
+    Output,
+    Positive,
+    Real,
+    Scalar,
+    Signals,
+    Square,
+    TrueValue,
+    named,
+    operation,
+)
 
 TEN = 10  # parameters of a load, which stand in front
 
@@ -67,20 +81,20 @@ class ResetCompensator(AdaptingBlock):
     [WangTAC2020]_ eqs. (12), (15), Remark 6.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("Y_d", "n p", "N m"),
-        Port("sigma", "n", "rad/s"),
-        Port("odd"),
-        Port("a_expected", "10", optional=True),
-        Port("tau_task", "n", "N m", optional=True),
-        Port("tau_known", "n", "N m", optional=True),
+    inputs = (
+        Input("Y_d", "n p", "N m"),
+        Input("sigma", "n", "rad/s"),
+        Input("odd"),
+        Input("a_expected", "10", optional=True),
+        Input("tau_task", "n", "N m", optional=True),
+        Input("tau_known", "n", "N m", optional=True),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("tau_dc", "n", "N m"), Port("a_d_hat", "p", ""))
-    estimates: ClassVar[tuple[Adapted, ...]] = (
+    outputs = (Output("tau_dc", "n", "N m"), Output("a_d_hat", "p", ""))
+    estimates = (
         Adapted("a_even", "p", gain="Gamma"),
         Adapted("a_odd", "p", gain="Gamma"),
     )
-    truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
+    truth = (Input("a_d", "p", ""),)
     driven_by: ClassVar[str] = "sigma"
 
     Gamma: Diagonal = Positive("p")

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Barrier, Certificate, Condition, Inequality
-from dmframe.naming import named
-from dmframe.parameter import Diagonal, NonNegative, Positive, Real
-from dmframe.port import Port
+from dmframe.block import (
+    AbstractBlock,
+    Barrier,
+    Certificate,
+    Condition,
+    Diagonal,
+    Equations,
+    Inequality,
+    Input,
+    NonNegative,
+    Output,
+    Positive,
+    Real,
+    Signals,
+    named,
+)
 
 
 @final
@@ -74,12 +85,12 @@ class SafeReference(AbstractBlock):
     [Ames2019]_ for barriers; [WangTAC2020]_ Theorem 4 for what is spent on s.
     """
 
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"), Port("dq_wish", "n", "rad/s"))
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("dq_r", "n", "rad/s"),
-        Port("outside", "n", "rad", told="a joint is beyond the limits that are to be kept"),
-        Port("overlap", "n", "rad", told="the margins leave no room between the limits that are to be kept"),
+    uses_robot = True
+    inputs = (Input("q", "n", "rad"), Input("dq_wish", "n", "rad/s"))
+    outputs = (
+        Output("dq_r", "n", "rad/s"),
+        Output("outside", "n", "rad", notice="a joint is beyond the limits that are to be kept"),
+        Output("overlap", "n", "rad", notice="the margins leave no room between the limits that are to be kept"),
     )
 
     approach: Diagonal = Positive("n", "1/s", default=3.0)

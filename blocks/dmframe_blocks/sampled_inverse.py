@@ -3,26 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal, final
+from typing import Any, Literal, final
 
 import casadi as ca
 from pydantic import Field, model_validator
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import (
+from dmframe.block import (
+    ANY,
+    PERIOD,
     SX,
+    AbstractBlock,
+    Access,
     Acted,
+    Box,
+    Certificate,
     Condition,
-    Kept,
-    Relation,
-    SampledCertificate,
+    DelayLine,
+    Diagonal,
+    Element,
+    Equations,
+    Input,
+    Interval,
+    NonNegative,
+    Output,
+    PlantIdentity,
+    Positive,
+    Scalar,
+    Signals,
+    State,
+    clip,
+    named,
+    solve_spd,
 )
-from dmframe.linalg import solve_spd
-from dmframe.naming import named
-from dmframe.parameter import Box, Diagonal, Interval, NonNegative, Positive, Scalar
-from dmframe.port import ANY, PERIOD, Access, Element, Port, State
 from dmframe.robot.parameters import Friction
-from dmframe.terms import clip
 from dmframe_blocks._averaged_servo import AveragedServo, Start, averaged_servo
 from dmframe_blocks._friction import columns_for
 from dmframe_blocks._loads import with_held
@@ -139,36 +152,36 @@ class SampledInverse(AbstractBlock):
     [WangTAC2020]_, whose inverses of both servos it reads over a sample.
     """
 
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad"),
-        Port("dq_r", "n", "rad/s"),
-        Port("dq_sent", "n", "rad/s", optional=True),
-        Port("q_echo", "n", "rad", optional=True),
-        Port("t", "", "s", optional=True),
+    uses_robot = True
+    inputs = (
+        Input("q", "n", "rad"),
+        Input("dq_r", "n", "rad/s"),
+        Input("dq_sent", "n", "rad/s", optional=True),
+        Input("q_echo", "n", "rad", optional=True),
+        Input("t", "", "s", optional=True),
         PERIOD,
     )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("dq_c", "n", "rad/s", Access.COMMANDED),
-        Port("q_start", "n", "rad"),
-        Port("epsilon", "n", "rad/s"),
-        Port("guarded"),
+    outputs = (
+        Output("dq_c", "n", "rad/s", Access.COMMANDED),
+        Output("q_start", "n", "rad"),
+        Output("epsilon", "n", "rad/s"),
+        Output("guarded"),
     )
-    truth: ClassVar[tuple[Port, ...]] = (
-        Port("K", "n", "N m/V"),
-        Port("K_D", "n", "V s/rad"),
-        Port("K_P", "n", ANY),
-        Port("K_I", "n", ANY),
-        Port("B", "n", "N m s/rad"),
-        Port("D", "n", "N m"),
-        Port("i", "n", ANY),
-        Port("q", "n", "rad"),
-        Port("dq", "n", "rad/s"),
-        Port("q_c", "n", "rad"),
-        Port("dq_s", "n", "rad/s"),
-        Port("a_held", "10"),
+    truth = (
+        Input("K", "n", "N m/V"),
+        Input("K_D", "n", "V s/rad"),
+        Input("K_P", "n", ANY),
+        Input("K_I", "n", ANY),
+        Input("B", "n", "N m s/rad"),
+        Input("D", "n", "N m"),
+        Input("i", "n", ANY),
+        Input("q", "n", "rad"),
+        Input("dq", "n", "rad/s"),
+        Input("q_c", "n", "rad"),
+        Input("dq_s", "n", "rad/s"),
+        Input("a_held", "10"),
     )
-    states: ClassVar[tuple[State, ...]] = (
+    states = (
         State("theta", "c", sampled=True),
         State("gathered", "G", sampled=True, optional=True, recorded=False),
         State("rows", "W c", sampled=True, optional=True, recorded=False),
@@ -301,7 +314,7 @@ class SampledInverse(AbstractBlock):
             },
         )
 
-    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> SampledCertificate:
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """What the estimate's error does from sample to sample, and what servo and robot obey in between."""
         averaged, robot = self._averaged(p), p.robot
         u_applied, _, _, _, h, g = self._sample(u, x, p)
@@ -320,15 +333,15 @@ class SampledInverse(AbstractBlock):
         one, phi, still = ca.DM.ones(robot.n), robot.coulomb(truth.dq), 0 * truth.dq
         rest = averaged.row(truth.q - truth.q_c if pid else i, i, one, Y, truth.dq, phi)
         moving = averaged.row(still, still, still, robot.momentum_regressor(truth.q, truth.dq), still, still)
-        return SampledCertificate(
+        return Certificate(
             steps=(estimator.steps(x, true, row, goal, self._learning(p)),),
-            kept=(
+            delay_lines=(
                 *estimator.kept(x, row, goal),
-                *(Kept(name, item.T) for name, item in (("late_rows", new), ("late_goals", aim)) if name in kept),
+                *(DelayLine(name, item.T) for name, item in (("late_rows", new), ("late_goals", aim)) if name in kept),
             ),
-            relations=(Relation(averaged.answer(moving, true), averaged.answer(rest, true) + truth.dq - truth.dq_s),),
+            plant=(PlantIdentity(averaged.answer(moving, true), averaged.answer(rest, true) + truth.dq - truth.dq_s),),
             acted=() if self.echoed else (Acted(u_applied, truth.dq_s, u.q, truth.q),),
-            constants={"offset": offset},
+            unknown={"offset": offset},
         )
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:

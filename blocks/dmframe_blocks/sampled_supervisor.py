@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, final
+from typing import Any, Literal, final
 
 import casadi as ca
 from pydantic import Field
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX
-from dmframe.naming import named, operation
-from dmframe.parameter import Diagonal, Positive, Scalar
-from dmframe.port import PERIOD, Access, Port, State
-from dmframe.terms import clip
+from dmframe.block import (
+    PERIOD,
+    SX,
+    AbstractBlock,
+    Access,
+    Diagonal,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Scalar,
+    Signals,
+    State,
+    clip,
+    named,
+    operation,
+)
 
 
 @final
@@ -93,32 +104,32 @@ class SampledSupervisor(AbstractBlock):
     [Morse1996]_, with dwell and hysteresis.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad"),
-        Port("dq_r", "n", "rad/s"),
-        Port("dq_column", "n", "rad/s"),
-        Port("dq_full", "n", "rad/s"),
-        Port("q_column", "n", "rad"),
-        Port("q_full", "n", "rad"),
-        Port("lag", "n", "rad/s"),
-        Port("epsilon", "n", "rad/s"),
+    inputs = (
+        Input("q", "n", "rad"),
+        Input("dq_r", "n", "rad/s"),
+        Input("dq_column", "n", "rad/s"),
+        Input("dq_full", "n", "rad/s"),
+        Input("q_column", "n", "rad"),
+        Input("q_full", "n", "rad"),
+        Input("lag", "n", "rad/s"),
+        Input("epsilon", "n", "rad/s"),
         PERIOD,
     )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("dq_sent", "n", "rad/s", Access.COMMANDED),
-        Port("q_start", "n", "rad"),
-        Port("predictor"),
-        Port("epsilon_used", "n", "rad/s"),
-        Port("tripped"),
-        Port(
+    outputs = (
+        Output("dq_sent", "n", "rad/s", Access.COMMANDED),
+        Output("q_start", "n", "rad"),
+        Output("predictor"),
+        Output("epsilon_used", "n", "rad/s"),
+        Output("tripped"),
+        Output(
             "withheld",
             "n",
             "rad/s",
             optional=True,
-            told="a joint does not move as it is told, and its command is cut off",
+            notice="a joint does not move as it is told, and its command is cut off",
         ),
     )
-    states: ClassVar[tuple[State, ...]] = (
+    states = (
         State("chosen", sampled=True),
         State("errors", "3 N", "rad^2/s^2", sampled=True, recorded=False),
         State("lag_before", "n", "rad/s", sampled=True),

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal, Self, final
+from typing import Literal, Self, final
 
 import casadi as ca
 from pydantic import model_validator
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX
-from dmframe.linalg import solve_spd
-from dmframe.naming import named
-from dmframe.parameter import NonNegative, Positive, Scalar
-from dmframe.port import PERIOD, Port
+from dmframe.block import (
+    PERIOD,
+    SX,
+    AbstractBlock,
+    Equations,
+    Input,
+    NonNegative,
+    Output,
+    Positive,
+    Scalar,
+    Signals,
+    named,
+    solve_spd,
+)
 
 
 @final
@@ -64,17 +72,17 @@ class SampledTracking(AbstractBlock):
     [WangTAC2020]_, whose Section V gives the law in continuous time.
     """
 
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("q_start", "n", "rad"),
-        Port("x_d", "m", "m"),
-        Port("x_d_1", "m", "m", ahead_of="x_d"),
-        Port("x_d_2", "m", "m", ahead_of="x_d", ahead=2),
-        Port("x_d_3", "m", "m", ahead_of="x_d", ahead=3),
-        Port("dq_null", "n", "rad/s", optional=True),
+    uses_robot = True
+    inputs = (
+        Input("q_start", "n", "rad"),
+        Input("x_d", "m", "m"),
+        Input("x_d_1", "m", "m", ahead_of="x_d"),
+        Input("x_d_2", "m", "m", ahead_of="x_d", ahead=2),
+        Input("x_d_3", "m", "m", ahead_of="x_d", ahead=3),
+        Input("dq_null", "n", "rad/s", optional=True),
         PERIOD,
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_r", "n", "rad/s"),)
+    outputs = (Output("dq_r", "n", "rad/s"),)
 
     gamma: Scalar | None = Positive("", "rad^2/(m^2 s)", default=None)
     Lambda: Scalar | None = Positive("", "1/s", default=None)

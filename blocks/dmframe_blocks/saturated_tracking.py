@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Consumed, Potential, Square, soft_clip
-from dmframe.linalg import solve_spd
-from dmframe.naming import named
-from dmframe.parameter import Diagonal, Positive, Scalar
-from dmframe.port import Port
+from dmframe.block import (
+    AbstractBlock,
+    Certificate,
+    Consumed,
+    Diagonal,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Potential,
+    Scalar,
+    Signals,
+    Square,
+    named,
+    soft_clip,
+    solve_spd,
+)
 
 
 @final
@@ -54,15 +65,15 @@ class SaturatedTracking(AbstractBlock):
     [WangTAC2020]_ for the reference; [TakegakiArimoto1981]_ for a spring as energy.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("x", "m", "m"),
-        Port("x_d", "m", "m"),
-        Port("dx_d", "m", "m/s", derivative_of="x_d"),
-        Port("J_hat", "m n", "m/rad"),
-        Port("dq_null", "n", "rad/s", optional=True),
+    inputs = (
+        Input("x", "m", "m"),
+        Input("x_d", "m", "m"),
+        Input("dx_d", "m", "m/s", derivative_of="x_d"),
+        Input("J_hat", "m n", "m/rad"),
+        Input("dq_null", "n", "rad/s", optional=True),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_r", "n", "rad/s"),)
-    truth: ClassVar[tuple[Port, ...]] = (Port("dq", "n", "rad/s"),)
+    outputs = (Output("dq_r", "n", "rad/s"),)
+    truth = (Input("dq", "n", "rad/s"),)
 
     gamma: Scalar = Positive("", "rad^2/(m^2 s)")
     width: Diagonal = Positive("m", "m")

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Final, final
+from typing import Final, final
 
 from pydantic import model_validator
 
-from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block import AbstractBlock, Equations, Output, Real, Side, Signals, Vector
 from dmframe.errors import listed
-from dmframe.parameter import Real, Vector
-from dmframe.port import Port, Side
 from dmframe_blocks._quaternions import quaternion
 
 GOALS: Final = ("x_d", "q_d", "chi_d")
@@ -35,12 +33,12 @@ class Setpoint(AbstractBlock):
     Not for: a step while the robot moves; the reference would jump.
     """
 
-    side: ClassVar[Side] = Side.SOURCE
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("x_d", "m", "m", optional=True),
-        Port("q_d", "n", "rad", optional=True),
-        Port("p_d", "4", optional=True),
-        Port("chi_d", "2", optional=True),
+    side = Side.SOURCE
+    outputs = (
+        Output("x_d", "m", "m", optional=True),
+        Output("q_d", "n", "rad", optional=True),
+        Output("p_d", "4", optional=True),
+        Output("chi_d", "2", optional=True),
     )
 
     x_d: Vector | None = Real("m", "m", default=None, spread=False)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.parameter import Diagonal, Real, Vector
-from dmframe.port import TIME, Port, Side
+from dmframe.block import TIME, AbstractBlock, Diagonal, Equations, Output, Real, Side, Signals, Vector
 
 
 @final
@@ -34,9 +32,9 @@ class Sinusoid(AbstractBlock):
         Where in the swing the joint begins.
     """
 
-    side: ClassVar[Side] = Side.SOURCE
-    inputs: ClassVar[tuple[Port, ...]] = (TIME,)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("q_d", "n", "rad"),)
+    side = Side.SOURCE
+    inputs = (TIME,)
+    outputs = (Output("q_d", "n", "rad"),)
 
     center: Vector = Real("n", "rad", spread=False)
     amplitude: Diagonal = Real("n", "rad")

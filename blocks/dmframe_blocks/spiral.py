@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.naming import named
-from dmframe.parameter import Real, Scalar, Vector
-from dmframe.port import TIME, Port, Side
+from dmframe.block import TIME, AbstractBlock, Equations, Output, Real, Scalar, Side, Signals, Vector, named
 from dmframe_blocks._quaternions import quaternion, turned
 
 
@@ -46,9 +43,9 @@ class Spiral(AbstractBlock):
         Of the tool in the base's frame, on the top: a rotation vector, axis times angle.
     """
 
-    side: ClassVar[Side] = Side.SOURCE
-    inputs: ClassVar[tuple[Port, ...]] = (TIME,)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("x_d", "3", "m"), Port("p_d", "4"))
+    side = Side.SOURCE
+    inputs = (TIME,)
+    outputs = (Output("x_d", "3", "m"), Output("p_d", "4"))
 
     center: Vector = Real("3", "m", spread=False)
     radius: Scalar = Real("", "m")

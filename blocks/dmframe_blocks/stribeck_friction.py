@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.parameter import Diagonal, NonNegative, Positive, Real, Scalar
-from dmframe.port import Port, Side
+from dmframe.block import (
+    AbstractBlock,
+    Diagonal,
+    Equations,
+    Input,
+    NonNegative,
+    Output,
+    Positive,
+    Real,
+    Scalar,
+    Side,
+    Signals,
+)
 
 
 @final
@@ -44,10 +54,10 @@ class StribeckFriction(AbstractBlock):
     [ArmstrongHelouvry1994]_ Section 2, for the Stribeck curve.
     """
 
-    side: ClassVar[Side] = Side.PLANT
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (Port("u", "n", "V"), Port("K", "n", "N m/V"), Port("dq", "n", "rad/s"))
-    outputs: ClassVar[tuple[Port, ...]] = (Port("u_left", "n", "V", instead_of="u"),)
+    side = Side.PLANT
+    uses_robot = True
+    inputs = (Input("u", "n", "V"), Input("K", "n", "N m/V"), Input("dq", "n", "rad/s"))
+    outputs = (Output("u_left", "n", "V", instead_of="u"),)
 
     sticking: Diagonal = NonNegative("n", "N m", default=0.0)
     velocity: Scalar = Positive("", "rad/s", default=0.05)

@@ -7,11 +7,21 @@ from typing import ClassVar, final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate, Consumed, Square
-from dmframe.naming import named
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import Port, State
+from dmframe.block import (
+    SX,
+    AbstractBlock,
+    Certificate,
+    Consumed,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Scalar,
+    Signals,
+    Square,
+    State,
+    named,
+)
 
 
 @final
@@ -42,14 +52,14 @@ class TaskObserver(AbstractBlock):
     """
 
     renamed: ClassVar[Mapping[str, str]] = {"dq_ref": "dq_r"}
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("x", "m", "m"),
-        Port("J_hat", "m n", "m/rad"),
-        Port("dq_r", "n", "rad/s"),
+    inputs = (
+        Input("x", "m", "m"),
+        Input("J_hat", "m n", "m/rad"),
+        Input("dq_r", "n", "rad/s"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("x_o", "m", "m"),)
-    states: ClassVar[tuple[State, ...]] = (State("x_o", "m", "m"),)
-    truth: ClassVar[tuple[Port, ...]] = (Port("dx", "m", "m/s"), Port("dq", "n", "rad/s"))
+    outputs = (Output("x_o", "m", "m"),)
+    states = (State("x_o", "m", "m"),)
+    truth = (Input("dx", "m", "m/s"), Input("dq", "n", "rad/s"))
 
     beta: Scalar = Positive("", "rad^2/(m^2 s)")
 

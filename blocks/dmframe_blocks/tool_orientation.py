@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import Port
+from dmframe.block import AbstractBlock, Certificate, Equations, Input, Output, Positive, Scalar, Signals
 
 
 @final
@@ -41,12 +38,12 @@ class ToolOrientation(AbstractBlock):
     [Siciliano2009]_ section 3.1, the geometric Jacobian.
     """
 
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"), Port("J_hat", "m n", "m/rad"))
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("R", "3 3"),
-        Port("J_pose", "r n", "m/rad", full_rank=True),
-        Port("lever", "", "m/rad"),
+    uses_robot = True
+    inputs = (Input("q", "n", "rad"), Input("J_hat", "m n", "m/rad"))
+    outputs = (
+        Output("R", "3 3"),
+        Output("J_pose", "r n", "m/rad", full_rank=True),
+        Output("lever", "", "m/rad"),
     )
 
     lever: Scalar = Positive("", "m/rad")

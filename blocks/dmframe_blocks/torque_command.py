@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Square
-from dmframe.naming import named
-from dmframe.parameter import Diagonal, Positive
-from dmframe.port import Access, Port
+from dmframe.block import (
+    AbstractBlock,
+    Access,
+    Certificate,
+    Diagonal,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Signals,
+    Square,
+    named,
+)
 
 
 @final
@@ -45,20 +53,20 @@ class TorqueCommand(AbstractBlock):
     [SlotineLi1987]_; [SlotineLi1991]_ Section 9.2.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("dq", "n", "rad/s"),
-        Port("dq_r", "n", "rad/s"),
-        Port("tau_dc", "n", "N m"),
+    inputs = (
+        Input("dq", "n", "rad/s"),
+        Input("dq_r", "n", "rad/s"),
+        Input("tau_dc", "n", "N m"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("tau_c", "n", "N m", Access.COMMANDED),
-        Port("dq_ref", "n", "rad/s"),
-        Port("sigma", "n", "rad/s"),
+    outputs = (
+        Output("tau_c", "n", "N m", Access.COMMANDED),
+        Output("dq_ref", "n", "rad/s"),
+        Output("sigma", "n", "rad/s"),
     )
-    truth: ClassVar[tuple[Port, ...]] = (
-        Port("K", "n", "N m/V"),
-        Port("B", "n", "N m s/rad"),
-        Port("u", "n", "V"),
+    truth = (
+        Input("K", "n", "N m/V"),
+        Input("B", "n", "N m s/rad"),
+        Input("u", "n", "V"),
     )
 
     K_sigma: Diagonal = Positive("n", "N m s/rad")
@@ -75,6 +83,6 @@ class TorqueCommand(AbstractBlock):
         sigma = named("sigma", u.dq - u.dq_r)
         return Certificate(
             dissipation=(Square(sigma, p.K_sigma + truth.B),),
-            pays=(1,),
+            dominates=(1,),
             supply=-ca.dot(sigma, truth.K * truth.u - u.tau_dc - truth.B * sigma),
         )

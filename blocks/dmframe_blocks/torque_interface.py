@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate
-from dmframe.port import Port, Side
+from dmframe.block import AbstractBlock, Certificate, Equations, Input, Output, Side, Signals
 
 
 @final
@@ -32,9 +30,9 @@ class TorqueInterface(AbstractBlock):
     [SlotineLi1991]_ Section 9.1.
     """
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (Port("tau_c", "n", "N m"), Port("K", "n", "N m/V"))
-    outputs: ClassVar[tuple[Port, ...]] = (Port("u", "n", "V"),)
+    side = Side.PLANT
+    inputs = (Input("tau_c", "n", "N m"), Input("K", "n", "N m/V"))
+    outputs = (Output("u", "n", "V"),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.parameter import Diagonal, Positive
-from dmframe.port import Port, Side
+from dmframe.block import AbstractBlock, Diagonal, Equations, Input, Output, Positive, Side, Signals
 
 
 @final
@@ -38,12 +36,12 @@ class TorqueLimits(AbstractBlock):
     [Siciliano2009]_ Section 5.2.
     """
 
-    side: ClassVar[Side] = Side.PLANT
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (Port("u", "n", "V"), Port("K", "n", "N m/V"))
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("u_lim", "n", "V", instead_of="u"),
-        Port("tau_excess", "n", "N m", told="a motor's torque is beyond its limit, and cut off"),
+    side = Side.PLANT
+    uses_robot = True
+    inputs = (Input("u", "n", "V"), Input("K", "n", "N m/V"))
+    outputs = (
+        Output("u_lim", "n", "V", instead_of="u"),
+        Output("tau_excess", "n", "N m", notice="a motor's torque is beyond its limit, and cut off"),
     )
 
     torque: Diagonal | None = Positive("n", "N m", default=None)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import Any, ClassVar, Literal, final
+from typing import Any, Literal, final
 
 import casadi as ca
 from pydantic import model_validator
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX
-from dmframe.parameter import NonNegative, Scalar
-from dmframe.port import Port, Side, State
+from dmframe.block import SX, AbstractBlock, Equations, Input, NonNegative, Output, Scalar, Side, Signals, State
 
 _CARRIED: Mapping[str, tuple[str, ...]] = {
     "velocity": ("dq_c",),
@@ -56,19 +53,19 @@ class TransportDelay(AbstractBlock):
     [AstromWittenmark1997]_ Section 3.2 for delays of a share of a sample.
     """
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("dq_c", "n", "rad/s", optional=True),
-        Port("q_t", "n", "rad", optional=True),
-        Port("tau_c", "n", "N m", optional=True),
-        Port("chance", "2", drawn="uniform"),
+    side = Side.PLANT
+    inputs = (
+        Input("dq_c", "n", "rad/s", optional=True),
+        Input("q_t", "n", "rad", optional=True),
+        Input("tau_c", "n", "N m", optional=True),
+        Input("chance", "2", drawn="uniform"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("dq_c_late", "n", "rad/s", optional=True, instead_of="dq_c"),
-        Port("q_t_late", "n", "rad", optional=True, instead_of="q_t"),
-        Port("tau_c_late", "n", "N m", optional=True, instead_of="tau_c"),
+    outputs = (
+        Output("dq_c_late", "n", "rad/s", optional=True, instead_of="dq_c"),
+        Output("q_t_late", "n", "rad", optional=True, instead_of="q_t"),
+        Output("tau_c_late", "n", "N m", optional=True, instead_of="tau_c"),
     )
-    states: ClassVar[tuple[State, ...]] = (
+    states = (
         State("dq_c_line", "n 5", "rad/s", optional=True, sampled=True),
         State("q_t_line", "n 5", "rad", optional=True, sampled=True),
         State("tau_c_line", "n 5", "N m", optional=True, sampled=True),
@@ -76,7 +73,7 @@ class TransportDelay(AbstractBlock):
         State("q_t_last", "n", "rad", optional=True, sampled=True),
         State("tau_c_last", "n", "N m", optional=True, sampled=True),
     )
-    truth: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"), Port("g", "n", "N m"))
+    truth = (Input("q", "n", "rad"), Input("g", "n", "N m"))
 
     carries: Literal["velocity", "position", "torque"] = "velocity"
     samples: Literal[0, 1, 2, 3, 4] = 1

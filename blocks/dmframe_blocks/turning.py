@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import casadi as ca
 from pydantic import model_validator
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.naming import named
-from dmframe.parameter import Real, Scalar, Vector
-from dmframe.port import TIME, Port, Side
+from dmframe.block import TIME, AbstractBlock, Equations, Output, Real, Scalar, Side, Signals, Vector, named
 from dmframe_blocks._directions import check_direction
 from dmframe_blocks._quaternions import about, quaternion, turned
 
@@ -43,9 +40,9 @@ class Turning(AbstractBlock):
         At which it goes round beside the swing.
     """
 
-    side: ClassVar[Side] = Side.SOURCE
-    inputs: ClassVar[tuple[Port, ...]] = (TIME,)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("p_d", "4"),)
+    side = Side.SOURCE
+    inputs = (TIME,)
+    outputs = (Output("p_d", "4"),)
 
     orientation: Vector = Real("3", "rad", spread=False)
     axis: Vector = Real("3", spread=False)

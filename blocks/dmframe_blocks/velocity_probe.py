@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.parameter import Diagonal, Positive, Scalar
-from dmframe.port import PERIOD, Access, Port, State
+from dmframe.block import (
+    PERIOD,
+    AbstractBlock,
+    Access,
+    Diagonal,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Scalar,
+    Signals,
+    State,
+)
 
 
 @final
@@ -34,13 +44,13 @@ class VelocityProbe(AbstractBlock):
     [Ljung1999]_, on signals that excite.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("dq_r", "n", "rad/s"),
-        Port("toss", "n", drawn="uniform"),
+    inputs = (
+        Input("dq_r", "n", "rad/s"),
+        Input("toss", "n", drawn="uniform"),
         PERIOD,
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s", Access.COMMANDED),)
-    states: ClassVar[tuple[State, ...]] = (State("since", "", "s", sampled=True),)
+    outputs = (Output("dq_c", "n", "rad/s", Access.COMMANDED),)
+    states = (State("since", "", "s", sampled=True),)
 
     probe: Diagonal = Positive("n", "rad/s", default=0.01)
     lasting: Scalar = Positive("", "s", default=3.0)

@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
 import casadi as ca
 from pydantic import model_validator
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate
-from dmframe.naming import named, operation
-from dmframe.parameter import NonNegative, Positive, Real, Scalar, Vector
-from dmframe.port import Access, Port, Side
-from dmframe.terms import norm
+from dmframe.block import (
+    SX,
+    AbstractBlock,
+    Access,
+    Certificate,
+    Equations,
+    Input,
+    NonNegative,
+    Output,
+    Positive,
+    Real,
+    Scalar,
+    Side,
+    Signals,
+    Vector,
+    named,
+    norm,
+    operation,
+)
 from dmframe_blocks._directions import check_direction
 
 
@@ -53,16 +66,16 @@ class Wall(AbstractBlock):
     [HuntCrossley1975]_ for the damping.
     """
 
-    side: ClassVar[Side] = Side.PLANT
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad"),
-        Port("dq", "n", "rad/s"),
+    side = Side.PLANT
+    uses_robot = True
+    inputs = (
+        Input("q", "n", "rad"),
+        Input("dq", "n", "rad/s"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("tau_ext", "n", "N m"),
-        Port("f_ext", "m", "N", Access.MEASURED),
-        Port("depth", "", "m"),
+    outputs = (
+        Output("tau_ext", "n", "N m"),
+        Output("f_ext", "m", "N", Access.MEASURED),
+        Output("depth", "", "m"),
     )
 
     point: Vector = Real("m", "m", spread=False)

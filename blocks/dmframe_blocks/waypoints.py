@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import casadi as ca
 from pydantic import model_validator
 
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.naming import operation
-from dmframe.parameter import Real, Rows, Table, Vector
-from dmframe.port import TIME, Port, Side
+from dmframe.block import (
+    TIME,
+    AbstractBlock,
+    Equations,
+    Output,
+    Real,
+    Rows,
+    Side,
+    Signals,
+    Table,
+    Vector,
+    operation,
+)
 from dmframe_blocks._quaternions import partly, quaternion, turned
 
 
@@ -41,12 +50,12 @@ class Waypoints(AbstractBlock):
     [Flash1985]_ for s; [Shoemake1985]_ for turns on the shortest way.
     """
 
-    side: ClassVar[Side] = Side.SOURCE
-    inputs: ClassVar[tuple[Port, ...]] = (TIME,)
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("x_d", "m", "m", optional=True),
-        Port("q_d", "n", "rad", optional=True),
-        Port("p_d", "4", optional=True),
+    side = Side.SOURCE
+    inputs = (TIME,)
+    outputs = (
+        Output("x_d", "m", "m", optional=True),
+        Output("q_d", "n", "rad", optional=True),
+        Output("p_d", "4", optional=True),
     )
 
     times: Vector = Real("*", "s", spread=False)

@@ -1,4 +1,4 @@
-"""How many samples late a robot answers, fitted from a record of commands and positions."""
+"""Identify the response delay of a robot in samples, from recorded commands and positions."""
 
 from __future__ import annotations
 
@@ -10,55 +10,55 @@ from numpy.typing import NDArray
 
 from dmframe.diagram import Diagram
 from dmframe.errors import ValueFault
-from dmframe.port import Port
+from dmframe.port import Signal
 from dmframe.simulate import Recording
 from dmframe.units import compatible, plain
 
 Array = NDArray[np.float64]
 
 MOST: Final = 2
-"""Samples of delay that the blocks in sampled time know."""
+"""Largest delay that the discrete-time blocks support [samples]."""
 NEAR: Final = 0.3
-"""How far from a whole number, and how uncertain, a delay may be."""
+"""Largest deviation from an integer, and largest uncertainty, of a usable delay [samples]."""
 STEADY: Final = 0.28
-"""How much a delay may change from sample to sample, in samples, as a root mean square."""
+"""Largest RMS jitter of a usable delay [samples]."""
 FOLLOWING: Final = (0.25, 2.0)
-"""Between these lies the share of a commanded velocity that each joint makes; of a servo that answers it is about 1."""
+"""Range of the ratio of actual to commanded velocity for a servo that follows its commands."""
 ROUGH: Final = 0.3
-"""Commands that change more smoothly than this do not show a delay, which then looks like inertia."""
+"""Least roughness of commands; with smoother ones a delay cannot be distinguished from inertia."""
 
 SHORTEST: Final = 1e-9
 LONGEST: Final = 1e3
-"""Periods [s] that a clock of a robot may have."""
+"""Range of sampling periods [s]."""
 LARGEST: Final = 1e12
-"""Beyond this [rad], [rad/s], a record is that of a run that diverged."""
+"""Limit of values [rad, rad/s]; a larger one indicates a diverged run."""
 
-_LAGS: Final = (0.0, 0.003, 0.006, 0.01, 0.015, 0.022, 0.03, 0.045, 0.07, 0.1, 0.15)  # [s] of a servo
+_LAGS: Final = (0.0, 0.003, 0.006, 0.01, 0.015, 0.022, 0.03, 0.045, 0.07, 0.1, 0.15)  # lags of a servo [s]
 _DELAYS: Final = np.arange(0, 3.501, 0.05)
-_FIRST: Final = 4  # rows that commands from before the record may move
+_FIRST: Final = 4  # rows affected by commands before the record
 _FEWEST: Final = 24
 
 
 @final
 @dataclass(frozen=True)
 class FittedDelay:
-    """What a record says of the delay, in samples.
+    """Identified delay in samples.
 
     Attributes
     ----------
     samples
-        The delay that explains the record best.
+        Best fit.
     half_width
-        Of the interval of delays that explain it about as well, two standard deviations to each side.
+        Half-width of the confidence interval (two standard deviations).
     jitter
-        How much the delay changes from sample to sample, as a root mean square.
+        RMS variation of the delay from sample to sample.
     roughness
-        How quickly commands change: the median of their second differences over that of their first ones, of the
-        smoothest joint. Random commands have more than one, smooth ones nearly zero.
+        Ratio of the median second to first differences of the commands, for the smoothest joint; above one for random
+        commands, near zero for smooth ones.
     followed
-        The least and the largest share of its commanded velocity that a joint makes, about 1.
+        Least and largest ratio of actual to commanded velocity of a joint, about 1.
     period
-        Of the samples [s].
+        Sampling period [s].
     """
 
     samples: float
@@ -70,23 +70,23 @@ class FittedDelay:
 
     @property
     def refused(self) -> str:
-        """Why no delay may be told to a block; empty where one may."""
+        """Reason why the delay cannot be used in a block; empty if it can."""
         if self.roughness < ROUGH or self.half_width > NEAR:
-            return "the record does not show it: probe every joint with +-0.01 rad/s for 3 s, more where noise is large"
+            return "the record does not determine it: excite every joint with +-0.01 rad/s for 3 s, or more with noise"
         if self.jitter > STEADY:
             return "it changes from sample to sample: use a sampled_supervisor, or the kinematic command"
         least, most = FOLLOWING
         if not (least < self.followed[0] and self.followed[1] < most):
-            return "the joints do not make the velocities that are commanded: look at limits, noise and lost commands"
+            return "the joints do not follow the commanded velocities: check limits, noise and lost commands"
         if self.samples > MOST + NEAR:
             return f"it is longer than {MOST} samples: sample more slowly, or use the kinematic command"
         if abs(self.samples - round(self.samples)) > NEAR:
-            return "it is no whole number of samples: use a sampled_supervisor, or the kinematic command"
+            return "it is not an integer number of samples: use a sampled_supervisor, or the kinematic command"
         return ""
 
     @property
     def whole(self) -> int:
-        """The delay to be told to the blocks. Raises `ValueFault` where none may be."""
+        """Integer delay for the blocks; raises `ValueFault` if it cannot be used."""
         if self.refused:
             raise ValueFault(f"delay: {self}")
         return round(self.samples)
@@ -97,32 +97,31 @@ class FittedDelay:
 
 
 def fitted_delay(q: Any, dq_c: Any, period: float) -> FittedDelay:
-    """Fit how many samples late joints answer to velocity commands.
+    """Fit the delay between velocity commands and joint motion.
 
-    For each delay d and each lag of a first-order servo the average velocity that the commands would make is known in
-    closed form. The velocities measured are fitted by it, its sum, what it changes by in the other joints, and a cubic
-    in time; the d with the least sum of squares counts. Commands are known without noise, so that noise of the
-    positions makes d uncertain, and does not shift it.
+    For each delay d and lag of a first-order servo, the mean velocity over a sample is a closed-form function of the
+    commands. Measured velocities are regressed on it, its sum, its changes in the other joints, and a cubic in time; d
+    minimises the sum of squares. Commands are noise-free, so noise of the positions adds variance to d but no bias.
 
     Parameters
     ----------
     q
         Positions (samples + 1, n), at the instants at which commands are computed [rad].
     dq_c
-        Commands (samples, n) [rad/s]; each joint's has to change from sample to sample, as `velocity_probe` sees to.
+        Commands (samples, n) [rad/s]; those of each joint must change from sample to sample, as with `velocity_probe`.
     period
         The sampling period [s].
 
     Raises
     ------
     ValueFault
-        The arrays do not belong together, or are too short.
+        If the arrays do not match or are too short.
     """
     v, u = _checked(_numbers("q", q), _numbers("dq_c", dq_c), period)
     fits = [_best(u, v, float(d), period) for d in _DELAYS]
     sums = np.array([np.sum(left**2, axis=0) for left, _, _ in fits])
     rows = fits[0][0].shape[0]
-    excess = rows * np.sum(np.log(sums + 1e-30), axis=1)  # twice minus the logarithm of the likelihood
+    excess = rows * np.sum(np.log(sums + 1e-30), axis=1)  # -2 log likelihood
     place = int(np.argmin(excess))
     alike = _DELAYS[excess - excess[place] < 4]
     left, lags, shares = fits[place]
@@ -140,10 +139,10 @@ def fitted_delay(q: Any, dq_c: Any, period: float) -> FittedDelay:
 
 
 def recorded_delay(recording: Recording) -> FittedDelay:
-    """Fit the delay from a run on a clock: of the velocities commanded, to the positions that the controller measures.
+    """Fit the delay between commanded velocities and measured positions of a sampled run.
 
-    Raises `ValueFault` where the graph has no clock, or commands no velocities, or the record is too short, thinned out
-    or without these signals.
+    Raises `ValueFault` for a graph without a clock or velocity commands, or a record that is too short, decimated or
+    without these signals.
     """
     clock = recording.clock
     if clock is None:
@@ -151,7 +150,7 @@ def recorded_delay(recording: Recording) -> FittedDelay:
     signals = signals_of(recording.diagram)
     for label in signals:
         if label not in recording.outputs and label not in recording.states:
-            raise ValueFault(f"delay: expected a record that holds {label}, found one without; add it to log.signals")
+            raise ValueFault(f"delay: expected a record with {label}, found one without; add it to log.signals")
     if recording.divergence is not None:
         raise ValueFault(f"delay: expected a run that stays bounded, found one that diverged: {recording.divergence}")
     apart = float(np.max(np.diff(recording.time), initial=clock))
@@ -165,7 +164,7 @@ def recorded_delay(recording: Recording) -> FittedDelay:
 
 
 def signals_of(diagram: Diagram) -> tuple[str, str]:
-    """Which positions are measured, and which velocities commanded. Raises `ValueFault` where that is not one each."""
+    """Labels of the measured positions and commanded velocities; raises `ValueFault` unless there is one of each."""
     loop = diagram.loop
     q = [
         leaf.name
@@ -173,20 +172,20 @@ def signals_of(diagram: Diagram) -> tuple[str, str]:
         if "q" in ((port := _port(diagram, leaf.name)).name, getattr(port, "instead_of", ""))
     ]
     u = [leaf.name for leaf in loop.commanded if compatible(_port(diagram, leaf.name).unit, "rad/s")]
-    for what, found in (("position q that is measured", q), ("velocity that is commanded", u)):
+    for what, found in (("measured position q", q), ("commanded velocity", u)):
         if len(found) != 1:
             raise ValueFault(f"delay: expected one {what}, found {', '.join(found) or 'none'}")
     return q[0], u[0]
 
 
-def _port(diagram: Diagram, label: str) -> Port:
-    """The output that a signal is."""
+def _port(diagram: Diagram, label: str) -> Signal:
+    """Output port of a label."""
     block, _, name = label.partition(".")
     return next(port for port in diagram.blocks[block].outputs if port.name == name)
 
 
 def _numbers(name: str, values: Any) -> Array:
-    """A table of real numbers."""
+    """Real array of a value."""
     try:
         found = np.asarray(values)
         if np.iscomplexobj(found):
@@ -198,7 +197,7 @@ def _numbers(name: str, values: Any) -> Array:
 
 
 def _checked(q: Array, dq_c: Array, T: Any) -> tuple[Array, Array]:
-    """Average velocities, and the commands of their samples."""
+    """Mean velocities over samples, and the commands of these samples."""
     if q.ndim != 2 or dq_c.ndim != 2 or q.shape[1:] != dq_c.shape[1:] or not q.shape[1]:
         raise ValueFault(f"delay: expected columns of as many joints, found {q.shape} and {dq_c.shape}")
     if isinstance(T, bool) or not isinstance(T, int | float | np.number):
@@ -209,7 +208,7 @@ def _checked(q: Array, dq_c: Array, T: Any) -> tuple[Array, Array]:
     if count < _FIRST + _FEWEST:
         raise ValueFault(f"delay: expected at least {_FIRST + _FEWEST} samples, found {count}; record 3 s or more")
     for name, values in (("q", q), ("dq_c", dq_c)):
-        if not np.all(np.abs(values) < LARGEST):  # what is no number, too
+        if not np.all(np.abs(values) < LARGEST):  # also excludes NaN
             raise ValueFault(
                 f"delay: expected finite numbers below {LARGEST:g}, found others in {name}; record a run that stays "
                 "bounded"
@@ -218,7 +217,7 @@ def _checked(q: Array, dq_c: Array, T: Any) -> tuple[Array, Array]:
 
 
 def _best(u: Array, v: Array, d: float, T: float) -> tuple[Array, Array, Array]:
-    """What the best lag of each joint leaves unexplained, these lags, and the joints' shares of their commands."""
+    """Residuals with the best lag of each joint, these lags, and the velocity ratios."""
     count, n = v.shape
     t = np.linspace(-1, 1, count)
     slow = np.column_stack([t**power for power in range(4)])
@@ -236,13 +235,13 @@ def _best(u: Array, v: Array, d: float, T: float) -> tuple[Array, Array, Array]:
 
 
 def _answer(u: Array, d: float, lag: float, T: float) -> Array:
-    """Average velocities of the samples behind a delay of d samples and a first-order lag [s].
+    """Mean velocities over samples after a delay of d samples and a first-order lag [s].
 
-    The command before the record is taken to be its first.
+    The command before the record is assumed equal to the first.
     """
 
     def moved(t: Array) -> Array:
-        """How far a unit step has led after t."""
+        """Displacement of a unit velocity step after t."""
         passed: Array = np.maximum(t, 0)
         return passed + lag * np.expm1(-passed / lag) if lag else passed
 
@@ -253,7 +252,7 @@ def _answer(u: Array, d: float, lag: float, T: float) -> Array:
 
 
 def _jitter(left: Array, u: Array, d: float, lags: Array, T: float) -> float:
-    """By how much the delay changes: where commands change more, more would be left unexplained."""
+    """RMS jitter of the delay, from the correlation of residuals with command changes."""
     above = below = 0.0
     for j, lag in enumerate(lags):
         late, early = (_answer(u[:, [j]], max(0.0, d + half), lag, T)[_FIRST:, 0] for half in (0.5, -0.5))

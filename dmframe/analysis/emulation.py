@@ -1,14 +1,14 @@
-r"""How large an adaptation gain a clock bears: the loop that sampling closes through the robot.
+r"""Largest adaptation gain for a sampling period: stability of the Euler step of the adaptation.
 
 In continuous time the adaptation :math:`\dot{\hat a} = -\Gamma Y_d^\top \sigma` is passive. Sampled, it is an Euler
-step; and a servo that has come to rest on its own quick time scale answers with
-:math:`\sigma = -\hat w Y_d \tilde a`. With Y_d as it stands at that instant, the estimates then move by
+step, and a servo in its quasi-steady state responds with
+:math:`\sigma = -\hat w Y_d \tilde a`. With Y_d constant over the step, the estimation errors follow
 
 .. math:: \tilde a^+ = (1 - T\, \Gamma Y_d^\top \operatorname{diag}(\hat w)\, Y_d)\, \tilde a
 
-which grows unless :math:`T \lambda_{max}(\Gamma Y_d^\top \operatorname{diag}(\hat w) Y_d) < 2`. That is quasi-static:
-Y_d moves, the servo is not at rest at once, and w is an estimate as well. It says what order of gain is too large, and
-proves nothing.
+which grows unless :math:`T \lambda_{max}(\Gamma Y_d^\top \operatorname{diag}(\hat w) Y_d) < 2`. The analysis is
+quasi-static: Y_d varies, the servo has dynamics, and w is adapted as well. It gives the order of
+magnitude of the limit, not a proof.
 """
 
 from __future__ import annotations
@@ -35,27 +35,27 @@ Array = NDArray[np.float64]
 REGRESSOR, SLIDING, TORQUE, INVERSE = "Y_d", "sigma", "tau_dc", "w"
 
 SECONDS: Final = 2.0
-"""How much of the path's start is looked at [s]."""
+"""Initial part of the path that is evaluated [s]."""
 
 _QUICK: Final = 0.002
-"""The run along it is sampled at least so often [s]: the path is asked for, not what the clock does to it."""
+"""Largest sampling period of the run along the path [s], independent of the graph's clock."""
 
 
 @final
 @dataclass(frozen=True)
 class EmulationLimit:
-    """By how much the adaptation gain of a block may be multiplied before a clock no longer bears it.
+    """Factor on the adaptation gain of a block up to the stability limit of its Euler step.
 
     Parameters
     ----------
     block
-        Which adapts.
+        Adapting block.
     gain
-        The gain's name, and its value where all elements are alike.
+        Name of the gain, and its value if all elements are equal.
     at_rest, on_path
         The factor at the set-point, and the least along the first seconds of the path, with w at its true value.
     at_bound
-        The same as `on_path` with w at the upper end of its box; None without one.
+        As `on_path`, with w at the upper end of its box; None without a box.
     """
 
     block: str
@@ -67,11 +67,10 @@ class EmulationLimit:
 
     @property
     def meaning(self) -> str:
-        """What the factors say."""
+        """Definition of the factors."""
         return (
-            f"by how much {self.gain} may be multiplied until T times the largest eigenvalue of Gamma Y_d' w Y_d is 2, "
-            "T the clock's period: beyond, the Euler step of the adaptation closes a loop that grows; quasi-static, no "
-            "proof either way"
+            f"factor on {self.gain} for which T times the largest eigenvalue of Gamma Y_d' w Y_d is 2, T the sampling "
+            "period: above it, the Euler step of the adaptation is unstable; a quasi-static estimate, no proof"
         )
 
     @property
@@ -89,7 +88,7 @@ def emulation_limits(
     start: Mapping[str, Any] | None = None,
     seconds: float = SECONDS,
 ) -> tuple[EmulationLimit, ...]:
-    """The limits of all blocks that adapt in continuous time along Y_d' sigma, into a torque that an inverse weighs.
+    """Limits of all blocks with the adaptation law Y_d' sigma in continuous time, whose torque enters an inverse.
 
     Parameters
     ----------
@@ -111,7 +110,7 @@ def emulation_limits(
 
 
 def _adapting(diagram: Diagram) -> Iterator[tuple[str, str]]:
-    """Blocks of the controller that adapt, each with the inverse that its torque goes to."""
+    """Adapting controller blocks, each with the inverse that reads its torque."""
     for (inverse, port), source in diagram.sources.items():
         if port != TORQUE or not isinstance(source, Wire) or INVERSE not in diagram.models[inverse].states:
             continue
@@ -169,7 +168,7 @@ def _places(diagram: Diagram, label: str) -> list[int]:
 
 
 def _growth(diagram: Diagram, block: str, estimate: str) -> Any:
-    """(Y_d, w) -> the largest eigenvalue of what one second of adaptation does to the torque, weighed by w."""
+    """(Y_d, w) -> largest eigenvalue of the torque rate of the adaptation, weighted by w."""
     model = diagram.models[block]
     x, sigma, Y = model.states[estimate], model.inputs[SLIDING], model.inputs[REGRESSOR]
     learns = -ca.jacobian(ca.vec(model.equations.rates[estimate]), ca.vec(sigma))
@@ -179,7 +178,7 @@ def _growth(diagram: Diagram, block: str, estimate: str) -> Any:
     values = {**zero, **model.values}
     kinds = specs(type(model.block))
     robot = [] if model.robot is None else [(c.symbol, model.robot.values()[c.name]) for c in model.robot.constants]
-    # The elements of a full gain stand in it twice, and a function takes each symbol once.
+    # the elements of a symmetric gain occur twice, but function arguments must be unique
     pairs = [*(unique(kinds.get(name), everything[name], np.asarray(values[name])) for name in zero), *robot]
     slopes = ca.Function("slopes", [Y, *(symbol for symbol, _ in pairs)], [learns, acts])
 

@@ -1,16 +1,16 @@
-r"""The loop from sample to sample, linearised where it rests and enclosed: every rounding is counted.
+r"""Interval enclosure of the sampled loop, linearised at an equilibrium.
 
-The plant flows between two samples, its commands held, so that near its rest, with H the integral of its transition,
+The plant evolves between samples with held commands, so near the equilibrium, with H the integral of its transition,
 
 .. math:: F - 1 = \mathrm{diag}(T, 1, H)\, \frac{\partial g}{\partial x} = D L R,
 
-T for the controller's states in continuous time, 1 for sampled ones, H for what flows; L and R as in
+T for continuous-time controller states, 1 for sampled ones, H for plant states; L and R as in
 `dmframe.analysis.moves`. Hence F has the eigenvalue one as many times as it has more states than y signals, and else
 the eigenvalues of 1 + R D L: in the signals y, which the states follow, the loop is that smaller matrix.
 
-Signals that only store others are a memory, with a matrix N that is nilpotent by its pattern. What is not stored reads
-it by a few sums E y, and those of what it holds now decide what they are later, so that E N^j y, j = 0, 1, ..., stand
-for the memory: again the same eigenvalues but for some at zero.
+Signals that only store others form a memory (delay line) with a structurally nilpotent matrix N. The other signals read
+it through a few sums E y, whose later values depend on the current ones, so E N^j y, j = 0, 1, ..., replace the
+memory, with the same eigenvalues except some at zero.
 """
 
 from __future__ import annotations
@@ -35,30 +35,30 @@ from dmframe.exact.rows import Row, combined, dense, picked, product, sparse, st
 from dmframe.program import INPUT, Program, read
 
 MOST_STATES: Final = 3000
-"""Of a loop with more states nothing is tried: it would take minutes."""
+"""Maximum number of states; larger loops would take minutes."""
 
 FEW: Final = 250
-"""Of more signals than this, what is only stored is left out."""
+"""Number of signals above which the memory is eliminated."""
 
 _STEPS: Final = 40
 _LONG: Final = 10**30
-"""What is decided of a count is so up to this many times what it is at the set-point."""
+"""Range of sample counters, as a factor on their value at the set-point."""
 
 _NEAR: Final = ONE >> 200
-"""Where Newton's steps end."""
+"""Tolerance of Newton's method."""
 
 
 @final
 @dataclass(frozen=True)
 class Enclosure:
-    """The loop at an equilibrium that exists: numbers between which everything lies.
+    """Enclosure of the linearised loop at a proved equilibrium.
 
     Parameters
     ----------
     L, R, A
-        Of the moves, and the plant's own slope.
+        Factors of the moves, and Jacobian of the plant.
     within
-        How far from the told point the equilibrium lies at most, in the units of the states.
+        Bound on the distance of the equilibrium from the given point, in the units of the states.
     """
 
     L: Sequence[Row]
@@ -69,12 +69,12 @@ class Enclosure:
 
 @final
 class EnclosedLoop:
-    """A linearised loop of which the transition can be enclosed on every clock.
+    """Linearised loop whose transition matrix can be enclosed for every period.
 
-    `split` is that of the same loop with other numbers: it is an identity, and its guards are looked at again.
+    `split` may come from the same loop with other parameters: it is an identity whose guards are checked again.
 
-    Raises `UndecidedError` for a loop that is too large, rests at a place where its equations turn, or has operations
-    of which no enclosure is known.
+    Raises `UndecidedError` for a loop that is too large, at rest at a switching point, or with operations without
+    enclosures.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class EnclosedLoop:
         counted = [counts(v) for v in self.loop.variables for _ in range(v.symbol.numel())]
         self._counts = [place for place, grows in enumerate(counted) if grows]
         exactly = [Fixed.around(float(value)) for value in linear.point]
-        self._check_room([exactly, self._p, [Fixed.around(clock)]])  # told before that a projection turns there
+        self._check_room([exactly, self._p, [Fixed.around(clock)]])  # before the check of projections
         self.split = split or split_moves(self.loop, linear.point, self._p, Fixed.around(clock))
         programs = (self.split.y, self.split.L, self.split.R, self.split.guards)
         self._timed = any(node.code == INPUT and node.a == 2 for program in programs for node in program.nodes)
@@ -105,16 +105,16 @@ class EnclosedLoop:
 
     @property
     def moving(self) -> int:
-        """How many directions move; in all others the loop rests anywhere."""
+        """Number of moving directions; the others are equilibrium coordinates."""
         return self.split.count
 
     @property
     def kept(self) -> int:
-        """How many sums of states nothing changes, and which are taken as zero."""
+        """Number of invariant sums of states, taken as zero."""
         return len(self.split.kept)
 
     def transition(self, period: float) -> Matrix:
-        """The loop over one tick of that period [s], in signals that vanish at rest; in few that do for a memory."""
+        """Transition matrix over one period [s], in signals that vanish at the equilibrium, with a reduced memory."""
         here, T = self.at(period), Fixed.around(period)
         _, integral = held(here.A, T)
         first, steps = self.linear.controller, list[Row]()
@@ -133,7 +133,7 @@ class EnclosedLoop:
         return dense(moved, len(moved))
 
     def at(self, period: float) -> Enclosure:
-        """Where the loop rests on a clock of that period [s]; once for all where its equations do not read it."""
+        """Equilibrium for that period [s]; computed once if the equations do not depend on the period."""
         if self.linear.clock is not None or self._timed:
             if self._last is None or self._last[0] != period:
                 self._last = period, self._on(period)
@@ -143,7 +143,7 @@ class EnclosedLoop:
         return self._once
 
     def _on(self, period: float) -> Enclosure:
-        if self.moving > FEW:  # as a rule it rests where it does on its own clock, which is much faster to try
+        if self.moving > FEW:  # usually the equilibrium is that of the own period, which is much faster to try
             with suppress(UndecidedError):
                 return self._enclosed(self.linear.point, period)
         return self._enclosed(self.linear.on(period).point, period)
@@ -171,7 +171,7 @@ class EnclosedLoop:
 
         slope = slopes(box(0, ()))
         alone = self._alone(slope)
-        for place in alone.values():  # it is that signal, so that it is zero
+        for place in alone.values():  # the state is that signal, so it is zero
             x[place] = 0
         rows = [row for row in range(count) if row not in alone]
         free = [place for place in range(size) if place not in set(alone.values())]
@@ -192,7 +192,7 @@ class EnclosedLoop:
         reach = 2 * max((int(value) for value in (np.abs(error.middle) + error.radius).ravel()), default=0) + _NEAR
         inputs = box(reach, places)
         R = slopes(inputs)
-        # Krawczyk's test: what lies in here is an equilibrium, and the only one with these estimates
+        # Krawczyk's test: this box contains exactly one equilibrium with these estimates
         near = dense(product(sparse(C), picked([R[row] for row in rows], places)), len(places))
         left = Matrix.identity(len(places)) - near
         spread = ((np.abs(left.middle) + left.radius) @ np.full((len(places), 1), reach, dtype=object)) // ONE + 1
@@ -200,7 +200,7 @@ class EnclosedLoop:
             raise UndecidedError("that the loop has an equilibrium at this point is not proved")
         still = signals(inputs, list(alone))
         if np.any(still.middle) or np.any(still.radius):
-            raise UndecidedError("a signal that one state alone seemed to be is none")
+            raise UndecidedError("a signal that seemed to be a single state is not one")
         self._check(inputs)
         L = stored_rows(split.L, fixed_values(split.L, inputs), size)
         (commands,) = split.held.dense(fixed_values(split.held, inputs), Fixed(0, 0))

@@ -102,7 +102,7 @@ class JointPath:
     leave
         Where the tool leaves the path; None where it follows it to the end.
     apart
-        (N - 1, n) the most by which the exact joint path lies beside each line, proved over its whole interval of time
+        (N - 1, n) bound on the distance of the exact joint path from each line, proved over its whole time interval
         [rad]; 0 on the way onto the path. None for a path that was given.
     until
         The exact joint path is enclosed from 0 to this time [s].
@@ -359,7 +359,7 @@ def _nearest(reach: Reach, q: Array, goal: Array) -> tuple[Array, float]:
 def period_of(trajectory: Any, time: Any) -> float | None:
     """After which an expression in time repeats itself by construction [s]: 0 for a constant, None for any other.
 
-    Time must stand in sines and cosines alone, with angles of constant rates that have a common divisor.
+    Time must occur only in sines and cosines of angles with constant, commensurable rates.
     """
     rates = set[float]()
     instant, seen = symbols_in([time]), set[int]()

@@ -1,4 +1,4 @@
-"""The closed loop, linearised at a set-point: its poles in continuous time and on a clock."""
+"""Linearisation of the closed loop at a set-point: continuous-time and sampled poles."""
 
 from __future__ import annotations
 
@@ -125,12 +125,12 @@ class Linear:
 
     @property
     def at_rest(self) -> int:
-        """How many eigenvalues of A are zero: the loop rests anywhere there, as estimates do that nothing excites."""
+        """Number of zero eigenvalues of A (equilibrium coordinates), such as unexcited estimates."""
         return self._resting[0] if self.clock is not None else len(self.states) - int(self._others.shape[1])
 
     @property
     def drifting(self) -> int:
-        """In how many directions a loop that runs on a clock alone goes on steadily; continuous ones are not asked."""
+        """Number of ramp modes (Jordan blocks at one) of a discrete-time loop; 0 for continuous ones."""
         return self._resting[1] if self.clock is not None else 0
 
     @cached_property
@@ -142,7 +142,7 @@ class Linear:
         return without_memory(Phi) if len(Phi) > LARGE else Phi
 
     def on(self, period: float) -> Linear:
-        """The loop at the set-point that it has on a clock of that period [s]."""
+        """Linearisation at the set-point for that period [s]."""
         return self if self.again is None or period == self.period else self.again(period)
 
     def sampled(self, period: float) -> Array:
@@ -160,7 +160,7 @@ class Linear:
         size, inputs = self.plant_B.shape
         joined = np.zeros((size + inputs, size + inputs))
         joined[:size, :size], joined[:size, size:] = self.plant_A * period, self.plant_B * period
-        with np.errstate(all="ignore"):  # what overflows is told where the poles are asked for
+        with np.errstate(all="ignore"):  # overflows are reported with the poles
             held = expm(joined)
         Phi = np.zeros_like(self.A)
         Phi[: self.controller] = self.advanced(period)
@@ -240,7 +240,7 @@ def linearise(
     command, (plant_A, plant_B) = held.jacobian(), _plant(loop)
     first, timed = slopes.size1_out(0), bool(loop.clocked or ca.depends_on(moves(loop), loop.period))
 
-    def told(matrix: Any) -> Array:
+    def checked(matrix: Any) -> Array:
         return np.asarray(computable(loop, "linearise", np.asarray(matrix.full())))
 
     def at(point: Array, T: float) -> Linear:
@@ -254,7 +254,9 @@ def linearise(
             return at(moved, period)
 
         u = held(point, loop.p_values, T)
-        told(slopes(point, p, T or 1.0, 0)[0])  # on a clock so slow that it overflows, that is no fault of the numbers
+        checked(
+            slopes(point, p, T or 1.0, 0)[0]
+        )  # at one period only: overflow at long periods is no fault of the parameters
         return Linear(
             states=_labels([(v.label, v.symbol.numel()) for v in loop.variables]),
             trajectories=_labels([(leaf.name, leaf.symbol.numel()) for leaf in loop.trajectories]),
@@ -262,12 +264,12 @@ def linearise(
             point=point,
             controller=first,
             drift=float(np.max(np.abs(field(point, loop.p_values, T).full()), initial=0.0)),
-            A=told(slope(point, p, T, 0)[0]),
+            A=checked(slope(point, p, T, 0)[0]),
             B=_trajectory_slope(loop, point, p, T),
             advanced=advanced,
-            command=told(command(point, p, T, 0)[0]),
-            plant_A=told(plant_A(point[first:], u, p)),
-            plant_B=told(plant_B(point[first:], u, p)),
+            command=checked(command(point, p, T, 0)[0]),
+            plant_A=checked(plant_A(point[first:], u, p)),
+            plant_B=checked(plant_B(point[first:], u, p)),
             kinks=kinks,
             clock=T if loop.clocked else None,
             again=again if timed else None,
@@ -388,7 +390,7 @@ def rest_space(A: Array) -> Array:
     """An orthonormal basis of the null space of A, as columns; found on the balanced matrix, whose units are even."""
     from scipy.linalg import matrix_balance
 
-    with np.errstate(invalid="ignore"):  # it casts a wide scale for a permutation that is not asked for
+    with np.errstate(invalid="ignore"):  # SciPy casts a wide scale even without a permutation
         balanced, scale = matrix_balance(A, permute=False, separate=True)
     _, values, rows = np.linalg.svd(balanced)
     null = rows[values <= _NULL * max(float(np.max(values, initial=0.0)), 1e-300)].T

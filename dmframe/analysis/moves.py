@@ -28,7 +28,7 @@ import numpy as np
 from dmframe.analysis.least_cut import ITSELF, LEAST, Cut, vanishing
 from dmframe.analysis.set_point import at_set_point, counts, moves, undrawn
 from dmframe.analysis.sums import Sum, conserved, scaled, sums_of
-from dmframe.analysis.switches import APPLY, apart, chosen, numbers_of, unknown
+from dmframe.analysis.switches import apart, chosen, numbers_of, values_of
 from dmframe.certificate import SX
 from dmframe.diagram import ClosedLoop
 from dmframe.diagram.closed_loop import stack
@@ -42,7 +42,6 @@ from dmframe.program import (
     Node,
     Program,
     read,
-    run,
     sign_of,
 )
 
@@ -190,7 +189,7 @@ def _summed(loop: ClosedLoop, program: Program, symbols: Sequence[SX], numbers: 
     whole = [zero[k] and kinds[k] == ITSELF for k in range(len(zero))]
     for place in places:
         whole[place] = False
-    sums, values, T = sums_of(program.nodes, whole), _values(program, symbols), symbols[2]
+    sums, values, T = sums_of(program.nodes, whole), values_of(program, symbols), symbols[2]
     own = {node.b: k for k, node in reversed(list(enumerate(program.nodes))) if node.code == INPUT and not node.a}
     sampled = [v.sampled for v in loop.variables for _ in range(v.symbol.numel())]
 
@@ -243,19 +242,8 @@ def _rebuilt(
             )
         return value
 
-    own, (found,) = _values(program, symbols), program.stored(_values(program, symbols, keep))
+    own, (found,) = values_of(program, symbols), program.stored(values_of(program, symbols, keep))
     return ca.vertcat(ca.SX(0, 1), *(own[place] for place in cut)), ca.vertcat(ca.SX(0, 1), *found)
-
-
-def _values(program: Program, symbols: Sequence[SX], keep: Any = None) -> list[SX]:
-    return run(
-        program,
-        APPLY,
-        given=lambda argument, element: symbols[argument].nz[element],
-        constant=ca.SX,
-        refuse=unknown,
-        keep=keep,
-    )
 
 
 def _floats(numbers: Sequence[Fixed]) -> list[float]:

@@ -33,7 +33,7 @@ from dmframe.exact.switching import SWITCHING, over_pieces
 Array = NDArray[np.float64]
 
 SHARE: Final = 0.1
-"""Of a tube: the most by which the exact joint path may lie beside the lines between poses."""
+"""Largest distance of the exact joint path from the lines between poses, as a fraction of the tube."""
 
 LEAST: Final = 1e-4
 """Where the tube is narrower, this [rad]."""

@@ -1,4 +1,4 @@
-"""How slow may the clock be? The largest sampling period, on the linearised loop and by simulation."""
+"""Largest stable sampling period of the linearised loop and in simulation."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from dmframe.simulate.step import MOST_SUBSTEPS
 from dmframe.units import plain
 
 SHORTEST, LONGEST = 1e-5, 10.0
-"""Sampling periods that are looked at [s]."""
+"""Range of tested sampling periods [s]."""
 
 GROWTH: Final = 2.0**0.25
 TOLERANCE: Final = 1e-9
-"""A spectral radius is held to be at most 1 up to this."""
+"""Tolerance of a spectral radius of 1."""
 
 FACTOR: Final = 10.0
 """A simulated error is bounded if it stays below this times the largest one on a short clock."""
 
 STEPS: Final = 5
-"""Bisections of a bracket that a simulation leaves."""
+"""Bisection steps of the search by simulation."""
 
 
 @final
@@ -35,7 +35,7 @@ STEPS: Final = 5
 class Bracket:
     """Stable at `stable` [s], unstable at `unstable` [s]; the boundary lies between.
 
-    `stable` is 0 where no period is; `unstable` is infinite where every one looked at is stable.
+    `stable` is 0 if no tested period is stable; `unstable` is infinite if all are.
     """
 
     stable: float
@@ -46,7 +46,7 @@ class Bracket:
 @final
 @dataclass(frozen=True)
 class StablePeriods:
-    """The largest stable sampling period, three times; each answers a question of its own.
+    """Largest stable sampling period by three criteria.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class StablePeriods:
     moving
         Of the linearised loop without that slope; the shorter of the two is the one to design for.
     simulated
-        Of the graph's own run, which may not have learnt its estimates yet.
+        Of the simulated run, whose estimates may not have converged.
     """
 
     at_rest: Bracket
@@ -76,14 +76,14 @@ def largest_stable_period(
     Parameters
     ----------
     clock
-        The graph's clock [s], where the search by simulation begins; None for a continuous one.
+        Sampling period of the graph [s], start of the search by simulation; None for continuous time.
     horizon
-        How long each simulation lasts [s]; a slower growth is not seen.
+        Duration of each simulation [s]; slower growth is not detected.
 
     Raises
     ------
     EngineError
-        No equilibrium, or no goal to follow. (A loop that no clock keeps bounded is no fault.)
+        If there is no equilibrium or no goal. (A loop that is unstable for all periods is no fault.)
     """
     return StablePeriods(
         linearised_period(linearise(diagram, start=start, clock=clock)),
@@ -95,7 +95,7 @@ def largest_stable_period(
 def sampled_radius(diagram: Diagram, clock: float, start: Mapping[str, Any] | None = None) -> float | None:
     """The larger spectral radius of the loop linearised on a clock [s], at rest or moving; None without a set-point.
 
-    None as well of a loop of so many states that it would take longer than a run.
+    None also for loops with more than `LARGE` states, which would take longer than a run.
     """
     if diagram.loop.state.numel() > LARGE:
         return None
@@ -108,11 +108,11 @@ def sampled_radius(diagram: Diagram, clock: float, start: Mapping[str, Any] | No
 
 
 def linearised_period(linear: Linear) -> Bracket:
-    """Where the spectral radius of the linearised sampled loop first exceeds 1, as the period grows.
+    """First period at which the spectral radius of the linearised sampled loop exceeds 1.
 
-    Eigenvalues at 1 that the continuous loop has at 0 are left out: estimates that the set-point does not excite rest
-    anywhere. A loop that runs on a clock alone may be stable on no shorter one: where it is stable on its own, the
-    search begins there. A large one is looked at on its own clock alone.
+    Eigenvalues at 1 that correspond to 0 in continuous time are excluded: unexcited estimates have no unique
+    equilibrium. A discrete-time loop may be unstable at shorter periods; if stable at its own period, the search starts
+    there. A large loop is tested at its own period only.
     """
     meaning = (
         "spectral radius of the loop linearised at the set-point, Euler controller, exact zero-order hold, at most 1; "
@@ -135,7 +135,7 @@ def linearised_period(linear: Linear) -> Bracket:
 
 
 def _first_change(stable: Callable[[float], bool], shortest: float) -> tuple[float, float]:
-    """The first pair of neighbours on a geometric grid, of which the longer period is unstable."""
+    """First neighbours on a geometric grid with a stable and an unstable period."""
     lower, period = 0.0, shortest
     while period <= LONGEST:
         if not stable(period):
@@ -153,11 +153,11 @@ def simulated_period(
     horizon: float = 20.0,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Bracket:
-    """Bisection over clocks for an error that stays bounded over the horizon; see `Bracket`.
+    """Bisection over periods for a bounded error over the horizon; see `Bracket`.
 
-    The bound is `FACTOR` times the largest error of a run on the first clock, from the graph's own on and halving, that
-    gives a finite one. A run that leaves it counts only where one with a quarter of the integrator's step does so too.
-    `tell` is called with what is done.
+    The bound is `FACTOR` times the largest error at the first period (of the graph, then halved) with a finite one. A
+    run beyond the bound counts as unstable only if one with a quarter of the integrator step confirms it. `tell`
+    receives progress messages.
     """
     if not (np.isfinite(horizon) and horizon > 0):
         raise ValueFault(f"horizon: expected a positive number of seconds, found {horizon}")
@@ -165,9 +165,9 @@ def simulated_period(
         raise EngineError("largest stable period: expected a goal to follow, such as x_d for x, found none")
 
     def error(period: float, taken: Solver) -> tuple[float, Solver]:
-        if taken.step is not None:  # no more steps than a tick may have
+        if taken.step is not None:  # limit on the steps in a tick
             taken = replace(taken, step=max(taken.step, period / MOST_SUBSTEPS))
-        tell(f"simulating {horizon:g} s on a clock of {plain(period, 's')}")
+        tell(f"simulating {horizon:g} s with a period of {plain(period, 's')}")
         return _largest_error(diagram, period, taken, start, horizon)
 
     def finer(taken: Solver, period: float) -> Solver:
@@ -188,11 +188,11 @@ def simulated_period(
     actual = diagram.loop.followed[0].actual
     unit = next(signal.unit for signal in diagram.loop.outputs if signal.label == actual)
     meaning = (
-        f"the graph's own run, {horizon:g} s long: the norm of its error stays below {plain(bound, unit)}, "
-        f"{FACTOR:g} times its largest on a clock of {period * 1e3:.3g} ms; what grows more slowly is not seen"
+        f"simulated run of {horizon:g} s: the norm of its error stays below {plain(bound, unit)}, "
+        f"{FACTOR:g} times its maximum at a period of {period * 1e3:.3g} ms; slower growth is not detected"
     )
     if not np.isfinite(reference):
-        return Bracket(0.0, period * 2, f"no run of {horizon:g} s stays finite, down to the shortest clock looked at")
+        return Bracket(0.0, period * 2, f"no run of {horizon:g} s stays finite, down to the shortest tested period")
     lower, upper = period, period * 2
     while bounded(upper, bound):
         lower, upper = upper, upper * 2
@@ -207,7 +207,7 @@ def simulated_period(
 def _largest_error(
     diagram: Diagram, period: float, solver: Solver, start: Mapping[str, Any] | None, horizon: float
 ) -> tuple[float, Solver]:
-    """The largest norm of actual minus desired, infinite for a run that diverges; and the solver that it took."""
+    """Largest norm of actual minus desired (infinite if diverged), and the solver used."""
     run = simulate(diagram, horizon, clock=period, solver=solver, start=start)
     if run.divergence is not None:
         return float("inf"), run.solver

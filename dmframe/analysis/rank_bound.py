@@ -1,4 +1,4 @@
-r"""A lower bound of a matrix's least singular value over boxes of its arguments, by interval arithmetic."""
+r"""Lower bounds of the least singular value of a matrix over boxes, by interval arithmetic."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ Array = NDArray[np.float64]
 Shape = Literal["box", "ball"]
 
 _AT_ONCE: Final = 1024
-"""Boxes that are enclosed together; more need more memory and save no time."""
+"""Boxes per batch; more need more memory and save no time."""
 
 _ROUNDS: Final = 4
-"""Of the power iteration that sharpens the bound of a norm."""
+"""Iterations of the power method that sharpens the bound of a norm."""
 
 
 @final
 @dataclass(frozen=True)
 class Bound:
-    """What is certain over each box of poses.
+    """Certified bound over each box of poses.
 
     Parameters
     ----------
     least
-        (N,) below every singular value of the matrix over the box and over the set of parameters; not a number where
-        nothing can be told.
+        (N,) below every singular value of the matrix over the box and over the set of parameters; NaN if
+        undecided.
     share
-        (N, n) how much each joint's width adds to the doubt.
+        (N, n) contribution of each joint's width to the uncertainty.
     """
 
     least: Array
@@ -101,7 +101,7 @@ class MatrixBound:
         box = [Enclosure(*ends) for ends in zip(low, high, strict=True)]
         numbers = [Enclosure(down(a - r), up(a + r)) for a, r in zip(middle, half, strict=True)]
         slopes = self._filled(self._slope([box, numbers, self._p]), self.n + self.h, low.shape[1])
-        with np.errstate(all="ignore"):  # where the middle is singular, the bound is no number, and tells nothing
+        with np.errstate(all="ignore"):  # for a singular centre the bound is NaN (undecided)
             U, s, Vt = np.linalg.svd(np.nan_to_num((J.lower + J.upper)[0].transpose(2, 0, 1) / 2), full_matrices=False)
             turned = np.swapaxes(Vt, 1, 2) / s[:, None, :]
             X = np.ascontiguousarray(np.moveaxis(turned @ np.swapaxes(U, 1, 2), 0, 2))

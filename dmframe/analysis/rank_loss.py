@@ -1,4 +1,4 @@
-"""The search for what a rank bound cannot survive: a pose and parameters at which a matrix loses rank."""
+"""Search for counterexamples of a rank bound: pose and parameters at which a matrix loses rank."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ Array = NDArray[np.float64]
 _LEAPS: Final = 6
 _STEPS: Final = 14
 _MOST: Final = 200
-"""Poses that the search begins from."""
+"""Number of start poses of the search."""
 
 
 @final
 @dataclass(frozen=True)
 class Witness:
-    """Parameters at which, at a pose, a matrix is singular, or nearer to it than is asked for.
+    """Pose and parameters at which a matrix is singular or violates the required bound.
 
     Parameters
     ----------
     place
-        Which of the poses that the search began from.
+        Index of the start pose.
     q, a
         The pose and the parameters.
     singular

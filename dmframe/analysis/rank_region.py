@@ -22,29 +22,29 @@ Progress = Callable[[str], None]
 
 MOST_BOXES: Final = 40_000
 SHARE: Final = 0.1
-"""Of the least singular value along the path: what is asked for where the user asks for nothing."""
+"""Default required singular value, as a fraction of the least one along the path."""
 
 LOST: Final = 1e-9
 """A singular value below this is rank loss [m/rad]."""
 
 _LEAST_WEIGHT: Final = 0.1
-"""Of a parameter whose translation is short, where half-widths go with lengths."""
+"""Least relative half-width of a parameter with a short translation, with ``length`` scaling."""
 
 _MOST_STRIDE: Final = 0.05
 _LEAST_STRIDE: Final = 0.005
-"""The most that a joint moves between two poses of the path, whatever the tube [rad]."""
+"""Range of the largest joint step between two poses of the path [rad]."""
 
 
 @final
 @dataclass(frozen=True)
 class RankLoss:
-    """Why there is no region, not even with the parameters at its middle.
+    """Reason for the absence of a region, even with the parameters at the centre.
 
     Parameters
     ----------
     kind
-        unreachable: the tool cannot follow its path; singular: the tube holds a pose at which the matrix is nearer to
-        rank loss than is asked for; undecided: neither that nor its contrary was shown.
+        unreachable: the tool cannot follow its path; singular: the tube contains a pose at which the matrix violates
+        the required bound; undecided: neither proved nor refuted.
     time
         Of the path [s].
     q
@@ -52,7 +52,7 @@ class RankLoss:
     singular
         The least singular value at that pose.
     text
-        All of it as a sentence.
+        The reason as a sentence.
     """
 
     kind: Literal["unreachable", "singular", "undecided"]
@@ -94,7 +94,7 @@ class RankRegion:
     tube
         In each joint [rad].
     asked, certified
-        c that was asked for, and the least singular value that is certified. [unit]
+        Required c, and certified least singular value. [unit]
     nominal
         The least singular value at the path's poses and the set's middle, in floating point. [unit]
     unit
@@ -102,18 +102,18 @@ class RankRegion:
     time, q
         Where along the path the certified value is least [s], and the pose in the middle of that box.
     fails_at
-        The radius at which parameters are known with a singular value below `asked`, in floating point; None where none
-        was found. The largest region lies between `radius` and this [m].
+        Radius with known parameters that violate `asked`, in floating point; None if none was found. The largest region
+        is between `radius` and this [m].
     path
         The joint path.
     boxes
         Of poses, over which it was proved.
     model
-        The diagram's fingerprint: of which model it was proved.
+        Fingerprint of the diagram.
     redundant
         The robot has many joint paths along which the tool follows its path; this one is the shortest, pose by pose.
     loss
-        Why there is no region: `radius`, `certified` are then 0.
+        Reason for the absence of a region; `radius` and `certified` are then 0.
     """
 
     matrix: str
@@ -145,12 +145,12 @@ class RankRegion:
 
     @property
     def until(self) -> float:
-        """Up to when the exact joint path is enclosed [s]."""
+        """Time up to which the exact joint path is enclosed [s]."""
         return self.path.until
 
     @property
     def apart(self) -> float | None:
-        """The most by which the exact joint path lies beside the lines [rad]; None for a path that was given."""
+        """Bound on the distance of the exact joint path from the lines [rad]; None for a given path."""
         return None if self.path.apart is None or not self.holds else float(np.max(self.path.apart, initial=0.0))
 
     @property
@@ -187,11 +187,11 @@ def rank_region(
     start
         As `dmframe.simulate.start_state` takes it.
     duration
-        How much of the path is covered [s]; one period where it closes.
+        Covered part of the path [s]; one period of a periodic path.
     tube
-        The most by which each joint may differ from the path [rad].
+        Largest deviation of each joint from the path [rad].
     least
-        c, the least singular value that is asked for; by default a tenth of the least one along the path.
+        c, the required least singular value; default: a tenth of the least one along the path.
     centre
         truth or start: the middle of the set.
     shape
@@ -200,7 +200,7 @@ def rank_region(
         uniform; length, in proportion to the translation that a parameter belongs to (a tenth of the longest at least);
         or a number for each parameter. The largest half-width is the radius.
     boxes
-        The most boxes for one size of the set; more find a larger one.
+        Maximum number of boxes for one size of the set; more find a larger one.
     path
         A joint path to be taken instead, such as a run's: for a redundant robot, whose own path depends on its
         controller, too.
@@ -220,15 +220,15 @@ def rank_region(
     search = RankSearch(problem, path, tube, shape, weights, boxes, tell)
     singular = search.singular(path.poses)
     nominal = float(np.min(singular))
-    asked = SHARE * nominal if least is None else least
+    required = SHARE * nominal if least is None else least
     cover, radius, fails_at = None, 0.0, None
     loss = _unreachable(problem, path, float(singular[-1])) or _lost(search, path, nominal, int(np.argmin(singular)))
     loss = loss or _doubted(search, path)
     if loss is None:
-        loss, cover = _middle(search, path, asked)
+        loss, cover = _middle(search, path, required)
     if cover is not None:
-        fails_at = search.fails_at(asked)
-        radius, cover = search.largest(asked, cover, fails_at or LARGEST)
+        fails_at = search.fails_at(required)
+        radius, cover = search.largest(required, cover, fails_at or LARGEST)
     half = radius * weights
     place = 0 if cover is None else int(np.argmin(cover.least))
     option = problem.options.get(shape)
@@ -242,7 +242,7 @@ def rank_region(
         option=option,
         start_inside=_inside(problem, half, shape),
         tube=tube,
-        asked=asked,
+        asked=required,
         certified=0.0 if cover is None else float(cover.least[place]),
         nominal=nominal,
         unit=problem.unit,
@@ -299,30 +299,30 @@ def _lost(search: RankSearch, path: JointPath, nominal: float, place: int) -> Ra
     if nominal > LOST:
         return None
     problem, time = search.problem, float(path.times[place])
-    text = f"{problem.matrix} has lost its rank on the path itself, at t = {time:.6g} s"
+    text = f"{problem.matrix} is rank-deficient on the path, at t = {time:.6g} s"
     return RankLoss("singular", time, path.poses[place], nominal, text)
 
 
-def _middle(search: RankSearch, path: JointPath, asked: float) -> tuple[RankLoss | None, Cover | None]:
-    """The cover with the parameters at their middle, or why there is none."""
+def _middle(search: RankSearch, path: JointPath, least: float) -> tuple[RankLoss | None, Cover | None]:
+    """Cover with the parameters at their centre, or the reason for its absence."""
     problem, tube = search.problem, search.tube
-    found = search.witness(0.0, asked)
+    found = search.witness(0.0, least)
     if found is None:
-        holds, cover = search.cover(0.0, asked, search.segments())
+        holds, cover = search.cover(0.0, least, search.segments())
         if holds:
             return None, cover
         worst = int(np.argmin(np.nan_to_num(cover.least, nan=-np.inf)))
         place, q = int(cover.segment[worst]), (cover.low[worst] + cover.high[worst]) / 2
         singular = float(search.singular(q[None])[0])
-        kind: Literal["singular", "undecided"] = "singular" if singular < asked else "undecided"
+        kind: Literal["singular", "undecided"] = "singular" if singular < least else "undecided"
     else:
         place, q, singular, kind = found.place, found.q, found.singular, "singular"
     time = float(path.times[place])
     at = f"at t = {time:.6g} s, within {tube:.4g} rad of the path, the least singular value of {problem.matrix}"
     text = (
-        f"{at} is {singular:.3g} {problem.unit}, and {asked:.3g} is asked for; take a narrower tube or another path"
+        f"{at} is {singular:.3g} {problem.unit}, but {least:.3g} is required; use a narrower tube or another path"
         if kind == "singular"
-        else f"{at} could not be decided with so many boxes; take a narrower tube, or more boxes"
+        else f"{at} could not be decided with this number of boxes; use a narrower tube or more boxes"
     )
     return RankLoss(kind, time, q, singular, text), None
 

@@ -1,4 +1,4 @@
-"""A rank region as a value of the graph and as plain data."""
+"""Rank region as a graph value and as plain data."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ EXACT: Final = (
     "follows its path lies within {apart:.2g} rad of the lines between the poses, in each joint; the boxes cover the "
     "tube about it."
 )
-WAY: Final = "The lines from the start onto the path are one way; the robot may take another."
+WAY: Final = "The straight lines from the start onto the path are an assumption; the robot may move differently."
 MANY: Final = "The robot is redundant: this joint path is one of many, and its controller may choose another."
-GIVEN: Final = "The joint path was given: whether the tool is then on its path was not asked."
+GIVEN: Final = "The joint path was given: that the tool is on its path was not checked."
 KEPT: Final = "The projection keeps the estimate in the set."
-MODEL: Final = "The true translations must lie in the set: it is what the model may be wrong by."
+MODEL: Final = "The true translations must be in the set: it bounds the model error."
 
 _MICROMETRE: Final = Decimal("0.000001")
 
 
 def proved(region: RankRegion) -> str:
-    """What is proved of which model, and what is assumed."""
+    """Proved statements with their model, and assumptions."""
     parts = [PROVED.format(model=region.model[:12])]
     if region.apart is None:
         parts.append(GIVEN)

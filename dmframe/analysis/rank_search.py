@@ -19,13 +19,13 @@ Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 RESOLUTION: Final = 0.01
-"""A radius is found up to this share of it."""
+"""Relative accuracy of a radius."""
 
 _SMALLEST: Final = 1e-6
-"""No radius smaller than this is told from none [m]."""
+"""Smallest radius; smaller ones count as none [m]."""
 
 LARGEST: Final = 10.0
-"""No radius larger than this is looked for [m]."""
+"""Largest radius of the search [m]."""
 
 
 @final
@@ -38,7 +38,7 @@ class Cover:
     segment
         (N,) the piece of the path that each box belongs to.
     least
-        (N,) the singular value that is certified over each; below what is asked for in a cover that failed.
+        (N,) certified least singular value over each box; below the required one in a failed cover.
     """
 
     low: Array
@@ -81,7 +81,7 @@ class RankSearch:
     ) -> None:
         self.problem, self.path, self.tube, self.shape, self.most = problem, path, tube, shape, most
         self.bound = MatrixBound(problem.expression, problem.q, problem.a, problem.p, problem.enclosed)
-        self._weights, self._tell = weights, tell
+        self._weights, self._progress = weights, tell
 
     def singular(self, q: Array) -> Array:
         """The least singular value at each pose (N, n), with the parameters at the middle; in floating point."""
@@ -96,21 +96,21 @@ class RankSearch:
         return witness(self.bound, problem.values, self.path.poses, self.tube, problem.centre, half, self.shape, least)
 
     def segments(self) -> Cover:
-        """A box about each piece of the path, wider by the tube and by how far the exact path may lie beside it."""
+        """Box around each piece of the path, enlarged by the tube and the distance bound of the exact path."""
         low, high = self.path.hulls
         wide = self.tube if self.path.apart is None else up(self.tube + self.path.apart)
         low, high = down(low - wide), up(high + wide)
         return Cover(low, high, np.arange(len(low)), np.full(len(low), -np.inf))
 
     def cover(self, radius: float, least: float, begin: Cover) -> tuple[bool, Cover]:
-        """Cut the boxes until each certifies `least`; or False and those that do not.
+        """Bisect boxes until each certifies `least`; returns False and the others on failure.
 
-        It stops where a box would fail even if it were a point, since no cut can help then, and at the most boxes.
+        It stops at a box that would fail even as a point, and at the maximum number of boxes.
         """
         done, open_boxes, count = list[Cover](), begin, 0
         while len(open_boxes.low):
             count += len(open_boxes.low)
-            self._tell(f"radius {radius * 1e3:.4g} mm: {count} boxes")
+            self._progress(f"radius {radius * 1e3:.4g} mm: {count} boxes")
             found, share = self._certified(open_boxes, radius)
             good = found.least >= least
             done.append(found.among(good))

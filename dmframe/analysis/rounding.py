@@ -1,6 +1,6 @@
 r"""A loop without the rounding of its encoders: near a set-point a rounded signal is a staircase of fine steps.
 
-Only a quantiser that a block declares (`Port.rounded_by`) is taken as it is in the mean: z replaces
+Only a quantiser that a block declares (`Output.rounded_by`) is taken as it is in the mean: z replaces
 step floor(z / step + 1/2), whose mean it is where z is spread evenly over a step. So the steps are taken as fine. Any
 other rounding is a switch, which has its pieces (`dmframe.analysis.switches`): an angle that is wrapped is one.
 """
@@ -18,7 +18,7 @@ from dmframe.block.model import BlockModel, symbols_in
 from dmframe.certificate import SX
 from dmframe.diagram import Diagram
 from dmframe.errors import BlockError
-from dmframe.port import Port
+from dmframe.port import Output
 from dmframe.program import CONST, INPUT, Node, Program, read, run
 
 _FLOOR: Final = ca.OP_FLOOR
@@ -43,7 +43,7 @@ def averaged(diagram: Diagram) -> dict[str, float]:
     }
 
 
-def _all(diagram: Diagram) -> list[tuple[str, Port]]:
+def _all(diagram: Diagram) -> list[tuple[str, Output]]:
     return [
         (name, port)
         for name, block in diagram.blocks.items()
@@ -62,7 +62,7 @@ def _steps(diagram: Diagram) -> set[int]:
     return found
 
 
-def _check(model: BlockModel, port: Port) -> None:
+def _check(model: BlockModel, port: Output) -> None:
     """The output is the input that it replaces, with what is drawn added, rounded to whole steps."""
     expression, step = model.equations.outputs[port.name], model.parameters[port.rounded_by]
     measured = model.inputs[port.instead_of]

@@ -1,4 +1,4 @@
-"""The maker's servo and the inverse that drives it, as transfer functions, joint by joint."""
+"""Transfer functions of the closed joint servo and of the inverse, joint by joint."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def servo_transfer(
     found = list[JointLoop]()
     for j, name in enumerate(names):
         try:
-            with np.errstate(all="ignore"):  # coefficients far from 1 are told below, or do not matter
+            with np.errstate(all="ignore"):  # overflow is reported below, or does not matter
                 found.append(_joint(diagram, servo, inverse, name, j, (float(M[j, j]), float(B[j]), float(K[j]))))
         except (np.linalg.LinAlgError, OverflowError):
             raise EngineError(f"servo: the transfer functions of {name} overflow; take gains nearer to 1") from None
@@ -156,7 +156,7 @@ def margins(loop: Rational) -> Margins:
     """Gain and phase margins by python-control."""
     import control
 
-    with warnings.catch_warnings():  # it asks NumPy to warn of each underflow
+    with warnings.catch_warnings():  # python-control enables NumPy warnings of underflow
         warnings.simplefilter("ignore", RuntimeWarning)
         gain, phase, phase_crossover, gain_crossover = control.margin(loop.system())
     return Margins(float(gain), float(phase), float(phase_crossover), float(gain_crossover))

@@ -1,4 +1,4 @@
-"""A loop whose desired trajectory stands still, and the equilibrium that it then has."""
+"""Equilibrium of the loop with frozen trajectories."""
 
 from __future__ import annotations
 
@@ -19,33 +19,33 @@ from dmframe.program import EDGES, JUMPS, KINKS, codes
 from dmframe.simulate import start_state
 
 AT_REST: Final = 1e-8
-"""An equilibrium's largest rate, relative to 1 + |state|."""
+"""Largest rate at an equilibrium, relative to 1 + |state|."""
 
 MOST: Final = 1e150
-"""Slopes of this size or above overflow once they are multiplied."""
+"""Limit of Jacobian entries; products of larger ones overflow."""
 
 FAR: Final = 30
-"""Powers of ten from 1 that no parameter of a robot has."""
+"""Distance of a parameter from 1 in powers of ten that counts as unphysical."""
 
 LARGE: Final = 300
-"""Of more states than this, linear algebra takes a way that is faster, and a little less exact."""
+"""Number of states above which a faster, slightly less accurate method is used."""
 
 LATE: Final = 1e6
-"""Where a state stands at a set-point that counts samples: long after the start."""
+"""Value of sample counters at a set-point: long after the start."""
 
 _STEPS: Final = 60
 
 _FLAT: Final = 1e-12
-"""A row of slopes below this moves nothing."""
+"""Size of a Jacobian row below which it counts as zero."""
 
 _DELTA: Final = 1e-13
-"""Of evened slopes, the square of what counts as none."""
+"""Regularisation of scaled Jacobians (squared threshold of zero)."""
 
 
 def frozen(diagram: Diagram, t: float = 0.0) -> Diagram:
-    """The same diagram with its trajectories held at what they are at t [s], and their derivatives at zero.
+    """Diagram with trajectories frozen at t [s] and zero derivatives.
 
-    For runs and linearisations; a certificate leaves trajectories free anyway.
+    For runs and linearisations; certificates treat trajectories as free.
     """
     return replace(diagram, loop=diagram.loop.standing(t))
 
@@ -56,10 +56,9 @@ def equilibrium(
     start: Mapping[str, Any] | None = None,
     clock: float | None = None,
 ) -> np.ndarray:
-    """The state at which the loop with frozen trajectories rests, what is drawn being zero.
+    """Equilibrium of the loop with frozen trajectories and zero random signals.
 
-    Newton's method from where a run starts, with the shortest step where equilibria are not alone; only states that are
-    no estimates move.
+    Newton's method from the start of a run, with minimum-norm steps for non-isolated equilibria; estimates are fixed.
 
     Parameters
     ----------
@@ -69,14 +68,14 @@ def equilibrium(
         Values by state label at which the estimates are held, ``{"inverse.w": 0.001}``; the others are at their true
         values.
     start
-        As `dmframe.simulate.start_state` takes it.
+        As for `dmframe.simulate.start_state`.
     clock
-        The period [s] of a loop that runs on a clock alone; no other needs one.
+        Period [s] of a discrete-time loop.
 
     Raises
     ------
     EngineError
-        No equilibrium was found, or the loop needs a clock.
+        If no equilibrium is found, or the loop needs a clock.
     """
     from scipy.linalg import lstsq
 
@@ -113,14 +112,14 @@ def equilibrium(
         moves = f"the search for one leads to where the rate of {labels[worst]}, or its slope, overflows"
     raise EngineError(
         f"set-point: expected an equilibrium of the loop with its trajectories frozen, found none; {moves}; "
-        "give estimates with which the loop can rest, or another start"
+        "give estimates with which the loop has an equilibrium, or another start"
     )
 
 
 def _shortest(slope: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """The shortest step that takes rates away, of a large loop: its slope has few entries.
+    """Minimum-norm Newton step of a large loop with a sparse Jacobian.
 
-    A' (A A' + delta)^-1 b, each row of A evened first; delta stands for directions that nothing moves.
+    A' (A A' + delta)^-1 b with scaled rows of A; delta regularises zero directions.
     """
     from scipy.sparse import block_array, csc_array, eye_array
     from scipy.sparse.linalg import splu
@@ -138,16 +137,16 @@ def _shortest(slope: np.ndarray, wanted: np.ndarray) -> np.ndarray:
 
 
 def at_rest(rate: Any, state: np.ndarray, share: float = 1.0) -> bool:
-    """True for rates that are small enough at a state, or smaller than a share of that."""
+    """True for rates below `share` times the tolerance at a state."""
     largest = float(np.max(np.abs(np.asarray(rate)), initial=0.0))
     sizes = np.abs(np.asarray(state))
-    return largest <= AT_REST * share * (1 + float(np.max(sizes[sizes < LATE], initial=0.0)))  # a count is no size
+    return largest <= AT_REST * share * (1 + float(np.max(sizes[sizes < LATE], initial=0.0)))  # without sample counters
 
 
 def computable(loop: ClosedLoop, where: str, numbers: np.ndarray) -> np.ndarray:
-    """Numbers of the loop that linear algebra can take; `where` says what they are for.
+    """Check that numbers do not overflow; `where` names their purpose.
 
-    Raises `EngineError` where they overflow, with the parameters that are far from 1.
+    Raises `EngineError` with the parameters that are far from 1.
     """
     if _moderate(numbers):
         return numbers
@@ -162,11 +161,11 @@ def computable(loop: ClosedLoop, where: str, numbers: np.ndarray) -> np.ndarray:
 
 
 def _moderate(numbers: np.ndarray) -> bool:
-    return bool(np.max(np.abs(numbers), initial=0.0) < MOST)  # not so of nan
+    return bool(np.max(np.abs(numbers), initial=0.0) < MOST)  # False for NaN
 
 
 def _distance(values: np.ndarray) -> np.ndarray:
-    """How many powers of ten each is from 1; a zero is not far."""
+    """Distance from 1 in powers of ten; 0 for zero."""
     return np.abs(np.log10(np.where(values == 0, 1.0, np.abs(values))))
 
 
@@ -185,12 +184,12 @@ def _given(loop: ClosedLoop, estimates: Mapping[str, Any]) -> dict[str, np.ndarr
 
 
 def moves(loop: ClosedLoop) -> SX:
-    """What is zero where a loop rests (`ClosedLoop.moves_of`); a state that counts samples moves nothing."""
+    """Residual of the equilibrium (`ClosedLoop.moves_of`), zero for sample counters."""
     return stack(0 * v.symbol if counts(v) else loop.moves_of(v) for v in loop.variables)
 
 
 def counts(variable: Variable) -> bool:
-    """True for a sampled state that grows by the same number in each sample, whatever happens."""
+    """True for a sample counter: a sampled state with a constant increment."""
     gained = variable.gained
     if gained is None or symbols_in([gained]) - symbols_in([variable.symbol]):
         return False
@@ -201,14 +200,14 @@ def counts(variable: Variable) -> bool:
 
 
 def rates(loop: ClosedLoop) -> Any:
-    """The loop's `moves`, (state, p, T) -> them, with its trajectories as frozen."""
+    """`moves` as a function of (state, p, T), with frozen trajectories."""
     return at_set_point(loop, "rates", moves(loop))
 
 
 def period_of(loop: ClosedLoop, clock: float | None) -> float:
-    """The period T [s] that a loop's equations read: zero of a loop in continuous time.
+    """Period T [s] in the equations of a loop; zero in continuous time.
 
-    Raises `EngineError` for a loop that runs on a clock alone, and is given none.
+    Raises `EngineError` for a discrete-time loop without a clock.
     """
     if clock is None and loop.clocked:
         raise EngineError(f"set-point: expected a clock, found none; {loop.clocked}")
@@ -221,9 +220,9 @@ def _unit(loop: ClosedLoop, row: int) -> str:
 
 
 def at_set_point(loop: ClosedLoop, name: str, expression: SX) -> Any:
-    """An expression of the loop as a function of (state, p, T), trajectories frozen, projections acting, nothing drawn.
+    """Expression of the loop in (state, p, T): frozen trajectories, active projections, no random signals.
 
-    Raises `EngineError` for a loop whose equations read the time: with its trajectories frozen it still does not rest.
+    Raises `EngineError` for a loop whose equations depend on time: it has no equilibrium.
     """
     held = undrawn(loop, loop.on_path(loop.acting([expression])[0]))
     if symbols_in([held]) & symbols_in([loop.time]):
@@ -234,6 +233,6 @@ def at_set_point(loop: ClosedLoop, name: str, expression: SX) -> Any:
 
 
 def undrawn(loop: ClosedLoop, expression: SX) -> SX:
-    """An expression with zero in place of what each sample draws: the mean of every distribution."""
+    """Expression with random signals replaced by zero, their mean."""
     drawn = loop.drawn
     return ca.substitute(expression, drawn, ca.SX.zeros(drawn.numel())) if drawn.numel() else expression

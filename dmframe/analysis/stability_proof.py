@@ -1,14 +1,14 @@
-r"""That the linearised sampled loop comes to rest, proved: Lyapunov's inequality in interval arithmetic.
+r"""Proof of asymptotic stability of the linearised sampled loop: Lyapunov inequality in interval arithmetic.
 
-For a symmetric P from floats, read as the exact binary numbers that they are,
+For a symmetric P of exact binary floating-point numbers,
 
 .. math:: P > 0, \qquad P - F^\top P F > 0 \quad\text{for every F in the enclosure}
 
-by L D L' in intervals: all eigenvalues of every such F lie inside the unit circle. F divided by a radius proves that
-they lie inside that one.
+by interval L D L': all eigenvalues of every such F are inside the unit circle. F divided by a radius gives a bound on
+the spectral radius.
 
-The proof is compared with two others who know the loop: the linearised loop in floats, and the tick of a run. Where
-they disagree, one of the three has another map, and nothing is proved.
+The result is cross-checked against the linearised loop in floating point and the tick of a run. If they disagree, the
+proof is withdrawn.
 """
 
 from __future__ import annotations
@@ -34,54 +34,53 @@ from dmframe.exact.rounded import Rounded, falls, gram, similar
 
 _REFINED: Final = 6
 _DENSE: Final = 80
-"""Of more rows, floats with radii take the place of many places: a tenth of a second, and not minutes."""
+"""Number of rows above which floating-point balls replace high precision: 0.1 s instead of minutes."""
 
 _NOTHING: Final = 1e-25
 _MOST_POWER: Final = 40
-"""Balancing leaves out what is only rounding, and goes no further than this: a memory would be scaled without end."""
+"""Threshold of rounding, and limit of the scaling exponent, in balancing: a nilpotent memory has no limit."""
 
 _HOPELESS: Final = 1e-12
 _STEPS: Final = 4
 _SHARES: Final = (0.9999, 0.999, 0.99, 0.9, 0.5)
-"""Periods that are tried, as shares of the longest at which floats find the loop stable."""
+"""Tested periods, as fractions of the largest stable one in floating point."""
 
 
 _ROUNDING: Final = 1e-7
-"""By so much floats may miss a spectral radius."""
+"""Tolerance of a spectral radius in floating point."""
 
 _OTHER: Final = 1e-3
-"""Two spectral radii of one loop that differ by more are those of two loops: a multiple eigenvalue parts by less."""
+"""Largest difference of two spectral radii of one loop, above the splitting of a multiple eigenvalue."""
 
 _ELSEWHERE: Final = 1e-3
-"""An equilibrium in floats that lies farther than this from the one that is enclosed is another one."""
+"""Largest distance between the floating-point and the enclosed equilibrium."""
 
 _INTEGRATED: Final = 1e-2
-"""By this share of its largest entry the tick of a run may miss the exact zero-order hold."""
+"""Largest relative difference between the tick of a run and the exact zero-order hold."""
 
 
 @final
 @dataclass(frozen=True)
 class StabilityProof:
-    """What is proved of a linearised loop; `reason` says why where something is not.
+    """Stability proof of a linearised loop, or the `reason` for its absence.
 
     Parameters
     ----------
     directions
-        How many directions move.
+        Number of moving directions.
     resting
-        In how many others the loop rests anywhere, exactly.
+        Number of exact equilibrium coordinates.
     within
-        How far from the told set-point the equilibrium lies at most.
+        Bound on the distance of the equilibrium from the set-point.
     radius
-        On the graph's clock, all eigenvalues but those of the resting directions have moduli below this, at most one.
-        None without a clock, or where it is not proved.
+        Proved bound, at most one, on the spectral radius at the graph's period, without the equilibrium coordinates.
+        None without a clock or a proof.
     period
-        The longest period that was proved [s]; each was proved for itself, and nothing is said of those between. None
-        where none was.
+        Longest proved period [s]; the proof does not extend to shorter ones. None without a proof.
     kept
-        How many sums of states no sample changes, exactly: they are taken as they are at the set-point.
+        Number of invariant sums of states, fixed at their values at the set-point.
     disagrees
-        What was proved contradicts what floats or the tick of a run find: it was withdrawn, and `reason` says why.
+        True for a proof withdrawn after a cross-check, see `reason`.
     """
 
     directions: int = 0
@@ -95,7 +94,7 @@ class StabilityProof:
 
 
 def proved_schur(F: Matrix, radius: Fixed | None = None) -> bool:
-    """True where all eigenvalues of every matrix in the enclosure are proved to lie below a radius, by default one."""
+    """Prove that all matrices in the enclosure have a spectral radius below `radius`, by default one."""
     from scipy.linalg import LinAlgWarning, matrix_balance, solve_discrete_lyapunov
 
     if not F.shape[0]:
@@ -110,13 +109,15 @@ def proved_schur(F: Matrix, radius: Fixed | None = None) -> bool:
     powers = [int(power) for power in np.rint(np.log2(sizes))]
     even = scaled.scaled([-power for power in powers], powers)
     numbers, one = even.floats(), Matrix.identity(len(powers))
-    if not np.max(np.abs(np.linalg.eigvals(numbers))) < 1 - _HOPELESS:  # only a hint: it spares the work
+    if (
+        not np.max(np.abs(np.linalg.eigvals(numbers))) < 1 - _HOPELESS
+    ):  # necessary condition in floating point, saves time
         return False
     P, left = Matrix.exactly(np.zeros_like(numbers)), np.eye(len(powers))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LinAlgWarning)
         warnings.simplefilter("ignore", RuntimeWarning)
-        for _ in range(_REFINED):  # floats solve it; what they miss is told by the residual, and solved for again
+        for _ in range(_REFINED):  # iterative refinement in floating point
             try:
                 more = solve_discrete_lyapunov(numbers.T, left)
             except np.linalg.LinAlgError:
@@ -196,15 +197,15 @@ def _compare(
     period: float | None,
     moving: bool,
 ) -> None:
-    """Raises `DisagreementError` where floats, or the tick of a run, contradict what is proved.
+    """Raise `DisagreementError` if floating point or the tick of a run contradict the proof.
 
-    It takes as long as two spectral radii and the Jacobian of one tick: below a second. Of a loop that is so large that
-    floats look at it on its own clock alone, the tick is not differentiated.
+    Takes less than a second (two spectral radii and the Jacobian of a tick). For loops of more than `LARGE` states the
+    tick is not differentiated.
     """
     proved = [(clock, radius)] if clock is not None and radius is not None else []
     proved += [(period, 1.0)] if period is not None else []
     if not at_rest(linear.drift, linear.point):
-        return  # floats were asked for another point than the equilibrium: they speak of another linearised loop
+        return  # not at an equilibrium: another linearisation
     for own, bound in proved:
         found = linear.spectral_radius(own)
         if not found <= bound + _ROUNDING:
@@ -239,11 +240,11 @@ def _disagreement(period: float, text: str) -> DisagreementError:
 
 
 def _why(linear: Linear, loop: EnclosedLoop, clock: float | None, radius: float | None, period: float | None) -> str:
-    """Why one of the two is not proved."""
+    """Reason for a missing bound or period."""
     if period is not None and (clock is None or radius is not None):
         return ""
     if linear.drifting > loop.kept:
-        return f"in {linear.drifting - loop.kept} of its directions it drifts steadily, which nothing brings back"
+        return f"it has {linear.drifting - loop.kept} ramp modes without a restoring term"
     more = linear.at_rest - len(linear.states) + loop.moving + loop.kept
     if more > 0:
         return f"floats find that it rests in more directions, by {more}; its equations do not show that"
@@ -251,7 +252,7 @@ def _why(linear: Linear, loop: EnclosedLoop, clock: float | None, radius: float 
 
 
 def _proved_radius(loop: EnclosedLoop, clock: float) -> float | None:
-    """A modulus below one, a little above the largest eigenvalue's, that is proved."""
+    """Proved bound below one, slightly above the spectral radius."""
     F = loop.transition(clock)
     if not np.all(np.isfinite(numbers := F.floats())):
         return None
@@ -264,15 +265,13 @@ def _proved_radius(loop: EnclosedLoop, clock: float) -> float | None:
 
 
 def _short(period: float) -> float:
-    """A decimal of four digits, rounded down."""
+    """Round down to four decimal digits."""
     digits = 3 - math.floor(math.log10(period))
     return float(Fraction(math.floor(Fraction(period) * Fraction(10) ** digits)) / Fraction(10) ** digits)
 
 
 def _longest(loop: EnclosedLoop, bracket: Bracket, own: float | None) -> float | None:
-    """Bisection over periods that are proved one by one; of a large loop, which floats look at on its own clock alone,
-    upwards from there.
-    """
+    """Longest proved period by bisection; for a large loop, search upwards from its own period."""
 
     def proved(period: float) -> bool:
         try:

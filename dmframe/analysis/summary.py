@@ -1,4 +1,4 @@
-"""Everything that ``dmframe analyse`` tells of a graph, as objects and as plain data."""
+"""Linear analysis of a graph, as an object and as plain data."""
 
 from __future__ import annotations
 
@@ -22,23 +22,22 @@ from dmframe.exact.rational import Interval
 from dmframe.simulate import Solver
 
 NOTE = (
-    "The certificate speaks of continuous time. Near the set-point the poles are those of the loop linearised with "
-    "every estimate at its true value; a run that has not learnt them yet may stay bounded on a slower clock, or on "
-    "none."
+    "The certificate holds in continuous time. The poles are those of the loop linearised near the set-point with "
+    "every estimate at its true value; a run with other estimates may stay bounded at a longer period, or at none."
 )
 
 
 NOTE_OF_A_CLOCK = (
-    "This loop runs on a clock alone: it was linearised from sample to sample, about the set-point that it has there, "
-    "nothing drawn and no jitter, every estimate of which a true value is stated at that value. A run that has not "
-    "learnt them yet may stay bounded on a slower clock, or on none."
+    "This loop is discrete-time: it was linearised from sample to sample at its set-point, without random signals and "
+    "jitter, with estimates at their stated true values. A run with other estimates may stay bounded at a longer "
+    "period, or at none."
 )
 
 
 @final
 @dataclass(frozen=True, repr=False)
 class LoopAnalysis:
-    """The linear analysis of a diagram at its set-point, which is its trajectory at t = 0.
+    """Linear analysis of a diagram at its set-point, the trajectory at t = 0.
 
     Parameters
     ----------
@@ -49,19 +48,19 @@ class LoopAnalysis:
     joints
         Servo and inverse, joint by joint.
     periods
-        How slow the clock may be.
+        Largest stable sampling periods.
     ties
         K_c of each PID inverse, joint by joint.
     proofs
-        What interval arithmetic proves of `at_rest` and of `moving`.
+        Interval proofs for `at_rest` and `moving`.
     emulation
-        The largest adaptation gains that the clock bears, quasi-statically; nothing without a clock.
+        Quasi-static limits of adaptation gains; empty without a clock.
     unknown
-        Estimates of which no true value is known: they are where the set-point has them.
+        Estimates without known true values: they have their values at the set-point.
     averaged
-        Outputs that blocks declare to be rounded, as encoders are, each with its largest step.
+        Outputs declared as rounded, such as encoders, with their largest steps.
     field_hash
-        `Diagram.fingerprint` of the diagram that was analysed.
+        `Diagram.fingerprint`.
     """
 
     clock: float | None
@@ -78,15 +77,15 @@ class LoopAnalysis:
 
     @property
     def note(self) -> str:
-        """What the numbers speak of."""
+        """Scope of the numbers."""
         note = NOTE if self.at_rest.clock is None else NOTE_OF_A_CLOCK
         if self.averaged:
             steps = ", ".join(f"{label} (steps of {step:.3g})" for label, step in self.averaged.items())
-            note += f" What is rounded is taken as it is in the mean, the steps as fine: {steps}."
+            note += f" Rounded signals are replaced by their means: {steps}."
         if self.at_rest.kinks:
-            note += f" It rests at an edge of {listed(self.at_rest.kinks)}: the linearised loop is that of one side."
+            note += f" The equilibrium is at an edge of {listed(self.at_rest.kinks)}: the linearisation is one-sided."
         if self.unknown:
-            note += f" No true value is known of {', '.join(self.unknown)}: they are where the set-point has them."
+            note += f" True values of {', '.join(self.unknown)} are unknown: they have their values at the set-point."
         return note
 
     def __repr__(self) -> str:
@@ -105,8 +104,8 @@ def analyse(
 ) -> LoopAnalysis:
     """Linearise, find margins and poles, search for the largest stable sampling period, and find the least K_c.
 
-    The least K_c holds over the intervals of `uncertain`; all else is at the graph's numbers. `tell` is called with
-    what is done, which may take half a minute.
+    The least K_c holds over the intervals of `uncertain`; all other parameters have the values of the graph.
+    `tell` receives progress messages; the analysis may take half a minute.
 
     Raises
     ------
@@ -139,7 +138,7 @@ def analyse(
 
 
 def summary(name: str, analysis: LoopAnalysis) -> dict[str, Any]:
-    """Plain data that JSON can hold; a number that is not finite is None."""
+    """Plain data for JSON; non-finite numbers become None."""
     return {
         "graph": name,
         "field_hash": analysis.field_hash,

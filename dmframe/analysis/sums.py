@@ -1,7 +1,6 @@
-r"""What a program's values are as sums, exactly: factors that are rational times a power of the period T.
+r"""Exact linear combinations in a program: rational factors times powers of the period T.
 
-Two things are read off them: terms that cancel, as an estimate does in what it moves, and sums of states that a sample
-leaves as they are, as the difference of two integrals of one command.
+Used to find cancelling terms, and invariant sums of states such as the difference of two integrals of one command.
 """
 
 from __future__ import annotations
@@ -116,17 +115,17 @@ class Span:
 
 
 def conserved(moves: Mapping[int, Sum], powers: Iterable[int] = _POWERS) -> list[Sum]:
-    """Sums of states that a sample leaves as they are, each with a state, the first of it, that stands in no other.
+    """Invariant sums of states; the first state of each occurs in no other sum.
 
     Parameters
     ----------
     moves
-        By state: what it moves in a sample, as a sum.
+        Change of each state in a sample, as a sum.
 
-    Returns the factors by state and power of T; of the first state it is one.
+    Returns the factors by state and power of T, one for the first state.
     """
     active = {state: one for state, one in moves.items() if one}
-    while True:  # what stands in one state's move alone cancels in no sum
+    while True:  # a term in the change of a single state never cancels
         uses = dict[int, int]()
         for one in active.values():
             for place in {place for place, _ in one}:
@@ -145,7 +144,7 @@ def conserved(moves: Mapping[int, Sum], powers: Iterable[int] = _POWERS) -> list
 
 
 def _each_with_its_own(relations: Sequence[Sum]) -> list[Sum]:
-    """Those relations of which one state, with a factor free of T, stands in no other."""
+    """Relations with a state, of a factor independent of T, that occurs in no other relation."""
     found = list[Sum]()
     for relation in relations:
         taken = {next(iter(other))[0] for other in found}

@@ -1,13 +1,13 @@
-r"""Which way a loop's switches turn out where it rests: comparisons, signs, roundings, rests of divisions, saturations.
+r"""Active pieces of switching functions at an equilibrium: comparisons, signs, rounding, remainders, saturation.
 
-Strictly inside a piece a switch is what it is there, and a guard says so: a number above zero as long as it stays so.
-On an edge it has no slope, and what is linear says nothing of what is near. The linearised loop in floats and the
-interval proof take their pieces from here, both.
+Inside a piece a switching function is smooth, and a guard (a positive number) certifies the piece. On an edge it has no
+derivative, so a linearisation is not valid nearby. The floating-point linearisation and the interval proof both use
+these pieces.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import casadi as ca
@@ -54,15 +54,21 @@ def unknown(code: int) -> Exception:
     return UndecidedError(f"CasADi's instruction {code} is not known here")
 
 
-def numbers_of(program: Program, symbols: Sequence[SX], at: Sequence[Any]) -> Array:
-    """The values of all nodes at a point, in floating point."""
-    values = run(
+def values_of(program: Program, symbols: Sequence[SX], keep: Callable[[Node, SX], SX] | None = None) -> list[SX]:
+    """The values of all nodes as expressions; `keep` may replace each, before others are made of it."""
+    return run(
         program,
         APPLY,
         given=lambda argument, element: symbols[argument].nz[element],
         constant=ca.SX,
         refuse=unknown,
+        keep=keep,
     )
+
+
+def numbers_of(program: Program, symbols: Sequence[SX], at: Sequence[Any]) -> Array:
+    """The values of all nodes at a point, in floating point."""
+    values = values_of(program, symbols)
     return np.asarray(ca.Function("nodes", list(symbols), [ca.vertcat(*values)])(*at).full()).ravel()
 
 
@@ -176,7 +182,7 @@ def turning(expression: SX, symbols: Sequence[SX], at: Sequence[Any]) -> tuple[l
 
 
 def _ways(place: int, program: Program, numbers: Array) -> list[float]:
-    """What else a switch on its edge may be just beside the point; nothing, where another switch decides it."""
+    """Other values of a switch on its edge near the point; empty if another switch determines it."""
     node, value = program.nodes[place], float(numbers[place])
     name, first, last = _NAMES[node.code], float(numbers[node.a]), float(numbers[node.b])
     decided = all(program.nodes[k].code in _TRUTHS for k in node.operands)
@@ -211,15 +217,7 @@ def _jumping(
         k = order.get(next(places))
         return value if k is None else free[k]
 
-    values = run(
-        program,
-        APPLY,
-        given=lambda argument, element: symbols[argument].nz[element],
-        constant=ca.SX,
-        refuse=unknown,
-        keep=keep,
-    )
-    (found,) = program.stored(values)
+    (found,) = program.stored(values_of(program, symbols, keep))
     outputs = ca.Function("outputs", [*symbols, free], [ca.vertcat(*found)])
     own = numbers[list(both)]
     here, jumps = outputs(*at, own).full(), set[str]()
@@ -232,4 +230,4 @@ def _jumping(
     return jumps
 
 
-__all__ = ["APPLY", "apart", "chosen", "numbers_of", "turning", "unknown"]
+__all__ = ["APPLY", "apart", "chosen", "numbers_of", "turning", "unknown", "values_of"]

@@ -1,4 +1,4 @@
-"""K_c, which ties a PID inverse's reference to the measured pose: the least that the proof allows."""
+"""Least gain K_c of the feedback correction of the reference in a PID inverse."""
 
 from __future__ import annotations
 
@@ -157,15 +157,15 @@ def _interval(name: str, gain: Gain, *, positive: bool) -> Interval:
 
 
 def tie_gains(diagram: Diagram, uncertain: Mapping[str, Sequence[Interval]] | None = None) -> tuple[TieGain, ...]:
-    """K_c of each PID inverse of a diagram beside the least that its servo allows, joint by joint.
+    """K_c of each PID inverse and its least admissible value for the servo, joint by joint.
 
     A PID inverse is a block with a parameter K_c whose proof reads K_D, K_P, K_I, B and K of the plant.
 
     Parameters
     ----------
     uncertain
-        Intervals of the plant's parameters, ``{"servo.K_D": [Interval, ...]}``: the graph's key of that name, read by
-        `dmframe.certify.uncertain.intervals`. Parameters that it does not name have the graph's own numbers.
+        Intervals of the plant's parameters, ``{"servo.K_D": [Interval, ...]}``: see the graph key ``uncertain`` and
+        `dmframe.certify.uncertain.intervals`. Other parameters have the values of the graph.
     """
     return tuple(gain for name in diagram.blocks for gain in _ties(diagram, name, uncertain or {}))
 

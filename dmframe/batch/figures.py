@@ -1,9 +1,9 @@
-"""What is kept of each of many runs: figures of its error and of some signals."""
+"""Figures of merit of many runs: RMS, extremes, last value and first limit crossing of the error and of signals."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, final
 
@@ -14,93 +14,99 @@ from dmframe.results.metrics import EIGHTHS
 from dmframe.units import plain
 
 ERROR: Final = "error"
-"""The name of the tracking error's Euclidean norm among the figures."""
+"""Label of the Euclidean norm of the tracking error."""
 TURN: Final = "turn"
-"""The name of the angle between a tool's orientation and the desired one among the figures [deg]."""
+"""Label of the angle between the tool's orientation and the desired one [deg]."""
+PER_OUTPUT: Final = EIGHTHS + 4
+"""Figures of one scalar: RMS in each eighth, least, most, last, time of the first crossing."""
+LEAST, MOST, LAST, CROSSED = range(EIGHTHS, PER_OUTPUT)
 
 
 @final
 @dataclass(frozen=True)
 class Wanted:
-    """What is measured of each run.
+    """What to measure in each run, in addition to the tracking error.
 
     Parameters
     ----------
     signals
-        Labels ``block.signal`` of states and outputs, beside the tracking error.
+        Labels ``block.signal`` of states and outputs.
     limits
-        By label, `ERROR` and `TURN` too, the absolute value whose first crossing is looked for, in the signal's unit.
+        By label (also `ERROR` and `TURN`), the absolute value whose first crossing is recorded, in the signal's unit.
     """
 
     signals: tuple[str, ...] = ()
     limits: Mapping[str, float] = field(default_factory=dict)
 
     def limit(self, label: str) -> float:
-        """Infinite where there is none."""
+        """The limit of a label; infinite without one."""
         return self.limits.get(label, np.inf)
 
 
 @final
 @dataclass(frozen=True, repr=False)
 class Figures:
-    """Of one signal in N runs, over the instants that a run keeps; nan where a run never came.
+    """Figures of one signal in N runs, over the recorded instants; nan where a run diverged before.
 
     Parameters
     ----------
     unit
-        Of all but `crossed`.
-    rms_by_eighth
-        (N, rows, 8), over each eighth of the planned duration.
-    least, most, last
-        (N, rows).
-    crossed
-        (N, rows), when the absolute value first left its limit [s]; nan where it never did, or has none.
+        Of all figures except `crossed`, which is in seconds.
+    data
+        (N, rows, `PER_OUTPUT`).
     """
 
     unit: str
-    rms_by_eighth: np.ndarray
-    least: np.ndarray
-    most: np.ndarray
-    last: np.ndarray
-    crossed: np.ndarray
+    data: np.ndarray
 
-    @classmethod
-    def empty(cls, unit: str, runs: int, rows: int) -> Figures:
-        """Figures of runs of which nothing is known yet, to be written into."""
-        rms, *others = (np.full((runs, rows, *more), np.nan) for more in ((EIGHTHS,), (), (), (), ()))
-        return cls(unit, rms, *others)
+    @property
+    def rms_by_eighth(self) -> np.ndarray:
+        """(N, rows, 8), over each eighth of the planned duration."""
+        return self.data[..., :EIGHTHS]
 
-    def put(self, runs: np.ndarray | int, other: Figures) -> None:
-        """Write figures of some of the runs."""
-        self.rms_by_eighth[runs] = other.rms_by_eighth
-        self.least[runs] = other.least
-        self.most[runs] = other.most
-        self.last[runs] = other.last
-        self.crossed[runs] = other.crossed
+    @property
+    def least(self) -> np.ndarray:
+        """(N, rows)."""
+        return self.data[..., LEAST]
+
+    @property
+    def most(self) -> np.ndarray:
+        """(N, rows)."""
+        return self.data[..., MOST]
+
+    @property
+    def last(self) -> np.ndarray:
+        """(N, rows)."""
+        return self.data[..., LAST]
+
+    @property
+    def crossed(self) -> np.ndarray:
+        """(N, rows): time at which the absolute value first exceeded its limit [s]; nan if it never did."""
+        return self.data[..., CROSSED]
 
     @property
     def rms_final(self) -> np.ndarray:
         """(N, rows), over the last eighth."""
-        return np.asarray(self.rms_by_eighth[..., -1])
+        return self.data[..., EIGHTHS - 1]
 
 
 @final
 @dataclass(frozen=True, repr=False)
 class Measured:
-    """The figures of N runs, in their order.
+    """Figures of N runs, in their order.
 
     Parameters
     ----------
     signals
-        By label; under `ERROR` the norm of the tracking error, one row, where the loop has a goal.
+        By label; `ERROR` is the norm of the tracking error, one row, if the loop has a goal.
     diverged
-        (N,), when a state left its bounds [s]; nan for a run that came to its end.
+        (N,), time at which a state left its bounds [s]; nan for a completed run.
     faults
-        Of runs that could not be made, by their place; all their figures are nan.
+        By run: why it could not be prepared; its figures are nan.
     notices
-        What a user should know of the runs together.
+        Warnings about the runs as a whole.
     engine
-        What ran them: ``lanes of 8``, ``compiled``, ``interpreted``, or several of these.
+        What ran them: ``SIMD batch of 8``, ``compiled``, ``interpreted``, or several of these.
     """
 
     signals: Mapping[str, Figures]
@@ -116,8 +122,19 @@ class Measured:
 
     @property
     def error(self) -> Figures | None:
-        """Of the tracking error's norm; None without a goal."""
+        """Figures of the tracking error's norm; None without a goal."""
         return self.signals.get(ERROR)
+
+    @property
+    def layout(self) -> dict[str, tuple[str, int]]:
+        """Unit and number of rows of each signal."""
+        return {label: (figures.unit, figures.data.shape[1]) for label, figures in self.signals.items()}
+
+    def part(self, first: int, stop: int) -> Measured:
+        """The runs [first, stop) alone."""
+        signals = {label: Figures(item.unit, item.data[first:stop]) for label, item in self.signals.items()}
+        faults = {run - first: fault for run, fault in self.faults.items() if first <= run < stop}
+        return Measured(signals, self.diverged[first:stop], faults, self.notices, self.engine)
 
     def __repr__(self) -> str:
         ended = int(np.isfinite(self.diverged).sum())
@@ -125,70 +142,72 @@ class Measured:
 
 
 @final
-@dataclass(frozen=True)
-class Board:
-    """Where figures of many runs are written as they come.
+class FigureTable:
+    """Figures of N runs, filled in as the runs end.
 
     Parameters
     ----------
+    layout
+        Unit and number of rows of each signal, by label.
+
+    Attributes
+    ----------
+    data
+        (N, outputs, `PER_OUTPUT`), the rows of all signals in the order of the layout.
     steps
-        By method, steps that were chosen for stiff plants [s], with the number of runs that took them.
-    again
-        How many runs were done again at shorter steps.
+        By method, the integrator steps chosen for stiff plants [s], with the number of runs that took them.
+    repeated
+        How many runs were repeated with shorter steps.
     """
 
-    signals: Mapping[str, Figures]
-    diverged: np.ndarray
-    faults: dict[int, DmframeError] = field(default_factory=dict)
-    notices: dict[str, None] = field(default_factory=dict)
-    engines: dict[str, None] = field(default_factory=dict)
-    steps: defaultdict[str, list[tuple[float, int]]] = field(default_factory=lambda: defaultdict(list))
-    again: list[int] = field(default_factory=lambda: [0])
-
-    @classmethod
-    def empty(cls, signals: Mapping[str, tuple[str, int]], runs: int) -> Board:
-        """For signals with their units and rows."""
-        figures = {label: Figures.empty(unit, runs, rows) for label, (unit, rows) in signals.items()}
-        return cls(figures, np.full(runs, np.nan))
-
-    @classmethod
-    def like(cls, found: Measured, runs: int) -> Board:
-        """For the signals that others have measured."""
-        rows = {label: (figures.unit, figures.last.shape[1]) for label, figures in found.signals.items()}
-        return cls.empty(rows, runs)
+    def __init__(self, layout: Mapping[str, tuple[str, int]], runs: int) -> None:
+        self.layout, self.diverged = dict(layout), np.full(runs, np.nan)
+        self.data = np.full((runs, sum(rows for _, rows in layout.values()), PER_OUTPUT), np.nan)
+        self.faults = dict[int, DmframeError]()
+        self.notices, self.engines = dict[str, None](), dict[str, None]()
+        self.steps = defaultdict[str, list[tuple[float, int]]](list)
+        self.repeated = 0
 
     def put(self, runs: np.ndarray, found: Measured) -> None:
-        """Write what has been measured of some runs. Raises `ValueFault` where it is of other signals."""
-        mine, theirs = (
-            {label: (figures.unit, figures.last.shape[1]) for label, figures in signals.items()}
-            for signals in (self.signals, found.signals)
-        )
-        if mine != theirs:
-            text = "expected runs that measure the same signals, found some of other units or sizes"
-            raise ValueFault(f"values: {text}; measure them apart")
-        for label, figures in found.signals.items():
-            self.signals[label].put(runs, figures)
+        """Write the figures of some runs of the same signals."""
+        self.data[runs] = np.concatenate([self.data[runs, :0], *(item.data for item in found.signals.values())], axis=1)
         self.diverged[runs] = found.diverged
         self.faults.update({int(runs[run]): fault for run, fault in found.faults.items()})
-        self.tell(found.engine, *found.notices)
+        self.note(found.engine, *found.notices)
 
-    def tell(self, engine: str, *notices: str) -> None:
-        """What ran some of the runs, and what is to be known of them."""
+    def note(self, engine: str, *notices: str) -> None:
+        """Record the engine of some runs, and their warnings."""
         self.engines[engine] = None
         self.notices.update(dict.fromkeys(notices))
 
     def measured(self) -> Measured:
-        """All of it."""
+        """All runs."""
+        signals, first = dict[str, Figures](), 0
+        for label, (unit, rows) in self.layout.items():
+            signals[label] = Figures(unit, self.data[:, first : first + rows])
+            first += rows
         engine = " and ".join(self.engines) or "none"
-        return Measured(self.signals, self.diverged, self.faults, (*self.notices, *self._chosen()), engine)
+        return Measured(signals, self.diverged, self.faults, (*self.notices, *self._step_notices()), engine)
 
-    def _chosen(self) -> Iterator[str]:
-        """What integrated the runs that needed more than the usual steps."""
+    def _step_notices(self) -> Iterator[str]:
+        """Which integrator steps the stiff runs took."""
         runs = len(self.diverged)
         for method, steps in self.steps.items():
             least, most = (plain(end(step for step, _ in steps), "s") for end in (min, max))
             span = least if least == most else f"{least} to {most}"
             many = sum(count for _, count in steps)
             yield f"the plant is stiff in {many} of {runs} runs: {method} takes steps of {span}"
-        if self.again[0]:
-            yield f"at longer steps the integrator itself diverged in {self.again[0]} of {runs} runs"
+        if self.repeated:
+            yield f"at longer steps the integrator itself diverged in {self.repeated} of {runs} runs"
+
+
+def merged(parts: Sequence[tuple[np.ndarray, Measured]], runs: int) -> Measured:
+    """Figures of N runs from those of parts of them. Raises `ValueFault` if these measure different signals."""
+    layout = parts[0][1].layout
+    if any(part.layout != layout for _, part in parts):
+        text = "expected runs that measure the same signals, found some with other units or sizes"
+        raise ValueFault(f"values: {text}; sweep them separately")
+    table = FigureTable(layout, runs)
+    for some, part in parts:
+        table.put(some, part)
+    return table.measured()

@@ -1,4 +1,4 @@
-"""Where many runs begin: `start_state` of each, all together where no more than numbers differ."""
+"""Initial states of many runs: `start_state` of each, evaluated at once if the runs differ in numbers alone."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from dmframe.simulate.instants import DRAWN, Instants
 from dmframe.simulate.start import (
     NEAR,
     ROUNDING,
+    fixed_starts,
     goal_and_place,
     on_path,
     pose_on_path,
     start_state,
-    told_starts,
 )
 from dmframe.simulate.start_expressions import symbolic_start
 
 Varied = Callable[[int], Diagram]
-"""The diagram of one run, with its numbers."""
+"""(run) -> its diagram, with its numbers."""
 
 
 def starts_of(
@@ -36,14 +36,14 @@ def starts_of(
     instants: Instants,
     made: Made,
 ) -> tuple[np.ndarray, dict[int, DmframeError]]:
-    """(S, N): where each run begins, and the faults of those that cannot.
+    """(S, N): initial state of each run, and the faults of runs without one.
 
     Parameters
     ----------
     labels
-        What varies.
+        Varied parameters.
     p
-        (P, N), the runs' parameters, of runs that have some.
+        (P, N), the runs' parameters.
     given, instants, made
         See `start_state`.
     """
@@ -56,10 +56,10 @@ def starts_of(
         except DmframeError as fault:
             faults[run] = fault
 
-    posed = list(on_path(diagram, told_starts(diagram, given), made))
+    posed = list(on_path(diagram, fixed_starts(diagram, given), made))
     symbols = {parameter.label for parameter in diagram.loop.parameters}
     numbers = {variable.label for variable in diagram.loop.variables} & set(labels) - symbols
-    if numbers or len(posed) > 1:  # starts that no expression reads; of two poses, one may hang on the other
+    if numbers or len(posed) > 1:  # initial values outside of p; of two poses, one may depend on the other
         for run in range(runs):
             alone(run)
         return states, faults
@@ -68,7 +68,7 @@ def starts_of(
     if unknown is not None:
         read = _read(diagram, *posed[0], made)
         for members in _alike(p[read]):
-            try:  # the pose alone: whatever else ails the first of them is not the others' fault
+            try:  # the pose alone: other faults of the first run are not those of the others
                 pose = pose_on_path(varied(members[0]), given, made, unknown)
                 poses[:, members] = pose.reshape(-1, 1, order="F")
             except DmframeError as fault:
@@ -83,20 +83,20 @@ def starts_of(
 
 
 def _begin(diagram: Diagram, given: Mapping[str, Any], unknown: Variable | None, instants: Instants, made: Made) -> Any:
-    """(pose, T, p) -> the state that the blocks say, and the same put into its sets."""
+    """(pose, T, p) -> initial state of the blocks, and its projection into their sets."""
     pose = ca.SX.sym("pose", 0) if unknown is None else unknown.symbol
     drawn = instants.rows(0, 1)[0, DRAWN:]
-    said = {key: value for key, value in given.items() if key != NEAR}
-    key = ("begin", repr(said), str(drawn.tolist()))
+    stated = {key: value for key, value in given.items() if key != NEAR}
+    key = ("begin", repr(stated), str(drawn.tolist()))
     if key not in made:
-        free, held = symbolic_start(diagram, given, unknown, drawn)
+        free, projected = symbolic_start(diagram, given, unknown, drawn)
         loop = diagram.loop
-        made[key] = ca.Function("begin", [pose, loop.period, loop.p], ca.cse([ca.densify(free), ca.densify(held)]))
+        made[key] = ca.Function("begin", [pose, loop.period, loop.p], ca.cse([ca.densify(free), ca.densify(projected)]))
     return made[key]
 
 
 def _read(diagram: Diagram, followed: Any, unknown: Variable, made: Made) -> np.ndarray:
-    """Places in p of the numbers on which the pose hangs."""
+    """Indices in p of the numbers on which the pose depends."""
     read = np.zeros(diagram.loop.p.numel(), dtype=bool)
     for function in goal_and_place(diagram.loop, followed, unknown, made):
         columns = function.sparsity_jac(1, 0) if hasattr(function, "sparsity_jac") else function.jac_sparsity(0, 1)
@@ -105,7 +105,7 @@ def _read(diagram: Diagram, followed: Any, unknown: Variable, made: Made) -> np.
 
 
 def _alike(columns: np.ndarray) -> list[np.ndarray]:
-    """Places of the columns that are equal to one another, together."""
+    """Indices of the columns, grouped by equal columns."""
     if not columns.size:
         return [np.arange(columns.shape[1])] if columns.shape[1] else []
     _, which = np.unique(columns, axis=1, return_inverse=True)

@@ -1,4 +1,4 @@
-"""The numbers of many runs as the columns of one matrix, each checked as a graph file's are."""
+"""Parameters of many runs as columns of one matrix, each checked as in a graph file."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from dmframe.parameter import Spec, specs
 
 
 def columns_of(values: Mapping[str, object]) -> dict[str, np.ndarray]:
-    """Values as arrays with a row a run. Raises `ValueFault` where they are none, or differ in length."""
+    """Values as arrays with a row per run. Raises `ValueFault` if they are not numbers, or differ in length."""
     columns = dict[str, np.ndarray]()
     for label, column in values.items():
         try:
             columns[label] = np.asarray(column, dtype=float)
         except (TypeError, ValueError):
-            raise ValueFault(f"values.{label}: expected an array of numbers with a row a run") from None
+            raise ValueFault(f"values.{label}: expected an array of numbers with a row per run") from None
         if columns[label].ndim == 0:
-            raise ValueFault(f"values.{label}: expected a row a run, found one number")
+            raise ValueFault(f"values.{label}: expected a row per run, found one number")
     lengths = {label: len(column) for label, column in columns.items()}
     if len(set(lengths.values())) > 1:
-        told = ", ".join(f"{label} {length}" for label, length in lengths.items())
-        raise ValueFault(f"values: expected as many rows of each, found {told}")
+        counts = ", ".join(f"{label} {length}" for label, length in lengths.items())
+        raise ValueFault(f"values: expected columns of one length, found {counts}")
     return columns
 
 
 def runs_in(columns: Mapping[str, np.ndarray], alike: int = 1) -> int:
-    """How many runs there are; `alike` where nothing varies."""
+    """Number of runs; `alike` if nothing varies."""
     return next((len(column) for column in columns.values()), alike)
 
 
@@ -46,15 +46,15 @@ def varied(diagram: Diagram, columns: Mapping[str, np.ndarray], run: int) -> Dia
 def parameters_of(
     diagram: Diagram, columns: Mapping[str, np.ndarray], runs: int
 ) -> tuple[np.ndarray, dict[int, DmframeError]]:
-    """(P, N): the column `ClosedLoop.p_values` of each run, and the faults of those that have none.
+    """(P, N): the column `ClosedLoop.p_values` of each run, and the faults of runs with values that are not allowed.
 
-    Where no more than its sign and size is asked of each parameter, all runs are looked at together; else, and where
-    one is refused, each by itself.
+    All runs are checked at once if the parameters only require a sign and a size; otherwise, and to report a fault,
+    each run is checked by itself.
 
     Raises
     ------
     UnknownNameError, NeedsDiagramError
-        A label that cannot be varied, whatever its value.
+        A parameter that cannot be varied.
     """
     p = np.repeat(diagram.loop.p_values[:, None], runs, axis=1)
     alone = np.ones(runs, dtype=bool)
@@ -63,7 +63,7 @@ def parameters_of(
         alone[:] = False
         for parameter in filter(None, plain):
             alone |= ~parameter.put(p)
-        alone[[0, -1]] = True  # two that differ, as a rule: they show whether blocks take them all as symbols
+        alone[[0, -1]] = True  # usually two that differ: they show whether the blocks use them as symbols
     faults = dict[int, DmframeError]()
     for run in np.flatnonzero(alone).tolist():
         try:
@@ -78,14 +78,14 @@ def parameters_of(
 @final
 @dataclass(frozen=True)
 class _Plain:
-    """A parameter of which every element may be any finite number of one sign, and where it stands in p."""
+    """A parameter whose elements may be any finite numbers of one sign, and its rows in p."""
 
     sign: str
     column: np.ndarray
     places: tuple[slice, ...]
 
     def put(self, p: np.ndarray) -> np.ndarray:
-        """Write the values of all runs; returns which of them are allowed."""
+        """Write the values of all runs; returns which runs are allowed."""
         for place in self.places:
             p[place] = self.column.T
         sound = np.all(np.isfinite(self.column), axis=1)
@@ -96,7 +96,7 @@ class _Plain:
 
 
 def _plain(diagram: Diagram, label: str, column: np.ndarray) -> _Plain | None:
-    """A parameter that can be put into p without its block; None for another, and for values of another size."""
+    """A parameter that can be written to p without its block; None for others, and for values of another size."""
     block, _, name = label.partition(".")
     owner = diagram.blocks.get(block)
     spec = None if owner is None else specs(type(owner)).get(name)
@@ -116,7 +116,7 @@ def _plain(diagram: Diagram, label: str, column: np.ndarray) -> _Plain | None:
 
 
 def _elements(spec: Spec, column: bool) -> bool:
-    """True where a parameter's elements are independent of one another."""
+    """True if a parameter's elements are independent of one another."""
     return column and spec.form in ("diagonal", "vector", "gain")
 
 
@@ -127,6 +127,6 @@ def _has_rules(kind: type[AbstractBlock]) -> bool:
 
 
 def _followed(diagram: Diagram, block: str) -> bool:
-    """True where another block's gain follows from the block's parameters."""
+    """True if another block's gain is computed from the block's parameters."""
     gains = (getattr(other, key) for other in diagram.blocks.values() for key in specs(type(other)))
     return any(isinstance(gain, Prior) and gain.inverse_of == block for gain in gains)

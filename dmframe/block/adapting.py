@@ -18,7 +18,7 @@ from dmframe.adaptation import Estimate, Fit, Terms, adaptation
 from dmframe.block.base import AbstractBlock, Equations, Signals, owner_of, with_estimates
 from dmframe.block.names import type_name
 from dmframe.block.numberless import without_numbers
-from dmframe.certificate import SX, Certificate, SampledCertificate, TrueValue
+from dmframe.certificate import SX, Certificate, TrueValue
 from dmframe.errors import BlockError, MissingError, ValueFault, nearest, raise_all
 from dmframe.linalg import metric, times
 from dmframe.naming import named, reading
@@ -129,15 +129,11 @@ class AdaptingBlock(AbstractBlock):
         return {**said, **self._nominal(u, p)}
 
     @final
-    def composed_certificate(
-        self, u: Signals, x: Signals, p: Signals, truth: Signals
-    ) -> Certificate | SampledCertificate | None:
+    def composed_certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
         """The plain certificate, with the squares of the estimates, and with what the options spend and leave."""
         return without_numbers(self, owner_of(u))._with_terms(u, x, p, truth)
 
-    def _with_terms(
-        self, u: Signals, x: Signals, p: Signals, truth: Signals
-    ) -> Certificate | SampledCertificate | None:
+    def _with_terms(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
         plain = self.certificate(u, x, p, truth)
         if not isinstance(plain, Certificate):
             return plain

@@ -5,10 +5,12 @@ From the one statement come the simulation, the generated code, the certificate,
 
 from __future__ import annotations
 
+import warnings
 from abc import abstractmethod
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import casadi as ca
@@ -18,11 +20,11 @@ from dmframe import notebook
 from dmframe.block.faults import parameter_faults, told_apart
 from dmframe.block.names import type_name
 from dmframe.block.numberless import unreadable, without_numbers
-from dmframe.certificate import SX, Certificate, Condition, SampledCertificate, Square
+from dmframe.certificate import SX, Certificate, Condition, Square
 from dmframe.errors import BlockError, DmframeError, nearest, raise_all
 from dmframe.fields import check_fields
-from dmframe.parameter import read, spec_of, specs
-from dmframe.port import PERIOD, TIME, Adapted, Element, Port, Side, State
+from dmframe.parameter import read, spec_of, specs, with_stated
+from dmframe.port import PERIOD, TIME, Adapted, Element, Input, Output, Port, Side, State
 
 if TYPE_CHECKING:
     from dmframe.block.evaluate import Values
@@ -32,8 +34,10 @@ if TYPE_CHECKING:
 class Signals:
     """Named expressions, read as attributes: ``u.dq``, ``x.w``, ``p.Lambda``."""
 
-    def __init__(self, owner: str, kind: str, values: Mapping[str, SX]) -> None:
-        self._owner, self._kind, self._values = owner, kind, dict(values)
+    def __init__(
+        self, owner: str, kind: str, values: Mapping[str, SX], options: Mapping[str, str] = MappingProxyType({})
+    ) -> None:
+        self._owner, self._kind, self._values, self._options = owner, kind, dict(values), options
 
     def __getattr__(self, name: str) -> SX:
         if name.startswith("__"):
@@ -41,6 +45,12 @@ class Signals:
         try:
             return self._values[name]
         except KeyError:
+            if name in self._options:
+                raise BlockError(
+                    f"{self._owner}: its equations read {name}, a parameter annotated `{self._options[name]}`; for a "
+                    f'number annotate it as {name}: Scalar = Real(unit="..."), for one per joint as {name}: Diagonal = '
+                    f'Positive("n", "..."); read an option as self.{name}'
+                ) from None
             text = f"{self._owner}: its equations read {name}, which is none of its {self._kind}"
             raise BlockError(f"{text}; {nearest(name, self._values)}") from None
 
@@ -96,6 +106,20 @@ def with_estimates(stated: Certificate, x: Signals) -> Certificate:
     return replace(stated, storage=(*stated.storage, *squares))
 
 
+def _split_ports(cls: type[AbstractBlock]) -> None:
+    """Make `Input` or `Output` of each former `Port` of a class."""
+    for name, kind in (("inputs", Input), ("outputs", Output), ("truth", Input)):
+        items = cls.__dict__.get(name)
+        if not isinstance(items, tuple | list) or not any(isinstance(item, Port) for item in items):
+            continue
+        text = f"{cls.__name__}: write {kind.__name__}(...) instead of Port(...) in {name}"
+        warnings.warn(text, DeprecationWarning, stacklevel=4)
+        try:
+            setattr(cls, name, tuple(item.as_kind(kind) if isinstance(item, Port) else item for item in items))
+        except TypeError as error:
+            raise BlockError(f"{cls.__name__}: {error}") from None
+
+
 class AbstractBlock(BaseModel):
     """The base of every block; a block is a final subclass in a file of its own.
 
@@ -111,10 +135,10 @@ class AbstractBlock(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     side: ClassVar[Side] = Side.CONTROLLER
-    inputs: ClassVar[tuple[Port, ...]] = ()
-    outputs: ClassVar[tuple[Port, ...]] = ()
+    inputs: ClassVar[tuple[Input, ...]] = ()
+    outputs: ClassVar[tuple[Output, ...]] = ()
     states: ClassVar[tuple[State, ...]] = ()
-    truth: ClassVar[tuple[Port, ...]] = ()
+    truth: ClassVar[tuple[Input, ...]] = ()
     estimates: ClassVar[tuple[Adapted, ...]] = ()
     uses_robot: ClassVar[bool] = False
     renamed: ClassVar[Mapping[str, str]] = {}
@@ -128,6 +152,7 @@ class AbstractBlock(BaseModel):
         from dmframe.block.contract import malformed  # which needs this class
 
         super().__pydantic_init_subclass__(**kwargs)
+        _split_ports(cls)
         raise_all([BlockError(f"{cls.__name__}: {text}") for text in malformed(cls)])
 
     def __init__(self, /, **values: Any) -> None:
@@ -144,18 +169,19 @@ class AbstractBlock(BaseModel):
                 raise fault
             return super().__getattr__(name)
 
-    @field_validator("*", mode="before")
+    @field_validator("*", mode="wrap")
     @classmethod
-    def _read_quantity(cls, value: Any, info: Any) -> Any:
+    def _read_quantity(cls, value: Any, checked: Any, info: Any) -> Any:
         spec = spec_of(cls.model_fields[info.field_name])
         if spec is None:
-            return told_apart(value, cls.model_fields[info.field_name].annotation)
+            return checked(told_apart(value, cls.model_fields[info.field_name].annotation))
         if value is None and cls.model_fields[info.field_name].default is None:
-            return value
+            return checked(value)
         try:
-            return read(value, spec)
+            numbers = read(value, spec)
         except DmframeError as error:
             raise ValueError(error.text) from None
+        return with_stated(checked(numbers), numbers)
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
         """Letters that this block binds by itself, ``{"p": 36}``; `robot` is the chain, or None."""
@@ -188,9 +214,7 @@ class AbstractBlock(BaseModel):
         del u, p, truth
         return {}
 
-    def certificate(
-        self, u: Signals, x: Signals, p: Signals, truth: Signals
-    ) -> Certificate | SampledCertificate | None:
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
         """Storage, dissipation and supply; of a block in sampled time, what it stores, loses and gains from sample to
         sample; None for a block that can run but not be proved.
         """
@@ -217,9 +241,7 @@ class AbstractBlock(BaseModel):
         """The same of the conditions."""
         return without_numbers(self, owner_of(p)).conditions(p, truth)
 
-    def composed_certificate(
-        self, u: Signals, x: Signals, p: Signals, truth: Signals
-    ) -> Certificate | SampledCertificate | None:
+    def composed_certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
         """The certificate that is proved: the one stated, with the squares of its estimates in its storage."""
         stated = without_numbers(self, owner_of(u)).certificate(u, x, p, truth)
         return with_estimates(stated, x) if isinstance(stated, Certificate) and stated.estimates else stated

@@ -16,14 +16,14 @@ from dmframe.block.names import names_of
 from dmframe.errors import DmframeError, UnitError, nearest
 from dmframe.names import distinct, look_alikes, unicode_name
 from dmframe.parameter import read, specs
-from dmframe.port import DISTRIBUTIONS, TIME, Access, Adapted, Port, Side, State
+from dmframe.port import DISTRIBUTIONS, TIME, Access, Adapted, Input, Output, Side, Signal, State
 from dmframe.units import compatible, shorten
 
-_LISTS: Final[Mapping[str, type[Port | State | Adapted]]] = {
-    "inputs": Port,
-    "outputs": Port,
+_LISTS: Final[Mapping[str, type[Signal | State | Adapted]]] = {
+    "inputs": Input,
+    "outputs": Output,
     "states": State,
-    "truth": Port,
+    "truth": Input,
     "estimates": Adapted,
 }
 _KINDS: Final[Mapping[str, type]] = {"str": str, "bool": bool, "int": int, "Access": Access}
@@ -40,7 +40,7 @@ def malformed(block: type[AbstractBlock]) -> Iterator[str]:
             continue
         for item in items:
             if not isinstance(item, kind):
-                yield f"expected each of its {name} to be a {kind.__name__}, found {_short(item)}"
+                yield f"expected each of its {name} to be {_article(kind)}, found {_short(item)}"
             else:
                 yield from _misfit(item, f"of the {kind.__name__.lower()} {_short(item.name)} in {name}")
     names = block.renamed
@@ -86,13 +86,17 @@ def _misfit(item: Any, of: str) -> Iterator[str]:
             yield f"expected the {each.name} {of} to be {expected}, found {_short(value)}"
 
 
+def _article(kind: type) -> str:
+    return f"{'an' if kind.__name__[0] in 'AIO' else 'a'} {kind.__name__}"
+
+
 def _short(value: object) -> str:
     return shorten(repr(value), 40)
 
 
 def breaches(block: type[AbstractBlock]) -> Iterator[str]:
     """What is wrong with a block's class, one text a breach."""
-    kinds: dict[str, Sequence[Port | State]] = {
+    kinds: dict[str, Sequence[Signal | State]] = {
         "input": block.inputs,
         "output": block.outputs,
         "state": block.states,
@@ -132,17 +136,16 @@ def breaches(block: type[AbstractBlock]) -> Iterator[str]:
             yield f"says that {old} is renamed {new}, which is no parameter, state or port; {nearest(new, present)}"
         if old in present:
             yield f"says that {old} is renamed {new}, and still has {old}"
-    for port in (*block.inputs, *block.outputs):
-        if port.drawn and port not in block.inputs:
-            yield f"the output {port.name} is drawn; an input is, from which outputs may follow"
-        elif port.drawn and port.drawn not in DISTRIBUTIONS:
-            yield f"the input {port.name} is drawn from {port.drawn}, unknown; {nearest(port.drawn, DISTRIBUTIONS)}"
-    for port in (*block.inputs, *block.outputs):
-        for word, said, side in (("steps", port.steps, Side.SOURCE), ("is shown", port.shown, Side.CONTROLLER)):
-            if said and (port not in block.outputs or block.side is not side):
-                yield f"says that {port.name} {word}, and it is no output of a {side.value}; leave that out"
+    for reader in block.inputs:
+        if reader.drawn and reader.drawn not in DISTRIBUTIONS:
+            near = nearest(reader.drawn, DISTRIBUTIONS)
+            yield f"the input {reader.name} is drawn from {reader.drawn}, unknown; {near}"
+    for output in block.outputs:
+        for word, said, side in (("steps", output.steps, Side.SOURCE), ("is shown", output.shown, Side.CONTROLLER)):
+            if said and block.side is not side:
+                yield f"says that {output.name} {word}, and it is no output of a {side.value}; leave that out"
     yield from _ahead_breaches(block)
-    yield from _stand_in_breaches(block)
+    yield from _replacing_breaches(block)
     yield from _print_breaches(block)
     yield from _source_breaches(block)
     yield from _parameter_breaches(block)
@@ -150,18 +153,16 @@ def breaches(block: type[AbstractBlock]) -> Iterator[str]:
 
 
 def _ahead_breaches(block: type[AbstractBlock]) -> Iterator[str]:
-    """Ports that are another one some samples later, and cannot be."""
+    """Inputs that are another one some samples later, and cannot be."""
     inputs = {port.name: port for port in block.inputs}
-    for port in (*block.inputs, *block.outputs):
+    for port in block.inputs:
         of = port.ahead_of
         if not of:
             continue
-        if port not in block.inputs:
-            yield f"the output {port.name} is {of} some samples later; an input is, which a source's future drives"
-        elif of not in inputs:
+        if of not in inputs:
             yield f"the input {port.name} is declared {of} some samples later, unknown; {nearest(of, inputs)}"
         elif inputs[of].ahead_of:
-            yield f"the input {port.name} is {of} some samples later, which looks ahead itself; count from what is now"
+            yield f"the input {port.name} is {of} some samples later, which looks ahead itself; count from the present"
         elif block.side is Side.PLANT:
             yield f"the input {port.name} looks ahead, and a plant has no foresight; read {of}, or state a controller"
         elif port.ahead < 1:
@@ -172,23 +173,19 @@ def _ahead_breaches(block: type[AbstractBlock]) -> Iterator[str]:
             yield f"the input {port.name} is {of} some samples later, and has another shape or unit"
 
 
-def _stand_in_breaches(block: type[AbstractBlock]) -> Iterator[str]:
-    """What stands in for a signal on its way between controller and robot is one of the plant's, and has its shape."""
-    inputs, outputs = {port.name: port for port in block.inputs}, [port.name for port in block.outputs]
-    for port in (*block.inputs, *block.outputs):
-        if port.told and port.name not in outputs:
-            yield f"the input {port.name} says what a run tells of it; an output does"
+def _replacing_breaches(block: type[AbstractBlock]) -> Iterator[str]:
+    """An output that replaces a signal between controller and robot is one of the plant's, and has its shape."""
+    inputs = {port.name: port for port in block.inputs}
+    for port in block.outputs:
         if not port.instead_of:
             continue
-        if port.name not in outputs:
-            yield f"the input {port.name} stands in for {port.instead_of}; an output does"
-        elif block.side is not Side.PLANT:
-            yield f"the output {port.name} stands in for {port.instead_of}, and the block is no plant; make it one"
+        if block.side is not Side.PLANT:
+            yield f"the output {port.name} replaces {port.instead_of}, and the block is no plant; make it one"
         elif (original := inputs.get(port.instead_of)) is None:
             near = nearest(port.instead_of, inputs)
-            yield f"the output {port.name} stands in for {port.instead_of}, which is no input; {near}"
+            yield f"the output {port.name} replaces {port.instead_of}, which is no input; {near}"
         elif (original.shape.split(), original.unit) != (port.shape.split(), port.unit):
-            yield f"the output {port.name} stands in for {port.instead_of}, and has another shape or unit"
+            yield f"the output {port.name} replaces {port.instead_of}, and has another shape or unit"
 
 
 def _estimate_breaches(block: type[AbstractBlock]) -> Iterator[str]:

@@ -17,7 +17,7 @@ from dmframe.block.symmetric import unique
 from dmframe.certificate import SX
 from dmframe.errors import DmframeError, MissingError, ShapeError, UnknownNameError, ValueFault, raise_all
 from dmframe.parameter import specs
-from dmframe.port import Port, State
+from dmframe.port import Signal, State
 
 
 @final
@@ -47,7 +47,7 @@ def evaluate(block: AbstractBlock, inputs: Mapping[str, Any], states: Mapping[st
         **_arrays(name, "state", block.states, states, needed=set()),
     }
     sizes = Sizes()
-    declared: dict[tuple[str, str], Port | State] = {
+    declared: dict[tuple[str, str], Signal | State] = {
         **{("input", port.name): port for port in block.inputs},
         **{("state", state.name): state for state in block.states},
     }
@@ -76,7 +76,7 @@ def _chain(robot: Any) -> Any:
 
 
 def _arrays(
-    name: str, kind: str, items: Sequence[Port | State], values: Mapping[str, Any], needed: set[str]
+    name: str, kind: str, items: Sequence[Signal | State], values: Mapping[str, Any], needed: set[str]
 ) -> dict[tuple[str, str], np.ndarray]:
     known, faults, found = {item.name for item in items}, list[DmframeError](), dict[tuple[str, str], np.ndarray]()
     for key, value in values.items():
@@ -94,7 +94,7 @@ def _arrays(
     return found
 
 
-def _bound(sizes: Sizes, label: str, item: Port | State, array: np.ndarray) -> DmframeError | None:
+def _bound(sizes: Sizes, label: str, item: Signal | State, array: np.ndarray) -> DmframeError | None:
     """Bind the letters of a shape to the array's, or tell why it does not fit."""
     words = item.shape.split()
     if array.ndim != len(words):

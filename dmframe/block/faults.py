@@ -101,7 +101,7 @@ def _kinds(kind: Any) -> set[Any]:
 
 
 @contextmanager
-def told_by(name: str, what: str) -> Iterator[None]:
+def fault_context(name: str, what: str) -> Iterator[None]:
     """Tell what a block's own Python raises with its file and line, in one line, as its fault."""
     try:
         yield

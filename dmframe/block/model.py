@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any, Final, final
 
 import casadi as ca
 import numpy as np
 
 from dmframe.block.base import AbstractBlock, Equations, Signals
-from dmframe.block.faults import told_by
-from dmframe.block.numberless import LARGER, SMALLER, with_other_numbers
+from dmframe.block.faults import fault_context
 from dmframe.block.sizes import Sizes
+from dmframe.block.steady import hold_steady, same_expression, stated_equations
 from dmframe.block.symmetric import symmetric_symbol
 from dmframe.certificate import SX
 from dmframe.errors import BlockError, nearest
 from dmframe.interrupts import Insistent
 from dmframe.linalg import Inverted, inverting, nodes
 from dmframe.parameter import specs
-from dmframe.port import Adapted, Port, Side, State
+from dmframe.port import Adapted, Side, Signal, State
 
 SYMBOLIC: Final = Insistent()
 """Held where expressions are made or read: CasADi counts their owners without regard to threads."""
@@ -65,7 +66,7 @@ class BlockModel:
         u, _, p = self.signals()
         known = {port.name: symbol(port.name, sizes.of(port.shape)) for port in self.block.truth if sizes.knows(port)}
         try:
-            with told_by(self.name, "start()"):
+            with fault_context(self.name, "start()"):
                 stated = self.block.composed_start(u, p, Signals(self.name, "truths of known size", known))
             return {name: ca.SX(value) for name, value in stated.items()}
         except BlockError as fault:  # a run that needs the start raises it
@@ -96,19 +97,6 @@ def symbols_in(expressions: Iterable[SX]) -> set[int]:
     return {symbol.element_hash() for symbol in ca.symvar(column)}
 
 
-def same_expression(one: SX, other: SX) -> bool:
-    """True for two expressions that are built alike, operation by operation, of the same symbols and constants."""
-    one, other = ca.densify(ca.SX(one)), ca.densify(ca.SX(other))
-    return one.shape == other.shape and same_expressions([one], [other])
-
-
-def same_expressions(ones: Sequence[SX], others: Sequence[SX]) -> bool:
-    """The same of lists of one length."""
-    symbols = ca.symvar(ca.vertcat(ca.SX(0, 1), *(ca.vec(ca.densify(item)) for item in (*ones, *others))))
-    one, other = (ca.Function("same", symbols, list(items)).serialize() for items in (ones, others))
-    return bool(one == other)
-
-
 def with_starts(values: Mapping[str, np.ndarray], states: Collection[str]) -> dict[str, np.ndarray]:
     """A block's numbers, and once more those that are starts of states, under the names that its equations read."""
     return {**values, **{f"{key}_0": value for key, value in values.items() if key in states}}
@@ -124,11 +112,24 @@ def _plain(name: str, value: np.ndarray) -> SX:
 
 
 def signals_of(
-    name: str, inputs: Mapping[str, SX], states: Mapping[str, SX], parameters: Mapping[str, SX], robot: Any
+    name: str,
+    inputs: Mapping[str, SX],
+    states: Mapping[str, SX],
+    parameters: Mapping[str, SX],
+    robot: Any,
+    options: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[Signals, Signals, Signals]:
-    """Wrap symbols for a block's methods."""
+    """Wrap symbols for a block's methods. `options` are the annotations of fields that are no parameters."""
     given = {**parameters, "robot": robot} if robot is not None else parameters
-    return Signals(name, "inputs", inputs), Signals(name, "states", states), Signals(name, "parameters", given)
+    p = Signals(name, "parameters", given, options)
+    return Signals(name, "inputs", inputs), Signals(name, "states", states), p
+
+
+def _options(block: AbstractBlock) -> Mapping[str, str]:
+    """The fields that equations cannot read as parameters, with their annotations."""
+    known = specs(type(block))
+    fields = {name: field.annotation for name, field in type(block).model_fields.items() if name not in known}
+    return {name: getattr(kind, "__name__", str(kind)) for name, kind in fields.items()}
 
 
 def model_block(
@@ -146,15 +147,17 @@ def model_block(
     inputs = {port.name: symbol(port.name, sizes.of(port.shape)) for port in block.inputs}
     mine = robot if block.uses_robot else None
     recalled = None if mine is None else Recalled(mine)
-    signals = signals_of(name, inputs, states, {**parameters, **starts}, recalled)
+    signals = signals_of(name, inputs, states, {**parameters, **starts}, recalled, _options(block))
     with inverting() as inverted:
         equations = stated_by(name, block, signals, sizes)
     with inverting(inverted):
-        for factors in (LARGER, SMALLER):
-            again = stated_by(name, with_other_numbers(block, factors) or block, signals, sizes)
-            for changed in _changed(equations, again):
-                _refuse_unsteady(name, block, changed, lambda other: stated_by(name, other, signals, sizes))
-        with_other_numbers(block, ())  # what its validators keep is of its own numbers again
+        hold_steady(
+            name,
+            block,
+            "equations() state",
+            stated_equations(equations),
+            lambda other: stated_equations(stated_by(name, other, signals, sizes)),
+        )
     for key in states.keys() & equations.outputs.keys():
         if not same_expression(equations.outputs[key], states[key]):
             raise BlockError(
@@ -197,7 +200,7 @@ def _identity(value: Any) -> Any:
 
 def stated_by(name: str, block: AbstractBlock, signals: tuple[Signals, Signals, Signals], sizes: Sizes) -> Equations:
     """What a block's equations state, held to its declared ports and states."""
-    with told_by(name, "equations()"):
+    with fault_context(name, "equations()"):
         stated = block.composed_equations(*signals)
     if not isinstance(stated, Equations):
         raise BlockError(f"{name}: expected equations() to return Equations, found {type(stated).__name__}")
@@ -220,52 +223,6 @@ def stated_by(name: str, block: AbstractBlock, signals: tuple[Signals, Signals, 
     )
 
 
-_PARTS: Final = {"outputs": "output", "rates": "rate", "next": "next value", "second": "second term"}
-"""Of `Equations`, with what each says."""
-
-
-def _changed(first: Equations, second: Equations) -> Iterator[tuple[str, str]]:
-    """What two answers of a block differ in: a part of `Equations`, and the name of what is stated there."""
-    pairs = {part: (getattr(first, part), getattr(second, part)) for part in _PARTS}
-    if all(once.keys() == again.keys() for once, again in pairs.values()) and same_expressions(
-        [once[key] for once, _ in pairs.values() for key in once],
-        [again[key] for once, again in pairs.values() for key in once],
-    ):
-        return
-    for part, (once, again) in pairs.items():
-        for key in {**once, **again}:
-            if key not in once or key not in again or not same_expression(once[key], again[key]):
-                yield part, key
-
-
-def _refuse_unsteady(
-    name: str, block: AbstractBlock, changed: tuple[str, str], asked: Callable[[AbstractBlock], Equations]
-) -> None:
-    """Refuse equations that are no function of their arguments: what is proved must be what runs."""
-    part, key = changed
-    what = f"{_PARTS[part]} of {key}"
-
-    def stated(factors: Sequence[float], only: str | None = None) -> Equations | None:
-        other = with_other_numbers(block, factors, only)
-        return None if other is None else asked(other)
-
-    def differs(other: Equations | None) -> bool:
-        return own is not None and other is not None and any(True for _ in _changed(own, other))
-
-    own = stated(())
-    known = specs(type(block)) if not differs(stated(())) else {}
-    found = [item for item in known if differs(stated(LARGER, item)) or differs(stated(SMALLER, item))]
-    if found:
-        raise BlockError(
-            f"{name}: equations() state another {what} where {' or '.join(found)} has another value: they depend on it "
-            f"as a Python number; expected p.{found[0]}"
-        )
-    raise BlockError(
-        f"{name}: equations() state another {what} when they are asked again; expected the same expression each time, "
-        "from u, x and p alone"
-    )
-
-
 _OTHERWISE: Final = {
     "rate": "a sampled state; state its next value, or declare it without sampled",
     "next value": "a state in continuous time; state its rate, or declare it with sampled=True",
@@ -274,7 +231,7 @@ _OTHERWISE: Final = {
 
 
 def _checked(
-    name: str, kind: str, declared: Sequence[Port | State], stated: Mapping[str, SX], sizes: Sizes
+    name: str, kind: str, declared: Sequence[Signal | State], stated: Mapping[str, SX], sizes: Sizes
 ) -> dict[str, SX]:
     known = {item.name: item for item in declared}
     for key in stated:

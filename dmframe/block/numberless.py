@@ -4,13 +4,13 @@ A number that equations took from `self` would be a constant in them. A run with
 or a live page, would then run the equations of the first. So a block states its equations, certificate, conditions,
 starts and directions on a copy that lacks the numbers: they are symbols in `p`, and nothing else is there to be read.
 
-What a method could still find by another way, such as a global that a validator has written, is looked for by
-`with_other_numbers`: the equations are asked once more after a block with other numbers was made.
+What a method could still find by another way, such as a global that a validator has written, is found by
+`dmframe.block.steady`: each method is evaluated again after a block with other numbers was made.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from dmframe.errors import BlockError, DmframeError
@@ -64,26 +64,40 @@ def unreadable(block: AbstractBlock, name: str) -> BlockError | None:
     return None
 
 
-def with_other_numbers(block: B, factors: Sequence[float], only: str | None = None) -> B | None:
-    """The same options with other numbers, or with one other number, as far as the block takes some; else None.
+def with_other_numbers(block: B, factors: Sequence[float], only: str | None = None) -> Iterator[B]:
+    """The same options with other numbers, or with one other number, as far as the block takes some.
 
     All are multiplied by the first factor that the block takes, which keeps boxes in order and matrices definite;
-    zeros get it as value. Without factors it is the block, made anew.
+    zeros get it as value. Where the block takes no factor for all of them, one block is made for each half, and so on.
     """
-    kind, numbers = type(block), specs(type(block))
-    given = {key: value for key, value in vars(block).items() if key in kind.model_fields}
-    varied = [key for key in numbers if given.get(key) is not None and not isinstance(given[key], Prior)]
-    varied = [key for key in varied if only in (None, key)]
-    if not factors:
-        return kind(**{key: value for key, value in given.items() if value is not None})
-    for factor in factors if varied else ():
-        other = {key: _other(given[key], factor) for key in varied}
-        for changed in (other, *({key: value} for key, value in other.items())):
-            try:
-                return kind(**{**{key: value for key, value in given.items() if value is not None}, **changed})
-            except DmframeError:
-                continue
+    given = _given(block)
+    varied = [key for key in specs(type(block)) if key in given and not isinstance(given[key], Prior)]
+    waiting = [[key for key in varied if only in (None, key)]]
+    while waiting:
+        keys = waiting.pop(0)
+        other = _with_other(type(block), given, keys, factors) if keys else None
+        if other is not None:
+            yield other
+        elif len(keys) > 1:
+            waiting += [keys[: len(keys) // 2], keys[len(keys) // 2 :]]
+
+
+def _with_other(kind: type[B], given: Mapping[str, Any], keys: Sequence[str], factors: Sequence[float]) -> B | None:
+    for factor in factors:
+        try:
+            return kind(**{**given, **{key: _other(given[key], factor) for key in keys}})
+        except DmframeError:
+            continue
     return None
+
+
+def remade(block: B) -> B:
+    """The block made once more: what its validators keep elsewhere is then of its own numbers."""
+    return type(block)(**_given(block))
+
+
+def _given(block: AbstractBlock) -> dict[str, Any]:
+    return {key: value for key, value in vars(block).items() if key in type(block).model_fields and value is not None}
 
 
 def _other(value: Any, factor: float) -> Any:

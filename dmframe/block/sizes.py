@@ -9,12 +9,12 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.block.base import AbstractBlock
-from dmframe.block.faults import told_by
+from dmframe.block.faults import fault_context
 from dmframe.block.numberless import without_numbers
 from dmframe.errors import BlockError, DmframeError, MissingError, ShapeError, SizeError, UnknownNameError, ValueFault
 from dmframe.gain import Prior, Rows, check_definite
-from dmframe.parameter import PAIRS, array, specs
-from dmframe.port import Element, Port, State
+from dmframe.parameter import PAIRS, array, joint_faults, specs
+from dmframe.port import Element, Signal, State
 from dmframe.robot.rational import decimal
 from dmframe.units import shorten
 
@@ -40,7 +40,7 @@ class Sizes:
         """The numbers that a shape stands for: ``"n p"`` -> (3, 36). Raises KeyError for an unbound letter."""
         return tuple(int(word) if word.isdigit() else self.bound[word][0] for word in shape.split())
 
-    def knows(self, item: Port | State) -> bool:
+    def knows(self, item: Signal | State) -> bool:
         """Whether all letters of its shape are bound."""
         return all(word.isdigit() or word in self.bound for word in item.shape.split())
 
@@ -87,9 +87,9 @@ def _own(name: str, block: AbstractBlock, robot: Any) -> Mapping[str, int]:
     """The letters that a block binds by itself."""
     try:
         bare = without_numbers(block, name)  # no sweep of a number gives a diagram of other sizes
-        with told_by(name, "elements()"):
+        with fault_context(name, "elements()"):
             _check_elements(name, bare.elements(robot))
-        with told_by(name, "sizes()"):
+        with fault_context(name, "sizes()"):
             found = bare.sizes(robot)
         if not isinstance(found, Mapping) or not all(
             isinstance(letter, str) and isinstance(size, int) for letter, size in found.items()
@@ -131,7 +131,7 @@ def _from_parameters(name: str, block: AbstractBlock, sizes: Sizes) -> Iterable[
 def _unbound_letters(blocks: Mapping[str, AbstractBlock], sizes: Sizes) -> Iterable[tuple[str, str]]:
     for name, block in blocks.items():
         needed = [port for port in block.outputs if not port.optional]
-        used: list[Port | State] = [*block.inputs, *needed, *block.states]
+        used: list[Signal | State] = [*block.inputs, *needed, *block.states]
         words = {word for item in used for word in item.shape.split() if not word.isdigit()}
         yield from ((name, letter) for letter in sorted(words - sizes.bound.keys()))
 
@@ -157,6 +157,12 @@ def parameter_arrays(
         value = getattr(block, parameter)
         if value is None:
             continue
+        if spec.of_joints:
+            joints = () if robot is None else robot.joints
+            faults += (
+                ValueFault(f"{name}.{parameter}: {text}", path=("blocks", name, parameter))
+                for text in joint_faults(value, spec, joints)
+            )
         try:
             if isinstance(value, Prior):
                 value = prior_rows(value, blocks or {name: block}, robot)

@@ -1,4 +1,4 @@
-"""From a C source to a library in this process: the compiler, a trial, a cache."""
+"""Build of a C source to a loaded library: compiler, trial call, cache."""
 
 from dmframe.build.library import Loaded, first_time, load
 

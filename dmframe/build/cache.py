@@ -1,9 +1,9 @@
-"""Compiled libraries, kept by the content of what they were compiled from.
+"""Content-addressed cache of compiled libraries.
 
-An entry is one file, ``<key>-<digest>.so``: the key says from what it was made (source, flags, compiler, processor),
-the digest what it holds. It is made in a folder of its own beside its place, and renamed when it is whole; so nothing
-that happens to a process at any moment can leave a broken entry, and several may make the same at once. One whose
-content is not what its name says, or which belongs to somebody else, is thrown away and made again.
+An entry is one file, ``<key>-<digest>.so``: the key is a hash of the inputs (source, flags, compiler, processor), the
+digest of the content. It is built in a temporary folder inside the cache and renamed when it is complete. A killed
+process therefore leaves no broken entry, and several processes may build the same entry. An entry whose content does
+not match its name, or that belongs to another user, is deleted and built again.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ from dmframe.files import encoded
 
 VARIABLE: Final = "DMFRAME_CACHE"
 MOST_BYTES: Final = 512 * 2**20
-"""What entries may take together; the least recently used go first."""
+"""Size limit of the cache; the least recently used entries are deleted first."""
 
 STALE: Final = 3600.0
-"""A folder in which nobody has worked for so long was left by a process that was killed [s]."""
+"""Age from which a temporary folder is considered left by a killed process [s]."""
 
 _PART: Final = ".part-"
 
 Works = Callable[[Path], bool]
-"""True for a library that does what it should; see `dmframe.build.trial`."""
+"""Test of a library; see `dmframe.build.trial`."""
 
 
 def cache_folder() -> Path:
-    """``$DMFRAME_CACHE``, else ``dmframe`` in the folder where the platform keeps caches.
+    """Cache folder: ``$DMFRAME_CACHE``, else ``dmframe`` in the platform's cache folder.
 
     Raises
     ------
     ValueFault
-        The variable names the home of a user whom nobody knows.
+        The variable refers to the home of an unknown user.
     OSError
-        It names none, and this user has no home.
+        The variable is not set, and this user has no home.
     """
     named = os.environ.get(VARIABLE)
     if not named:
@@ -65,13 +65,13 @@ def cache_folder() -> Path:
 
 
 def key_of(source: str, compiler: Compiler) -> str:
-    """What the machine code is made from, as one number."""
-    told = "\0".join((source, repr((SHARED, FLAGS)), compiler.identity, processor()))
-    return hashlib.sha256(encoded(told)).hexdigest()[:40]
+    """Hash of everything that determines the machine code."""
+    inputs = "\0".join((source, repr((SHARED, FLAGS)), compiler.identity, processor()))
+    return hashlib.sha256(encoded(inputs)).hexdigest()[:40]
 
 
 def find(folder: Path, key: str) -> Path | None:
-    """The entry of a key, whole and our own; what only looks like it is removed."""
+    """Entry of a key; damaged entries, and those of other users, are deleted."""
     for path in sorted(folder.glob(f"{key}-*.so")):
         with contextlib.suppress(OSError):
             if _ours(path) and path.name == _name(key, path.read_bytes()):
@@ -85,14 +85,14 @@ def find(folder: Path, key: str) -> Path | None:
 def make(
     folder: Path, key: str, source: str, compiler: Compiler, works: Works = lambda _: True, most: int = MOST_BYTES
 ) -> Path:
-    """Compile an entry into the cache; `works` is asked of the library before it is kept.
+    """Compile an entry into the cache, after `works` has tested the library.
 
     Raises
     ------
     OSError
         The folder cannot be written.
     CompileFailed
-        The compiler refused, or the disk is full, or the library does not work.
+        The compiler failed, the disk is full, or the library does not work.
     """
     prepare(folder)
     with _working(folder) as place:
@@ -105,22 +105,22 @@ def make(
 
 
 def built(place: Path, source: str, compiler: Compiler, works: Works) -> Path:
-    """Compile in a folder of one's own. Raises `CompileFailed`, also for a library that does not work."""
+    """Compile in a private folder. Raises `CompileFailed`, also for a library that does not work."""
     text, library = place / "loop.c", place / "loop.so"
     text.write_text(source, encoding="utf-8")
     compiler.build(text, library)
     if not works(library):
-        raise CompileFailed(f"{compiler.command[0]} made a library that does not work")
+        raise CompileFailed(f"{compiler.command[0]} built a library that does not work")
     return library
 
 
 def prepare(folder: Path) -> None:
-    """Make the cache's folder; one in which others may write is none of ours: they could exchange what was checked.
+    """Create the cache's folder, and refuse one in which others may write, since they could replace entries.
 
     Raises
     ------
     OSError
-        It cannot be made, or belongs to others.
+        It cannot be created, or others may write to it.
     """
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     if _foreign(folder.stat()):
@@ -132,13 +132,13 @@ def _name(key: str, content: bytes) -> str:
 
 
 def _ours(path: Path) -> bool:
-    """Machine code runs with the user's rights: nobody else may have written it."""
+    """True for a file that only this user or root may have written, since it runs with the user's rights."""
     return path.is_file() and not path.is_symlink() and not _foreign(path.lstat())
 
 
-def _foreign(told: os.stat_result) -> bool:
-    """True for what others may have written."""
-    return hasattr(os, "getuid") and bool(told.st_uid not in (os.getuid(), 0) or told.st_mode & 0o022)
+def _foreign(status: os.stat_result) -> bool:
+    """True if other users may have written the file."""
+    return hasattr(os, "getuid") and bool(status.st_uid not in (os.getuid(), 0) or status.st_mode & 0o022)
 
 
 @contextmanager
@@ -151,22 +151,19 @@ def _working(folder: Path) -> Iterator[Path]:
 
 
 def _evict(folder: Path, kept: Path, most: int) -> None:
-    """Hold the cache within its size, and clear away what killed processes left."""
+    """Keep the cache within its size, and delete folders of killed processes."""
     now, entries = time.time(), list[tuple[float, int, Path]]()
     with contextlib.suppress(OSError):
         for path in folder.iterdir():
-            with contextlib.suppress(OSError):  # another process may be clearing, too
-                told = path.stat()
-                if path.name.startswith(_PART) and now - told.st_mtime > STALE:
+            with contextlib.suppress(OSError):  # another process may be deleting, too
+                status = path.stat()
+                if path.name.startswith(_PART) and now - status.st_mtime > STALE:
                     shutil.rmtree(path, ignore_errors=True)
                 elif path.suffix == ".so" and path != kept:
-                    entries.append((told.st_mtime, told.st_size, path))
+                    entries.append((status.st_mtime, status.st_size, path))
         room = most - kept.stat().st_size
         for _, size, path in sorted(entries, reverse=True):
             room -= size
             if room < 0:
                 with contextlib.suppress(OSError):
                     path.unlink()
-
-
-__all__ = ["CompileFailed", "Works", "built", "cache_folder", "find", "key_of", "make", "prepare"]

@@ -1,4 +1,4 @@
-"""Finds a C compiler and calls it."""
+"""Detection and call of a C compiler."""
 
 from __future__ import annotations
 
@@ -21,35 +21,28 @@ from dmframe.errors import ValueFault
 
 NAMES: Final = ("cc", "gcc", "clang")
 
-TUNED: Final = (
-    "-O2",
-    "-march=native",
-    "-fno-tree-vectorize",
-    "-fschedule-insns",
-    "-fsched-pressure",
-    "-fno-math-errno",
-)
-"""Vectorised loops wait for numbers that straight-line code has just stored one by one: 20 % slower."""
+TUNED: Final = tuple("-O2 -march=native -fno-tree-vectorize -fschedule-insns -fsched-pressure -fno-math-errno".split())
+"""Without vectorisation, whose loops stall on values that straight-line code has just stored: 20 % faster."""
 
 FLAGS: Final = (TUNED, ("-O2", "-march=native", "-fno-math-errno"), ("-O2",))
-"""Sets of flags, best first; a compiler that refuses one is given the next. None of them lets sums be reordered."""
+"""Sets of flags, tried in order. None of them allows sums to be reordered."""
 
 PLAIN: Final = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-tree-vectorize", "-fPIC", "-shared")
-"""No operation is fused with the next; some vectorisers fuse all the same."""
+"""Without fused operations; some vectorisers fuse nevertheless."""
 
 SHARED: Final = ("-std=gnu11", "-fPIC", "-shared", "-s", "-w")
 LIMIT = 120.0
-"""A compiler that takes longer is stopped [s]."""
+"""Timeout of the compiler [s]."""
 
 
 class CompileFailed(Exception):
-    """The compiler did not produce a library that works; the text says why, in its own words where it has some."""
+    """The compiler did not produce a working library; the text is its message, if it has one."""
 
 
 @final
 @dataclass(frozen=True)
 class Compiler:
-    """A command that compiles C, and what tells it from another or from a newer one."""
+    """Command of a C compiler, and its identity, which differs for another or a newer one."""
 
     command: tuple[str, ...]
     identity: str
@@ -59,23 +52,23 @@ class Compiler:
         complaint = ""
         for flags in FLAGS:
             words = [*self.command, *SHARED, *flags, source.name, "-o", library.name, "-lm"]
-            status, said = _called(words, source.parent)
+            status, output = _called(words, source.parent)
             if status == 0 and library.is_file():
                 return
-            lines = [line for line in said.splitlines() if "error" in line.lower()] or said.splitlines()
+            lines = [line for line in output.splitlines() if "error" in line.lower()] or output.splitlines()
             complaint = complaint or (lines[0].strip() if lines else f"{self.command[0]}: status {status}")
         raise CompileFailed(complaint)
 
     def build_plain(self, sources: Sequence[Path], library: Path, define: str) -> None:
-        """Compile files of one folder as C99, each operation rounded by itself: the same numbers on every processor."""
+        """Compile files of one folder as C99 without fused operations: the same numbers on every processor."""
         words = [*self.command, *PLAIN, f"-D{define}", *(source.name for source in sources), "-o", library.name, "-lm"]
-        status, said = _called(words, library.parent)
+        status, output = _called(words, library.parent)
         if status != 0 or not library.is_file():
-            raise CompileFailed(said.strip() or f"{self.command[0]}: status {status}")
+            raise CompileFailed(output.strip() or f"{self.command[0]}: status {status}")
 
 
 def _called(words: Sequence[str], folder: Path) -> tuple[int, str]:
-    """A compiler's status and complaints; one that hangs is stopped with all that it has started."""
+    """Status and error output of a compiler, whose process group is killed after the timeout."""
     try:
         process = subprocess.Popen(
             words,
@@ -91,29 +84,29 @@ def _called(words: Sequence[str], folder: Path) -> tuple[int, str]:
         raise CompileFailed(f"{words[0]}: {error.strerror}") from None
     with process:
         try:
-            _, said = process.communicate(timeout=LIMIT)
-        except BaseException as error:  # Ctrl-C, too
+            _, output = process.communicate(timeout=LIMIT)
+        except BaseException as error:  # also Ctrl-C
             with suppress(OSError, AttributeError):  # Windows has no process groups
                 os.killpg(process.pid, signal.SIGKILL)
             process.kill()
             if isinstance(error, subprocess.TimeoutExpired):
                 raise CompileFailed(f"{words[0]} took more than {LIMIT:g} s, and was stopped") from None
             raise
-    return process.returncode, said
+    return process.returncode, output
 
 
 def wanted_compiler() -> list[str]:
-    """The words of ``$CC``. Raises `ValueFault` where they are no command."""
+    """Words of ``$CC``. Raises `ValueFault` if they are not a command."""
     text = os.environ.get("CC", "")
     try:
         return shlex.split(text)
     except ValueError as error:
-        problem = f"expected a command, found one that cannot be read: {str(error).lower()}"
+        problem = f"expected a command, found an invalid one: {str(error).lower()}"
         raise ValueFault(problem, location=f"CC={text}") from None
 
 
 def find_compiler() -> Compiler | None:
-    """$CC, cc, gcc or clang, else the `ziglang` package; None where there is none."""
+    """$CC, cc, gcc or clang, else the `ziglang` package; None if there is none."""
     named = wanted_compiler()
     for words in ([named] if named else []) + [[name] for name in NAMES]:
         path = shutil.which(words[0])
@@ -127,18 +120,18 @@ def find_compiler() -> Compiler | None:
 
 
 def _identity(path: Path, options: Sequence[str]) -> str:
-    """Resolved path, size and time of change: another or a newer compiler differs in one of them."""
+    """Resolved path, size and modification time, one of which differs for another or a newer compiler."""
     real = path.resolve()
-    told = real.stat()
-    return f"{real} {told.st_size} {told.st_mtime_ns} {shlex.join(options)}"
+    status = real.stat()
+    return f"{real} {status.st_size} {status.st_mtime_ns} {shlex.join(options)}"
 
 
 def processor() -> str:
-    """What the machine code may depend on: the processor's model and its instruction sets."""
+    """Hash of the processor's model and instruction sets."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").split("\n\n")[0].splitlines()
     except OSError:
         lines = []
     kept = [line for line in lines if line.split(":")[0].strip() in ("model name", "flags", "Features", "CPU part")]
-    told = "\n".join((platform.system(), platform.machine(), platform.processor(), *kept))
-    return hashlib.sha256(told.encode()).hexdigest()
+    text = "\n".join((platform.system(), platform.machine(), platform.processor(), *kept))
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -1,8 +1,8 @@
-"""One call of a freshly compiled library in a process of its own: what crashes there takes nobody with it.
+"""Trial call of a new library in a separate process, so that a crash does not end this one.
 
-A compiler may end well and leave a library that does not work: cut off on a full disk, made for another machine, or
-plainly wrong. Loaded into the program, its first call would end it without a word; kept in the cache, every later run.
-This file is run by its path and imports nothing of dmframe.
+A compiler may succeed and still produce a broken library: truncated on a full disk, built for another machine, or
+wrong. Its first call would end the program silently, and, from the cache, every later run. This file is
+executed by its path and imports nothing of dmframe.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any
 
 LIMIT = 60.0
-"""A call that takes longer has hung [s]."""
+"""Timeout of a call [s]."""
 
 
 def called(library: Path, function: str, arguments: Sequence[Any]) -> list[list[float]] | None:
-    """What a C function leaves in its arrays of doubles; None where it crashed, hung or is not there.
+    """Arrays of doubles after a call of a C function; None if it crashed, hung or does not exist.
 
     Parameters
     ----------
@@ -43,14 +43,14 @@ def called(library: Path, function: str, arguments: Sequence[Any]) -> list[list[
 
 
 def main() -> None:
-    """Read the call from standard input, do it, and print the arrays."""
-    asked = json.load(sys.stdin)
-    function = getattr(ctypes.CDLL(asked["library"]), asked["function"])
+    """Read a call from standard input, execute it, and print the arrays."""
+    call = json.load(sys.stdin)
+    function = getattr(ctypes.CDLL(call["library"]), call["function"])
     arrays, given = list[tuple[Any, int]](), list[Any]()
-    for argument in asked["arguments"]:
+    for argument in call["arguments"]:
         ((kind, value),) = argument.items()
         if kind == "doubles":
-            given.append((ctypes.c_double * max(1, len(value)))(*value))  # none would have no address
+            given.append((ctypes.c_double * max(1, len(value)))(*value))  # an empty array has no address
             arrays.append((given[-1], len(value)))
         elif kind == "integers":
             given.append((ctypes.c_int64 * max(1, len(value)))(*value))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, final
 
 import casadi as ca
@@ -69,7 +69,7 @@ class Along:
     kappa
         The weight of the servo level.
     dissipation
-        (N,) The squares that dV/dt spends, each with its weight; empty where they were not evaluated.
+        (N,) The dissipated squares, each with its weight; empty where they were not evaluated.
     rate
         (N,) dV/dt as the claim states it, of continuous time, at the same states; empty where it was not evaluated.
     rounding
@@ -129,7 +129,7 @@ def along(claim: Claim, run: Recording, kappa: float = 1.0) -> Along:
     claim
         Of the diagram that was run, or of one of the same blocks and parameters' sizes.
     kappa
-        Above the least that pays for the cascade, as `Verdict.kappa` says; without a cascade it has no effect.
+        Above the least value of the small-gain condition (`Verdict.kappa`); without a cascade it has no effect.
 
     Raises
     ------
@@ -164,7 +164,7 @@ def _crossings(claim: Claim, run: Recording, own: _Evaluated) -> Iterator[str]:
             first = int(wrong[0])
             yield (
                 f"{item.text} is {least[first]:.3g} at t = {run.time[first]:.6g} s; the proof assumes that it stays "
-                "above a positive constant, and says nothing from there on"
+                "above a positive constant, and does not apply from there on"
             )
 
 
@@ -189,7 +189,7 @@ class _Evaluated:
 
     def __init__(self, claim: Claim, run: Recording, kappa: float) -> None:
         self.claim, self.run, self.kappa = claim, run, kappa
-        self._states = np.hstack([run.states[variable.label] for variable in claim.loop.variables]).T
+        self._rows = np.hstack([run.states[variable.label] for variable in claim.loop.variables])
 
     def of(self, expressions: list[Any]) -> np.ndarray:
         """(expressions, N), with the trajectories as the functions of time that they are."""
@@ -197,7 +197,7 @@ class _Evaluated:
         return self._mapped(loop.on_path(self._weighed(stack(expressions))), np.arange(self.run.time.size))
 
     def rates(self) -> tuple[np.ndarray, np.ndarray]:
-        """What dV/dt spends, and dV/dt as it is claimed; empty where a derivative enters that this loop does not take.
+        """The dissipation, and dV/dt as claimed; empty where a derivative enters that this loop does not take.
 
         By the claim's identity this is dV/dt in continuous time, and much cheaper than its derivative.
         """
@@ -261,15 +261,14 @@ class _Evaluated:
         loop, count = self.claim.loop, places.size
         fixed = ca.substitute(ca.cse(column), loop.p, ca.DM(self.run.diagram.loop.p_values))
         inputs = [loop.state, loop.time, *(symbol for symbol, _ in more)]
-        function = ca.Function("terms", inputs, [ca.cse(fixed)])
-        values: np.ndarray = np.empty((column.numel(), count))
-        mapped = dict[int, Any]()
+        function = ca.Function("terms", inputs, [ca.densify(ca.cse(fixed))])
+        values, mapped = np.empty((count, column.numel())), cache(function.map)
+        at = [self._rows[places], self.run.time[places], *(np.ascontiguousarray(numbers.T) for _, numbers in more)]
         for first in range(0, count, CHUNK):
             part = slice(first, min(first + CHUNK, count))
-            at, size = places[part], part.stop - part.start
-            if size not in mapped:
-                mapped[size] = function.map(size)
-            given = [np.ascontiguousarray(self._states[:, at]), self.run.time[None, at]]
-            given += [np.ascontiguousarray(numbers[:, part]) for _, numbers in more]
-            values[:, part] = mapped[size](*given).full()
-        return values
+            buffer, evaluate = mapped(part.stop - first).buffer()
+            for place, rows in enumerate(at):  # no array is converted, which takes as long as the evaluation
+                buffer.set_arg(place, rows[part].data)
+            buffer.set_res(0, values[part].data)
+            evaluate()
+        return np.ascontiguousarray(values.T)

@@ -1,4 +1,4 @@
-"""Weights that are positive by assumption: what of them is decided all the same, and how the rest is told.
+"""Weights that are positive by assumption: what is decided of them, and how the rest is stated.
 
 An assumption can be false, but not at once: at the graph's own start such a weight has to be above zero, and where no
 start is known, at one of many sampled states.
@@ -28,7 +28,7 @@ from dmframe.linalg import ldl
 
 SIGNS: Final = "V is positive, dV/dt not"
 SAMPLES: Final = 200
-"""States at which a weight is looked at whose start nobody knows."""
+"""Sampled states at which a weight with an unknown start is evaluated."""
 
 
 def is_assumed(term: Square, numbers: Numbers) -> bool:

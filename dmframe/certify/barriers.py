@@ -17,7 +17,7 @@ from dmframe.certificate import SX, Square
 from dmframe.certify.checked import Numbers, lower, upper
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.definite import Number
-from dmframe.certify.starts import start_expression, start_is_said
+from dmframe.certify.starts import has_start, start_expression
 from dmframe.certify.statements import Statement
 from dmframe.certify.symbols import Symbols
 from dmframe.diagram.closed_loop import stack
@@ -75,17 +75,18 @@ class Tube:
 def barrier_statements(found: Sequence[Tube]) -> Iterator[Statement]:
     """What each barrier of a proved claim keeps, and by how much a joint may pass it."""
     for tube in found:
-        room = f"its room before what the reference keeps is h(t) >= h(0) exp(-a t) - {_told(tube.tube, tube.unit)}"
+        room = f"its room before what the reference keeps is h(t) >= h(0) exp(-a t) - {_values(tube.tube, tube.unit)}"
         low, high = (", ".join(_limit(out, x) for x in end) for out, end in zip(_OUT, tube.ends, strict=True))
         limits = f"{low} and {high} {tube.unit}".strip()
         if tube.inside:
             says, then = f"stays between {limits} at all times", "and the margin is no less"
         else:
-            beyond = _told(np.maximum(tube.reach - tube.margin, 0), tube.unit)
+            beyond = _values(np.maximum(tube.reach - tube.margin, 0), tube.unit)
             says = f"stays between {limits}, but for at most {beyond} beyond"
-            then = f"which takes a margin of {_told(tube.reach, tube.unit)}"
-        spends = "dV/dt spends a square of the error with which the reference is followed"
-        step = f"{room}, joint by joint, {then}; {spends}, and V has no more than V(0) <= {tube.spent:.4g} to spend"
+            then = f"which takes a margin of {_values(tube.reach, tube.unit)}"
+        dissipates = "dV/dt dissipates a square of the error with which the reference is followed"
+        most = f"the total dissipation is at most V(0) <= {tube.spent:.4g}"
+        step = f"{room}, joint by joint, {then}; {dissipates}, and {most}"
         yield Statement(tube.of, says, step, concludes=True)
 
 
@@ -93,15 +94,15 @@ def _limit(out: Context, value: float) -> str:
     return f"{float(out.create_decimal(f'{value:.12g}')):.6g}"
 
 
-def _told(values: np.ndarray, unit: str) -> str:
+def _values(values: np.ndarray, unit: str) -> str:
     """Rounded up."""
     return f"{', '.join(f'{math.ceil(1e4 * value) / 1e4:.4f}' for value in values)} {unit}".strip()
 
 
 def tubes(claim: Claim, numbers: Numbers, symbols: Symbols, start: Mapping[str, Any]) -> Iterator[Tube]:
-    """The tube of each barrier; none where V may rise, or where it starts is not told by the graph's numbers.
+    """The tube of each barrier; none where V may rise, or where the graph's numbers do not give its start.
 
-    V rises by a residual, and where a source steps: what is said there is not of all times.
+    V rises by a residual and at a source's steps; statements there do not hold for all times.
     """
     stated = [(part, barrier) for part in claim.parts for barrier in part.certificate.barriers]
     if not stated or claim.cascaded or any(part.certificate.excess for part in claim.parts):
@@ -176,13 +177,13 @@ def _ends(numbers: Numbers, expression: SX, size: int) -> tuple[np.ndarray, np.n
 
 
 def _share(claim: Claim, numbers: Numbers, symbols: Symbols, barrier: Barrier, of: str) -> np.ndarray | None:
-    """C of s_i^2 <= c_i times what is spent, of the block that spends the error of following the reference."""
-    error = claim.field.derivative(barrier.position, of) - barrier.reference
+    """C of s_i^2 <= c_i d, for the block that dissipates d, a square of the tracking error of the reference."""
+    error = claim.flow.D(barrier.position, of) - barrier.reference
     for part in claim.parts:
-        if part.certificate.pays and _same(part, error, symbols):
+        if part.certificate.dominates and _same(part, error, symbols):
             size = error.numel()
-            shares = [_ends(numbers, share, size) for share in part.certificate.pays]
-            squares = [term for term in part.paying if isinstance(term, Square) and ca.SX(term.weight).is_column()]
+            shares = [_ends(numbers, share, size) for share in part.certificate.dominates]
+            squares = [term for term in part.dominating if isinstance(term, Square) and ca.SX(term.weight).is_column()]
             weights = [_ends(numbers, term.weight, size) for term in squares]
             known = [(c, w) for c, w in zip(shares, weights, strict=False) if c is not None and w is not None]
             if len(known) == len(shares) and all(np.all(weight > 0) for _, (weight, _) in known):
@@ -235,12 +236,12 @@ def _start(claim: Claim, numbers: Numbers, given: Mapping[str, Any]) -> Begin | 
         size = variable.symbol.numel()
         number = ca.SX(ca.DM(begin[row : row + size]))
         row += size
-        is_said = start_is_said(variable.label, numbers, given)
-        expression = start_expression(variable.label, numbers, given) if is_said else number
+        has_own_start = has_start(variable.label, numbers, given)
+        expression = start_expression(variable.label, numbers, given) if has_own_start else number
         if expression is None:
             return None
         elements = ca.vertcat(*map(unfolded, ca.vertsplit(ca.densify(expression))))
-        (said if is_said else found).append((ca.vec(variable.symbol), elements))
+        (said if has_own_start else found).append((ca.vec(variable.symbol), elements))
     return Begin([*said, *found], stack(symbols), values)
 
 

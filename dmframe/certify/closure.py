@@ -24,7 +24,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
-from typing import final
+from typing import Any, final
 
 import casadi as ca
 
@@ -42,6 +42,7 @@ from dmframe.exact import Tape, random_prime
 from dmframe.exact.linear import Echelon
 from dmframe.exact.rational import Interval
 from dmframe.exact.shift import Shift, ZeroDivision
+from dmframe.linalg import nodes
 
 ATTEMPTS = 20
 BITS = 149
@@ -94,7 +95,7 @@ class Closure:
         self.assumed: list[tuple[str, Driven]] = []
         self.missed: list[tuple[str, Driven]] = []
         self.tapes = list[tuple[Sequence[Group], Tape]]()
-        self.read = list[SX]()
+        self.read, self._tapes = list[SX](), dict[tuple[Any, ...], Tape]()
         self._follow(bases)
 
     @property
@@ -129,7 +130,7 @@ class Closure:
         return found
 
     def conditions(self) -> list[tuple[str, Condition]]:
-        """What had to be assumed, and what has to stand in for what did not follow; by block."""
+        """What had to be assumed, and the conditions that replace what did not follow; by block."""
         stated = [(block, Assumption(_stays_stable(item), "not decided")) for block, item in self.assumed]
         stated += [(block, Assumption(self._stays_bounded(item), "not decided")) for block, item in self.given]
         return [
@@ -203,7 +204,7 @@ class Closure:
                 second[group.label] = first[group.label] if shared else [self._shift.random() for _ in range(size)]
 
     def _varies(self, group: Group) -> bool:
-        """True for a parameter whose number says nothing: one in an interval; the robot's rotations are orthogonal."""
+        """True for a parameter without a fixed number: one in an interval; the robot's rotations are orthogonal."""
         if group.label in self._numbers.uncertain:
             return True
         return self._free and group.values is None
@@ -242,10 +243,13 @@ class Closure:
         ):
             self._symbols = symbols_of(self._claim, self._numbers.uncertain)
             self._extend()
-        self.read += expressions
-        tape = Tape.from_function(self._symbols.function("closure", expressions))
-        self.tapes.append((self._symbols.groups, tape))
-        return tape
+            self._tapes.clear()
+        key = tuple(map(nodes, expressions))
+        if key not in self._tapes:
+            self.read += expressions  # which keeps the nodes, by whose identity they are found
+            self._tapes[key] = Tape.from_function(self._symbols.function("closure", expressions))
+            self.tapes.append((self._symbols.groups, self._tapes[key]))
+        return self._tapes[key]
 
     def _moves(self, expressions: Sequence[SX]) -> list[list[int]]:
         """By how much each element moves along a random open direction."""
@@ -369,12 +373,12 @@ class Closure:
 
     def remainders(self, block: str, driven: Driven) -> Iterator[SX]:
         """What is left of each equation of a block next to its stable linear part."""
-        field, of = self._claim.field, f"{block}: what drives {', '.join(driven.of)}"
+        field, of = self._claim.flow, f"{block}: what drives {', '.join(driven.of)}"
         for vector in driven.bounded:
             field.record.add(of, vector)
         for vector, row in zip(driven.vectors, driven.rates, strict=True):
             linear = sum((rate * other for rate, other in zip(row, driven.vectors, strict=True)), ca.SX(0))
-            yield field.derivative(vector, of) - linear
+            yield field.D(vector, of) - linear
 
 
 def _alone(column: int, own: Sequence[int], directions: Sequence[Sequence[int]]) -> bool:

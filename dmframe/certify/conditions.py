@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from dmframe.block.faults import told_by
+from dmframe.block.faults import fault_context
 from dmframe.block.model import symbols_in
 from dmframe.certificate import (
     SX,
@@ -42,8 +42,8 @@ from dmframe.certify.definite import (
     pivots,
 )
 from dmframe.certify.memories import matrix_start, memory_starts, pivots_at_start
-from dmframe.certify.payment import payment_conditions
 from dmframe.certify.projections import projection_conditions
+from dmframe.certify.small_gain import small_gain_conditions
 from dmframe.certify.smoothness import HORIZON, SAMPLES
 from dmframe.certify.stability import common_margin
 from dmframe.certify.wording import worded
@@ -62,7 +62,12 @@ ROUNDING = 1e-9
 def conditions_of(
     claim: Claim, numbers: Numbers, start: Mapping[str, Any] | None = None
 ) -> tuple[list[Checked], list[Assumption]]:
-    """Everything that the theorem needs and that numbers can decide; and what is left to assume."""
+    """Everything that a theorem in continuous time needs and that numbers can decide; and what is left to assume.
+
+    Raises `NotApplicableError` for a claim over samples, whose conditions are others (`dmframe.certify.discrete`).
+    """
+    if claim.over_samples:
+        raise NotApplicableError(f"{claim.loop.clocked}; a proof in continuous time does not reach it")
     checked, assumed = decide(list(conditions_stated(claim)), numbers)
     checked += _weights(claim, numbers)
     checked += memory_starts(claim, numbers, start or {})
@@ -80,7 +85,7 @@ def conditions_of(
     loads, bodies = _loads(claim)
     checked, assumed = [*checked, *loads], [*assumed, *bodies]
     if claim.cascaded:
-        checked += payment_conditions(claim, numbers)
+        checked += small_gain_conditions(claim, numbers)
     return checked, assumed
 
 
@@ -102,7 +107,7 @@ def conditions_stated(claim: Claim) -> Iterator[tuple[str, Condition]]:
     for name, block in claim.diagram.blocks.items():
         seen = view(claim.diagram, name, claim.truths)
         try:
-            with told_by(name, "conditions()"):
+            with fault_context(name, "conditions()"):
                 stated = block.composed_conditions(seen.p, seen.truth)
         except BlockError as error:
             raise NotApplicableError(error.text) from None

@@ -25,7 +25,7 @@ from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.limits import Vanishing
 from dmframe.certify.smoothness import slope
-from dmframe.certify.starts import start_expression, start_is_said
+from dmframe.certify.starts import has_start, start_expression
 from dmframe.diagram.closed_loop import Variable, stack
 
 FEW: Final = 12
@@ -198,7 +198,7 @@ def _begin(claim: Claim, states: Sequence[Variable], numbers: Numbers, start: Ma
     columns = list[np.ndarray]()
     for variable in states:
         label = variable.label
-        said = start_expression(label, numbers, start) if start_is_said(label, numbers, start) else None
+        said = start_expression(label, numbers, start) if has_start(label, numbers, start) else None
         if said is None or not symbols_in([said]) <= numbers.known:
             return None
         value = ca.Function("start", [claim.loop.p], [ca.densify(said)])(claim.loop.p_values)

@@ -14,13 +14,13 @@ from typing import Final, final
 import casadi as ca
 import numpy as np
 
-from dmframe.acted import Acted
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
 from dmframe.certify.checked import Checked
-from dmframe.certify.samples import SampledClaim, SampledPart
+from dmframe.certify.claim import Claim, Part
 from dmframe.diagram.closed_loop import ClosedLoop, Variable, stack
 from dmframe.errors import listed
+from dmframe.sampled import Acted
 
 MOST: Final = 10
 """Samples up to which a memory is followed; one that holds a value for ever has no end."""
@@ -54,9 +54,9 @@ class Late:
         return f"{counted} ({listed(list(self.through))})" if self.through else counted
 
 
-def delay_conditions(claim: SampledClaim, part: SampledPart) -> Iterator[Checked]:
+def delay_conditions(claim: Claim, part: Part) -> Iterator[Checked]:
     """For each command that rows hold, whether it is the one that acted; nothing where that is not decided."""
-    for item in part.acted:
+    for item in part.certificate.acted:
         taken, command, measured = _taken(claim, item), _of_command(claim, item), _of_position(claim, item)
         if taken is None or command is None or measured is None:
             continue
@@ -71,14 +71,14 @@ def delay_conditions(claim: SampledClaim, part: SampledPart) -> Iterator[Checked
         yield Checked(text, expression, -float(wrong), not wrong, SOURCE, strict=False, margin=ca.SX(0, 1))
 
 
-def decided_delays(claim: SampledClaim, part: SampledPart) -> bool:
+def decided_delays(claim: Claim, part: Part) -> bool:
     """True where nothing is left to assume of a block's delays."""
-    return bool(part.acted) and len(list(delay_conditions(claim, part))) == len(part.acted)
+    return bool(part.certificate.acted) and len(list(delay_conditions(claim, part))) == len(part.certificate.acted)
 
 
-def _taken(claim: SampledClaim, item: Acted) -> int | None:
+def _taken(claim: Claim, item: Acted) -> int | None:
     """How many samples before the one that is over the command was given that the block holds for it."""
-    loop = claim.base.loop
+    loop = claim.loop
     own, column = _memories(loop, loop.controller), ca.vertsplit(item.held)
     traced = 0
     while traced < MOST and all(row.is_symbolic() and row.element_hash() in own for row in column):
@@ -89,21 +89,21 @@ def _taken(claim: SampledClaim, item: Acted) -> int | None:
     return traced - 1 if same else None
 
 
-def _of_command(claim: SampledClaim, item: Acted) -> Late | None:
+def _of_command(claim: Claim, item: Acted) -> Late | None:
     """By how many samples what the plant applies is behind what it was commanded."""
-    return _late(claim, item.command, [leaf.symbol for leaf in claim.base.loop.commanded])
+    return _late(claim, item.command, [leaf.symbol for leaf in claim.loop.commanded])
 
 
-def _of_position(claim: SampledClaim, item: Acted) -> Late | None:
+def _of_position(claim: Claim, item: Acted) -> Late | None:
     """By how many samples what is measured is behind the position."""
     if not all(row.is_symbolic() for row in ca.vertsplit(ca.SX(item.position))):
         return None
     return _late(claim, item.seen, [item.position])
 
 
-def _late(claim: SampledClaim, expression: SX, signals: Sequence[SX]) -> Late | None:
+def _late(claim: Claim, expression: SX, signals: Sequence[SX]) -> Late | None:
     """By how many samples a column is behind one of the signals; None where it is made of none of them."""
-    loop = claim.base.loop
+    loop = claim.loop
     found = _followed(loop, ca.SX(expression), symbols_in(signals))
     elements = [ca.vertsplit(ca.vec(ca.SX(signal))) for signal in signals]
     for place, row in enumerate(ca.vertsplit(ca.SX(expression))):
@@ -147,7 +147,7 @@ def _copied(loop: ClosedLoop, row: SX, own: Sequence[SX]) -> bool:
 
 
 def _kept(loop: ClosedLoop, kept: Sequence[SX], signals: Sequence[SX]) -> bool:
-    """True where a constant signal comes through as it is, small, or large beside what rounds it."""
+    """True where a constant signal passes unchanged, small, or large compared with the rounding."""
     drawn, value = loop.drawn, ca.SX.sym("value")
     own = ca.substitute(stack(kept), loop.p, ca.DM(loop.p_values))
     same = ca.substitute(own, stack(signals), value * ca.SX.ones(len(signals)))

@@ -80,18 +80,18 @@ def _of_equations(claim: Claim) -> Iterator[SX]:
 
 
 def _unlisted(tape: Tape, groups: Sequence[Group], values: Sequence[int], listed: set[int]) -> Iterator[str]:
-    asked = [(k, text) for place in range(len(tape)) for k, text in _asked(tape, place) if values[k] not in listed]
-    if not asked:
+    needed = [(k, text) for place in range(len(tape)) for k, text in _needs(tape, place) if values[k] not in listed]
+    if not needed:
         return
     fixed = {group.label for group in groups if group.kind in ("parameter", "weight")}
     made, signs = dict[int, frozenset[str]](), dict[int, Sign]()
-    for place in _below(tape, [k for k, _ in asked]):
+    for place in _below(tape, [k for k, _ in needed]):
         node = tape.nodes[place]
         of = [made[k] for k in node.operands]
         made[place] = frozenset().union(*of) if node.code != INPUT else frozenset({groups[node.a].label})
         positive = node.code == CONST and tape.numbers[node.constant] > 0
         signs[place] = sign_after(node.code, [signs[k] for k in node.operands], positive=positive)
-    for k, text in asked:
+    for k, text in needed:
         moving = sorted(made[k] - fixed)
         if moving and signs[k] is not Sign.ABOVE:
             yield text.format(f"something made of {', '.join(moving[:4])}")
@@ -108,8 +108,8 @@ def _below(tape: Tape, places: Sequence[int]) -> list[int]:
     return sorted(found)
 
 
-def _asked(tape: Tape, place: int) -> Iterator[tuple[int, str]]:
-    """What an instruction asks of its operands."""
+def _needs(tape: Tape, place: int) -> Iterator[tuple[int, str]]:
+    """The domain condition of an instruction's operands."""
     node, exponent = tape.nodes[place], tape.exponent(place)
     operation = OPERATIONS.get(node.code)
     if exponent is not None:

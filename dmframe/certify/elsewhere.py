@@ -1,6 +1,6 @@
-"""A claim at other numbers than the graph's: each thing that `verify` decided by numbers, as margins of the same loop.
+"""Re-evaluates the conditions of a claim at other parameter values, as symbolic margins.
 
-Beside its conditions these are what says nothing while it holds, see `dmframe.certify.tacit`. Each has a margin, or the
+They include the checks without a line of their own (`dmframe.certify.tacit`). Each has a margin, or the
 complete list of parameters and starts on which it depends, beyond which nothing is known of it. Where numbers of a
 graph are known up to intervals, a margin is the least over these.
 """
@@ -9,22 +9,24 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, final
+from dataclasses import dataclass
+from typing import final
 
 import casadi as ca
 
-from dmframe.block import AbstractBlock
-from dmframe.block.model import same_expressions, symbols_in
+from dmframe.block.model import symbols_in
+from dmframe.block.numberless import remade
+from dmframe.block.steady import same_statement
 from dmframe.certificate import SX
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
-from dmframe.certify.payment import kappa_needs
+from dmframe.certify.small_gain import kappa_needs
+from dmframe.certify.steady import stated_claims
 from dmframe.certify.tacit import Tacit, tacit
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
-from dmframe.diagram.view import View, view
-from dmframe.errors import DmframeError, ValueFault
+from dmframe.diagram.view import view
+from dmframe.errors import ValueFault
 from dmframe.exact.ends import Ends, enclosing
 from dmframe.exact.rational import Interval, as_float
 
@@ -82,7 +84,7 @@ def elsewhere(
 
 
 def least_kappa(claim: Claim, uncertain: Intervals) -> SX:
-    """`Kappa.least` as an expression in the claim's parameters, where every weight that pays is above zero.
+    """`Kappa.least` as an expression in the claim's parameters, where every dominating weight is above zero.
 
     Raises `ValueFault` where numbers known up to intervals enter by more than field operations.
     """
@@ -92,39 +94,12 @@ def least_kappa(claim: Claim, uncertain: Intervals) -> SX:
 
 def claims_alike(claim: Claim, changed: Diagram, name: str) -> bool:
     """True where a block states the same in a diagram with other numbers: it reads none of them as a number."""
-    (ones, said), (others, too) = (
-        _stated_by(diagram.blocks[name], view(claim.diagram, name, claim.truths))
+    constants = dict[str, SX]()
+    one, other = (
+        stated_claims(remade(diagram.blocks[name]), view(claim.diagram, name, claim.truths), constants)
         for diagram in (claim.diagram, changed)
     )
-    return said == too and same_expressions(ones, others)
-
-
-def _stated_by(block: AbstractBlock, seen: View) -> tuple[list[SX], list[str]]:
-    """The expressions of a block's certificate and conditions, and all else that is in them, as texts."""
-    expressions, rest = list[SX](), list[str]()
-
-    def collect(item: Any) -> None:
-        if isinstance(item, ca.SX | ca.DM | float | int):
-            expressions.append(ca.SX(item))
-        elif is_dataclass(item):
-            rest.append(type(item).__name__)
-            collect([getattr(item, each.name) for each in fields(item)])
-        elif isinstance(item, Mapping):
-            collect(list(item.items()))
-        elif isinstance(item, list | tuple):
-            rest.append(str(len(item)))
-            for inner in item:
-                collect(inner)
-        else:
-            rest.append(str(item))
-
-    try:
-        collect(block.composed_conditions(seen.p, seen.truth))
-        if type(block).certificate is not AbstractBlock.certificate:
-            collect(block.composed_certificate(seen.u, seen.x, seen.p, seen.truth))
-    except DmframeError as error:
-        rest.append(error.text)
-    return expressions, rest
+    return same_statement(one, other)
 
 
 def _inside(claim: Claim, uncertain: Intervals) -> dict[int, tuple[float, float]]:

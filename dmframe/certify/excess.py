@@ -91,7 +91,7 @@ def _most(expression: SX, numbers: Numbers) -> float:
 
 def _stands_still(claim: Claim, expression: SX, symbols: Symbols, of: str) -> bool:
     """True for what keeps its value along every motion, identically."""
-    rate = symbols.function("rate", [claim.field.derivative(expression, of)])
+    rate = symbols.function("rate", [claim.flow.D(expression, of)])
     return bool(zero_test(rate, values=symbols.fixed).zero)
 
 

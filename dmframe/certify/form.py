@@ -1,12 +1,13 @@
-"""The form of a certificate: terms of the known kinds, of shapes that fit, which the conditions can be decided on."""
+"""The form of a certificate: kinds and shapes of its terms; over samples, also names, and what moves that must not."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Final, final
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Final, final
 
 import casadi as ca
 
+from dmframe.block.model import symbols_in
 from dmframe.certificate import (
     MONOTONE,
     SX,
@@ -17,6 +18,7 @@ from dmframe.certificate import (
     Consumed,
     Driven,
     Gathered,
+    LeastSquaresSteps,
     Lemma,
     LogDet,
     NormSquare,
@@ -25,6 +27,12 @@ from dmframe.certificate import (
 )
 from dmframe.errors import DmframeError, nearest
 from dmframe.formula.law import ROLES
+from dmframe.program import EDGES, JUMPS, KINKS, codes
+from dmframe.steps import packed_size
+
+if TYPE_CHECKING:
+    from dmframe.certify.claim import Claim, Part
+    from dmframe.diagram.resolve import Leaf
 
 STORED: Final = (Square, Gathered, Potential, LogDet)
 DISSIPATED: Final = (Square, NormSquare, Lemma, Gathered)
@@ -34,7 +42,7 @@ BOUNDED: Final = (Square, NormSquare, Clipped)
 
 @final
 class NotApplicableError(DmframeError):
-    """A diagram that makes no claim: a block without a certificate, or a truth that nobody knows."""
+    """A diagram without a claim: a block has no certificate, or a true value is unknown."""
 
 
 def check_form(name: str, certificate: Certificate) -> None:
@@ -53,7 +61,7 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
     if not all(type(term) in DISSIPATED for term in terms):
         yield "expected each term of the dissipation to be a Square, a NormSquare, a Lemma or Gathered"
     if any(isinstance(term, Square) and term.positive for term in certificate.excess):
-        yield "expected no weight of the excess to be positive by assumption: it is a bound that is asked for there"
+        yield "expected no weight of the excess to be positive by assumption: a residual needs a bound"
     if not all(type(term) in BOUNDED for term in certificate.excess):
         yield "expected each term of the excess to be a Square, a NormSquare or a Clipped; nothing else has a bound"
     if not all(type(term) is Square for term in certificate.errors):
@@ -65,7 +73,7 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
         pieces, where = [ca.SX(piece) for piece in term.pieces], term.of or f"a {type(term).__name__}"
         if isinstance(term, Lemma) and term.phi not in MONOTONE:
             yield f"{where}: {term.phi} is not known to be monotone; {nearest(term.phi, MONOTONE)}"
-        if isinstance(term, Square) and term.positive and not _is_said(term.positive):
+        if isinstance(term, Square) and term.positive and not _is_line(term.positive):
             yield f"{where}: expected positive to be a text of one line, found {term.positive!r:.60}"
         if not _fits(term, pieces):
             yield f"{where}: expected columns of one length, or a square matrix of weights, found other shapes"
@@ -83,17 +91,18 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
             yield f"expected each of barriers to be a Barrier, found {type(barrier).__name__}"
         elif not _columns([ca.SX(piece) for piece in barrier.pieces]):
             yield "expected what a barrier is made of to be columns of one length or scalars, found other shapes"
-    if certificate.pays:
+    if certificate.dominates:
         if consumed is not None:
-            yield "a cascade consumes and cannot pay; expected one of consumes and pays"
-        paying = terms[: len(certificate.pays)]
-        if len(certificate.pays) > len(terms):
-            yield f"pays has {len(certificate.pays)} shares, expected one for each of {len(terms)} dissipated squares"
+            yield "a cascade has consumes and cannot have dominates; expected one of both"
+        dominating = terms[: len(certificate.dominates)]
+        if len(certificate.dominates) > len(terms):
+            shares = len(certificate.dominates)
+            yield f"dominates has {shares} shares, expected one for each of {len(terms)} dissipated squares"
         yield from _ill_paid(certificate)
-        if not all(isinstance(term, Square) and ca.SX(term.weight).is_column() for term in paying):
-            yield "whoever pays for a cascade must dissipate squares with diagonal weights alone"
-        if any(isinstance(term, Square) and term.positive for term in paying):
-            yield "nobody pays for a cascade with a weight that is positive by assumption"
+        if not all(isinstance(term, Square) and ca.SX(term.weight).is_column() for term in dominating):
+            yield "a certificate with dominates must dissipate squares with diagonal weights only"
+        if any(isinstance(term, Square) and term.positive for term in dominating):
+            yield "no weight that is positive by assumption can dominate a cascade's cross term"
 
 
 def _stated(certificate: Certificate) -> Iterator[tuple[str, Sequence[SX]]]:
@@ -102,15 +111,15 @@ def _stated(certificate: Certificate) -> Iterator[tuple[str, Sequence[SX]]]:
         yield role, [piece for term in getattr(certificate, role) for piece in term.pieces]
     consumed = certificate.consumes
     yield "consumes", [] if consumed is None else [consumed.vector, consumed.c]
-    yield "supply and pays", [certificate.supply, *certificate.pays]
+    yield "supply and dominates", [certificate.supply, *certificate.dominates]
     yield "truth", list(certificate.truth.values())
 
 
 def _ill_paid(certificate: Certificate) -> Iterator[str]:
-    """What pays has the length of what it composes: of a shorter one, each element would pay more than once."""
-    vectors = [ca.SX(term.pieces[0]) for term in certificate.dissipation[: len(certificate.pays)]]
+    """The dominating squares have the length of the composed vector: an element must not be counted twice."""
+    vectors = [ca.SX(term.pieces[0]) for term in certificate.dissipation[: len(certificate.dominates)]]
     lengths = {vector.numel() for vector in vectors}
-    shares = {ca.SX(share).numel() for share in certificate.pays}
+    shares = {ca.SX(share).numel() for share in certificate.dominates}
     if len(lengths) > 1 or not shares <= lengths | {1}:
         found = ", ".join(map(str, sorted(lengths | shares)))
         yield f"expected the squares that pay, and their shares, to be of one length, found {found}"
@@ -127,7 +136,10 @@ def _ill_driven(driven: Sequence[object]) -> Iterator[str]:
         elif len(item.inputs) not in (0, count):
             yield f"expected no input or {count} for the {count} vectors that are driven, found {len(item.inputs)}"
         elif item.inputs and not (item.otherwise and all(isinstance(c, Assumption) for c in item.otherwise)):
-            yield "expected assumptions, as otherwise, beside the inputs of what is driven, found none or conditions"
+            yield (
+                "expected assumptions as otherwise, together with the inputs of a linear subsystem, found none or "
+                "conditions"
+            )
         elif not _columns([ca.SX(piece) for piece in item.pieces]):
             yield "expected what is driven, and its rates, to be columns of one length or scalars"
 
@@ -150,10 +162,133 @@ def _fits(term: object, pieces: Sequence[SX]) -> bool:
     return _columns(pieces)
 
 
-def _is_said(text: str) -> bool:
+def _is_line(text: str) -> bool:
     return bool(text.strip()) and text.isprintable()
 
 
 def _columns(pieces: Sequence[SX]) -> bool:
     rows = max(piece.shape[0] for piece in pieces)
     return all(piece.shape in ((rows, 1), (1, 1)) for piece in pieces)
+
+
+def unfit(claim: Claim, part: Part) -> Iterator[str]:
+    """What is wrong with the form of a block's claim."""
+    prefix, symbols = f"{part.block}.", claim.sample.symbols
+    own = {label.removeprefix(prefix): symbol for label, symbol in symbols.items() if label.startswith(prefix)}
+    yield from _inapplicable(part.certificate)
+    yield from _misshapen(part, own)
+    loop = claim.loop
+    constant = symbols_in(parameter.symbol for parameter in loop.parameters)
+    constant |= symbols_in(part.certificate.unknown.values())
+    constant |= symbols_in(leaf.symbol for leaf in stepping(claim))  # between steps, each of which begins a new V
+    allowed = constant | symbols_in(own.values())
+    moving = {s.element_hash(): v.label for v in loop.variables for s in ca.symvar(ca.vec(v.symbol))}
+    for term in part.stored:
+        for piece in term.pieces:
+            for strange in symbols_in([piece]) - allowed:
+                what = moving.get(strange, "what is no parameter")
+                yield f"V holds {what}, of which nothing says what it is one sample later; expected its sampled states"
+    if symbols_in([ca.SX(term.weight) for term in part.certificate.storage]) - constant:
+        yield "V weighs with what moves; expected weights made of parameters"
+    weighed = symbols_in([part.storage]) - constant
+    for gained in part.certificate.excess:
+        for symbol in symbols_in(map(ca.SX, gained.pieces)) & weighed:
+            yield (
+                f"what V gains holds {moving[symbol]}, which V holds too, so that V could do anything; expected a "
+                "residual made of what is not in V"
+            )
+    for item in part.certificate.steps:
+        for role, value in item.constant.items():
+            if symbols_in([value]) - constant:
+                yield f"the {role} of the steps of {item.estimate} moves; expected one made of parameters"
+        if any(symbols_in([end]) - constant for end in item.box):
+            yield f"the box of {item.estimate} moves; expected one made of parameters"
+        rows = symbols_in(map(ca.SX, (piece for row in item.rows for piece in row)))
+        for name, state in item.states.items():
+            if rows & symbols_in([state]):
+                yield f"the rows of {item.estimate} hold {name} itself; expected what is measured or stored"
+    for relation in part.certificate.plant:
+        momentum = ca.Function("momentum", ca.symvar(relation.momentum), [relation.momentum])
+        if codes(momentum) & (JUMPS | KINKS | EDGES):
+            yield "the momentum of a relation jumps or has a kink, so that it has no derivative; expected a smooth one"
+        flowing = symbols_in(variable.symbol for variable in loop.flowing)
+        if symbols_in([relation.momentum]) - flowing - constant:
+            yield (
+                "the momentum of a relation holds more than what the plant moves between samples and constants: the "
+                "time, or what jumps at a sample; expected states of the plant"
+            )
+
+
+def _inapplicable(certificate: Certificate) -> Iterator[str]:
+    """Fields that a claim over samples does not have."""
+    for name in ("driven", "errors", "barriers", "filters", "dominates", "consumes", "task"):
+        if getattr(certificate, name):
+            yield f"expected no {name} of a block whose stored states are sampled"
+    if not ca.SX(certificate.supply).is_zero():
+        yield "expected no supply of a block whose stored states are sampled"
+    if not all(type(term) is Square for term in (*certificate.storage, *certificate.dissipation, *certificate.excess)):
+        yield "expected each term over samples to be a Square"
+
+
+def stepping(claim: Claim) -> list[Leaf]:
+    """What sources declare to be constant between steps, such as a load."""
+    resolver = claim.diagram.resolver
+    return [leaf for (block, port, _), leaf in resolver.trajectories.items() if resolver.steps(block, port)]
+
+
+def _misshapen(part: Part, own: Mapping[str, SX]) -> Iterator[str]:
+    spoken = (name for item in part.certificate.steps for name in item.names)
+    for name in (*spoken, *(item.state for item in part.certificate.delay_lines)):
+        if name not in own:
+            yield f"certificate() speaks of {name}, which is none of its sampled states; {nearest(name, own)}"
+            return
+    for item in part.certificate.steps:
+        size = ca.SX(item.theta).numel()
+        wanted = [("theta", item.theta), ("true", item.true), ("gain", item.gain)]
+        wanted += [(f"row {place}", h) for place, (h, _) in enumerate(item.rows)]
+        wanted += [("end of the box", end) for end in item.box]
+        for what, piece in wanted:
+            if ca.SX(piece).shape != (size, 1):
+                yield f"the steps of {item.estimate}: expected a {what} of {size} x 1, found {_size(piece.shape)}"
+        if sum(item.parts) != size or min(item.parts, default=0) < 1:
+            yield f"the steps of {item.estimate}: expected parts that make up {size} parameters, found {item.parts}"
+        if any(y.shape != (len(item.parts), 1) for _, y in item.rows):
+            yield f"the steps of {item.estimate}: expected {len(item.parts)} measured numbers a row, found others"
+        if not ca.SX(item.floor).is_scalar():
+            yield f"the steps of {item.estimate}: expected one floor, found {_size(item.floor.shape)}"
+        if len(item.box) not in (0, 2):
+            yield f"the steps of {item.estimate}: expected a box of two ends, found {len(item.box)}"
+        if isinstance(item, LeastSquaresSteps):
+            yield from _unfit_memory(item)
+        for name, symbol in item.states.items():
+            if own[name].shape != symbol.shape or not ca.is_equal(symbol, own[name], 2):
+                start = "" if name == item.estimate else f" for {name}"
+                yield f"the steps of {item.estimate} start{start} from something else than that state"
+    for memory in part.certificate.delay_lines:
+        if not ca.SX(memory.when).is_scalar():
+            yield f"{memory.state} is stored when {_size(memory.when.shape)} numbers say so; expected one"
+        if not memory.fits(own[memory.state]):
+            shape, one = own[memory.state].shape, memory.newest.shape
+            yield f"{memory.state} is {_size(shape)}, which is no whole number of {_size(one)}"
+    for term in (*part.certificate.storage, *part.certificate.dissipation, *part.certificate.excess):
+        vector, weight = map(ca.SX, term.pieces)
+        if not vector.is_column() or weight.shape not in (vector.shape, (1, 1)):
+            yield "expected columns with a diagonal weight, found other shapes"
+    for relation in part.certificate.plant:
+        if not relation.momentum.is_column() or relation.momentum.shape != relation.rest.shape:
+            yield "expected the momentum and the rest of a relation to be columns of one length"
+
+
+def _unfit_memory(item: LeastSquaresSteps) -> Iterator[str]:
+    of = f"the steps of {item.estimate}"
+    if len(item.states) != len(item.names):
+        yield f"{of}: expected their memory to be a state of its own, found {item.memory}"
+    if not ca.SX(item.retention).is_scalar():
+        yield f"{of}: expected one retention, found {_size(item.retention.shape)}"
+    size = packed_size(item.parts)
+    if item.gathered.shape != (size, 1):
+        yield f"{of}: expected lower triangles of {size} x 1, found {_size(item.gathered.shape)}"
+
+
+def _size(shape: Sequence[int]) -> str:
+    return f"{shape[0]} x {shape[1]}"

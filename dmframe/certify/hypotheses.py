@@ -22,6 +22,9 @@ from dmframe.linalg import Inverted
 from dmframe.port import Access, Side
 from dmframe.program import DIVISIONS, OPERATIONS
 
+BETWEEN: Final = "is constant between its steps; the proof holds between two steps, each of which starts a new V"
+"""The assumption on a source that steps."""
+
 ORDERS: Final = ("", "first ", "first two ", "first three ", "first four ", "first five ")
 
 
@@ -101,7 +104,7 @@ def _defined(code: int, part: SX, numbers: Numbers) -> bool:
     try:
         values = numbers.of(part)
     except (ValueFault, ZeroDivisionError):
-        return True  # it holds more than parameters, or another divisor is told
+        return True  # it holds more than parameters, or another divisor is reported
     low, high = min(map(lower, values)), max(map(upper, values))
     if code in (*DIVISIONS, ca.OP_FMOD, ca.OP_REMAINDER):
         return low > 0 or high < 0
@@ -173,9 +176,10 @@ def _trajectories(claim: Claim) -> Iterator[Assumption]:
         name = f"{block}.{port}"
         if resolver.steps(block, port):
             if Wire(block, port) not in claim.diagram.sources.values():
-                continue  # which nobody reads
-            says = "is bounded, and constant: all is said of the time between its steps, each of which begins a new V"
-            yield Assumption(f"{name} {says}{_stepping(claim, block, port)}", "V holds it")
+                continue  # no block reads it
+            yield Assumption(
+                f"{name} is bounded, and {BETWEEN.removeprefix('is ')}{_stepping(claim, block, port)}", "V holds it"
+            )
             continue
         if order == 0 and resolver.trajectory_rate(block, port, 0).is_zero():
             yield Assumption(f"{name} is constant", "it does not read the time")

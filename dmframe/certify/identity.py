@@ -12,7 +12,9 @@ import casadi as ca
 
 from dmframe.certificate import SX, Gathered, LogDet, NormSquare, Potential, Square
 from dmframe.certify.claim import Claim, Part
+from dmframe.certify.operators import Sample
 from dmframe.certify.symbols import Group, Symbols
+from dmframe.diagram.closed_loop import stack
 from dmframe.exact import Tape, Trial, ZeroDivision, ZeroTest, random_prime, zero_test
 
 DEEP = 100
@@ -28,7 +30,7 @@ BITS = 149
 @final
 @dataclass(frozen=True)
 class Equality:
-    """An expression that must vanish identically, and the block whose word it is; none for the diagram's dV/dt.
+    """An expression that must vanish identically, and the block that claims it; none for the diagram's D V.
 
     `scale` is the sum of the absolute values of its terms.
     """
@@ -40,24 +42,48 @@ class Equality:
 
 
 def equalities(claim: Claim) -> list[Equality]:
-    """All that a claim says to be zero; the diagram's own comes first.
+    """All that a claim states to be zero; the diagram's own, where several blocks store something, comes first.
 
-    The blocks' own claims are not needed for dV/dt of the diagram, where the supplies cancel; but a block whose supply
-    is not what it says could not be built upon.
+    The blocks' own claims are not needed for D V of the diagram, where the supplies cancel; but a block whose supply is
+    wrong could not be built upon.
     """
-    found = [Equality("", "dV/dt", claim.residual, _scale(claim))]
-    found += [Equality(part.block, "dS/dt", part.residual, _own_scale(part)) for part in claim.parts]
-    found += [*_memories(claim), *_symmetric(claim)]
-    for consumer, payer in claim.payments:
-        if payer is not None and consumer.certificate.consumes is not None:
-            wanted, paid = consumer.certificate.consumes.vector, payer.composed
-            says = f"what it pays for is what {consumer.block} consumes"
-            found.append(Equality(payer.block, says, paid - wanted, ca.fabs(paid) + ca.fabs(wanted)))
+    own = claim.operator.name
+    found = [] if claim.over_samples else [Equality("", own, claim.residual, _scale(claim))]
+    for part in claim.parts:
+        if claim.over_samples:
+            found += [Equality(part.block, own, part.residual, _own_scale(part))] * bool(part.stored)
+            found += of_a_sample(claim.sample, part)
+        else:
+            found.append(Equality(part.block, "dS/dt", part.residual, _own_scale(part)))
+    found += [] if claim.over_samples else [*_memories(claim), *_symmetric(claim)]
+    for consumer, block in claim.cross_terms:
+        if block is not None and consumer.certificate.consumes is not None:
+            wanted, composed = consumer.certificate.consumes.vector, block.composed
+            says = f"the vector that it dominates is that of {consumer.block}"
+            found.append(Equality(block.block, says, composed - wanted, ca.fabs(composed) + ca.fabs(wanted)))
     return found
 
 
+def of_a_sample(sample: Sample, part: Part) -> Iterator[Equality]:
+    """The moves of estimates and delay lines, the plant's identities, and what the block's output solves."""
+    stated, block = part.certificate, part.block
+    for name, said in (move for item in stated.steps for move in item.moves.items()):
+        yield _equal(block, f"what {name} becomes", sample.next[f"{block}.{name}"], said)
+    for line in stated.delay_lines:
+        label = f"{block}.{line.state}"
+        yield _equal(block, f"what {line.state} keeps", sample.next[label], line.pushed(sample.symbols[label]))
+    for identity in stated.plant:
+        yield _equal(block, "what the plant's motion obeys", sample.along_the_plant(identity.momentum), -identity.rest)
+    for left in stated.solved:
+        yield Equality(block, "the equation that its output solves", left, 1 + ca.fabs(left))
+
+
+def _equal(block: str, says: str, one: SX, other: SX) -> Equality:
+    return Equality(block, says, ca.vec(ca.densify(one - other)), ca.vec(ca.fabs(one) + ca.fabs(other)))
+
+
 def _memories(claim: Claim) -> Iterator[Equality]:
-    """What is gathered moves as its term says; of terms that share it, told once."""
+    """Information matrices move as their terms state; once for terms that share one."""
     for part in claim.parts:
         terms = (*part.certificate.storage, *part.certificate.dissipation)
         seen = list[Gathered]()
@@ -66,7 +92,7 @@ def _memories(claim: Claim) -> Iterator[Equality]:
                 continue
             seen.append(term)
             moves, said = (
-                claim.field.derivative(ca.vec(term.memory), f"{part.block}: G of |{term.of}|_G^2"),
+                claim.flow.D(ca.vec(term.memory), f"{part.block}: G of |{term.of}|_G^2"),
                 ca.vec(term.rate),
             )
             yield Equality(part.block, f"dG/dt of {term.of}", moves - said, ca.fabs(moves) + ca.fabs(said))
@@ -109,17 +135,31 @@ def check_identity(claim: Claim, symbols: Symbols, *, trials: int, seed: int) ->
 
 
 def empty_terms(claim: Claim, symbols: Symbols, seed: int) -> list[str]:
-    """What is identically zero: V, dV/dt, or the vector of a square, of which then nothing would be said."""
-    squares = [
-        (f"{part.block}: {term.of}", term.vector)
-        for part in claim.parts
-        for term in (*part.certificate.storage, *part.certificate.dissipation, *part.certificate.errors)
-        if isinstance(term, Square | NormSquare | Gathered | Potential)
-    ]
-    named = [("V", claim.V), ("dV/dt", claim.rate), *squares]
+    """What is identically zero: V, D V, or the vector of a square, so that nothing would be proved of it."""
+    named = list(_of_samples(claim) if claim.over_samples else _of_a_flow(claim))
     tape = Tape.from_function(symbols.function("terms", [expression for _, expression in named]))
     outputs = at_random_point(tape, symbols, seed)
     return [name for (name, _), values in zip(named, outputs, strict=True) if not any(values)]
+
+
+def _of_a_flow(claim: Claim) -> Iterator[tuple[str, SX]]:
+    yield from (("V", claim.V), (claim.operator.name, claim.rate))
+    for part in claim.parts:
+        for term in (*part.certificate.storage, *part.certificate.dissipation, *part.certificate.errors):
+            if isinstance(term, Square | NormSquare | Gathered | Potential):
+                yield f"{part.block}: {term.of}", term.vector
+
+
+def _of_samples(claim: Claim) -> Iterator[tuple[str, SX]]:
+    for part in claim.parts:
+        stated, block = part.certificate, part.block
+        if part.stored:
+            yield f"{block}: {claim.operator.name}", part.rate
+        for role, terms in (("V", stated.storage), ("what V loses", stated.dissipation)):
+            yield from ((f"{block}: term {place} of {role}", ca.SX(t.value)) for place, t in enumerate(terms, start=1))
+        yield from ((f"{block}: the rows of {s.estimate}", stack(h for h, _ in s.rows)) for s in stated.steps)
+        yield from ((f"{block}: when {item.state} is stored", ca.SX(item.when)) for item in stated.delay_lines)
+        yield from ((f"{block}: the rest of a relation", ca.SX(item.rest)) for item in stated.plant)
 
 
 def at_random_point(tape: Tape, symbols: Symbols, seed: int) -> list[list[int]]:

@@ -18,8 +18,8 @@ _DEEP: Final = 1000
 
 
 def labelled(stated: Mapping[str, Certificate], laws: Mapping[str, PrintedLaw]) -> dict[str, Certificate]:
-    """Certificates whose terms bear their names, one name for one vector: where two print alike, they are told apart by
-    their block, and within a block by a number. All that follows may take a name for the vector.
+    """Certificates whose terms bear their names, one name for one vector: two that print alike are
+    distinguished by their block, and within a block by a number, so that a name identifies a vector.
     """
     alike = _alike(stated, laws)
     return {name: _named(name, certificate, laws[name], alike) for name, certificate in stated.items()}
@@ -73,7 +73,7 @@ def _named(name: str, certificate: Certificate, law: PrintedLaw, alike: Mapping[
         place = next(k for k, item in enumerate(own, 1) if not _differ(item.vector, vector))
         return f"{text if len(own) == 1 else _numbered(text, place)} ({name})"
 
-    def told(terms: Sequence[Any], printed: Sequence[PrintedTerm]) -> tuple[Any, ...]:
+    def named(terms: Sequence[Any], printed: Sequence[PrintedTerm]) -> tuple[Any, ...]:
         return tuple(_with(term, line, full) for term, line in zip(terms, printed, strict=True))
 
     driven = tuple(
@@ -82,10 +82,10 @@ def _named(name: str, certificate: Certificate, law: PrintedLaw, alike: Mapping[
     )
     return replace(
         certificate,
-        storage=told(certificate.storage, law.storage),
-        dissipation=told(certificate.dissipation, law.dissipation),
-        excess=told(certificate.excess, law.excess),
-        errors=told(certificate.errors, law.errors),
+        storage=named(certificate.storage, law.storage),
+        dissipation=named(certificate.dissipation, law.dissipation),
+        excess=named(certificate.excess, law.excess),
+        errors=named(certificate.errors, law.errors),
         driven=driven,
     )
 

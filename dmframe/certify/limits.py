@@ -76,7 +76,7 @@ class Made:
 
 
 def goals(claim: Claim, closure: Closure) -> list[Goal]:
-    """The errors that V holds, those that certificates name beside it, and those that a stable equation drives."""
+    """The errors in V, those that certificates name, and those that a stable linear subsystem drives."""
     found = {
         term.of: Goal(term.of, term.vector, term.width if isinstance(term, Potential) else None)
         for part in claim.parts

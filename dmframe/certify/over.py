@@ -1,4 +1,4 @@
-"""Conditions over intervals: what holds nowhere is told apart from what intervals are too wide to decide.
+"""Conditions over intervals: distinguishes what holds nowhere from what is undecided because intervals are too wide.
 
 Interval arithmetic forgets that two operands are one number, so that a condition may hold at each point of a box and
 not be decided for the whole of it. It costs nothing where a graph has no intervals.

@@ -35,7 +35,7 @@ class Signs:
         """True for a weight that is positive by assumption, of which nothing says that it stays bounded."""
         return is_assumed(term, self._numbers)
 
-    def spends(self, term: Lemma) -> bool:
+    def dissipates(self, term: Lemma) -> bool:
         """True for a lemma each element of which has a positive weight."""
         return self._least(term.weight)
 

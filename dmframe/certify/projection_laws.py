@@ -1,4 +1,4 @@
-r"""The law of each projection, held to the projection lemma at random points, until every branch has been seen.
+r"""Checks the law of each projection against the projection lemma at random points, until every branch has occurred.
 
 The `law` and `held` of a set are expressions that a run evaluates; in a proof the correction is a free symbol.
 So the proof has to know that the law is one that the lemma speaks of:
@@ -37,7 +37,7 @@ from dmframe.robot.parameters import INERTIAL
 from dmframe.robot.pseudo_inertia import parameters_of, pseudo_inertia
 
 POINTS = 48
-"""Random points beside those whose elements all stand alike."""
+"""Random points, besides those with equal elements."""
 ROUNDING = 1e-9
 """What rounding may leave for a ball or for bodies, in proportion to the terms."""
 BEYOND = 1e-9
@@ -81,7 +81,7 @@ def check_law(projection: Projection, loop: ClosedLoop) -> Checked:
         text += f"; {one_way} of its {len(branches)} comparisons went one way only"
     least = min(margins) if np.isfinite(margins).all() else None
     holds = least is not None and least >= 0 and not one_way
-    shown = None if holds else least  # on the set's own faces it is zero, which tells nobody anything
+    shown = None if holds else least  # on the set's own faces it is zero, which carries no information
     # a box's law is affine between its faces and between signs of the rate: each such case has been a point
     how = "cases" if isinstance(kept, Box) else "sampled"
     name = f"{projection.name}: law of the {projection.kind}"

@@ -121,7 +121,7 @@ def rooms_on_path(claim: Claim, numbers: Numbers) -> Iterator[tuple[str, SX]]:
 
 
 def outside(text: str, room: SX, loop: ClosedLoop) -> Iterator[Checked]:
-    """A condition that fails where what a source hands out, such as a load, is outside of the set, or no number."""
+    """A condition that fails where a source's output, such as a load, is outside the set or NaN."""
     function = ca.Function("room", [loop.time, loop.p], [room])
     times = np.linspace(0.0, HORIZON, SAMPLES)
     found = np.min(function(times[None, :], loop.p_values).full(), axis=0)
@@ -149,7 +149,7 @@ def _still(name: str, truth: SX, numbers: Numbers) -> Iterator[Checked]:
     (truth,) = claim.loop.joined([truth])
     if symbols_in([truth]) <= numbers.known:
         return
-    rate = claim.field.derivative(truth, f"{name}: the true value")
+    rate = claim.flow.D(truth, f"{name}: the true value")
     text = "d(true value)/dt is identically zero along the closed loop"
     uncertain = [label for label, values in numbers.values.items() if any(isinstance(v, Interval) for v in values)]
     symbols = symbols_of(claim, uncertain)
@@ -176,9 +176,9 @@ def _starts(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) 
     shown = INSIDE[projection.kind].format("start")
     start = start_of(projection.name, numbers, given)
     room = projection.set.room(projection.state)
-    asked = [row for row in range(len(start)) if ca.depends_on(room, projection.state[row])]
-    known = [row for row in asked if start[row] is not None]
-    unknown = [row for row in asked if start[row] is None]
+    moving = [row for row in range(len(start)) if ca.depends_on(room, projection.state[row])]
+    known = [row for row in moving if start[row] is not None]
+    unknown = [row for row in moving if start[row] is None]
     if known and (projection.kind == "box" or not unknown):
         begin = start_expression(projection.name, numbers, given)
         margin = None if begin is None else _decidable(_room_at(projection, begin), numbers)[0]

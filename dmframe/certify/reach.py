@@ -1,15 +1,12 @@
 r"""Whether a desired path of the tool leaves what the tool can reach: a refutation, and never a proof of reach.
 
-The tool is no farther from the first joint's origin than the sum of the offsets behind it, :math:`|x - o_1| \le
-\sum_{i > 1} |t_i| + |t_{tool}|`, whatever the angles are; and where the rows of J have a combination c with
-:math:`c^\top J(q) = 0`, as of an arm that moves in a plane, :math:`c^\top x` never changes. One instant at which the
-path is elsewhere is enough. A sliding joint has no such bound: the model that runs has no end stops. The cost is
-some ms.
+The tool is within a shell about the first joint's origin, see `dmframe.certify.shell`; and where the rows of J have a
+combination c with :math:`c^\top J(q) = 0`, as of an arm that moves in a plane, :math:`c^\top x` never changes. One
+instant at which the path is elsewhere is enough. The cost is some ms.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any, Final
@@ -21,14 +18,15 @@ from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
 from dmframe.certify.checked import Checked
 from dmframe.certify.claim import Claim
+from dmframe.certify.sampler import Sampler
+from dmframe.certify.shell import shell_of
 from dmframe.certify.smoothness import HORIZON, SAMPLES
+from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import ClosedLoop, stack
 from dmframe.errors import ValueFault
 from dmframe.exact.ends import enclosing
 from dmframe.units import plain
 
-OUTWARD: Final = 1 + 1e-9
-"""By which a reach is enlarged: more than all rounding on the way to it."""
 POSES: Final = 12
 FLAT: Final = 1e-9
 """Largest singular value over the largest, and distance [m], that rounding explains."""
@@ -38,13 +36,18 @@ SOURCE: Final = "x goes to x_d only where the tool can be"
 
 def reach_conditions(claim: Claim) -> Iterator[Checked]:
     """A condition that fails for each desired path of a tool that is out of its reach at some instant."""
-    loop = claim.loop
-    for name, robot, path in _paths(claim):
-        times = np.linspace(0.0, HORIZON, SAMPLES)
+    for text in out_of_reach(claim.diagram, HORIZON):
+        yield Checked(text, "within the reach of the tool", None, False, SOURCE, reads=claim.loop.p)
+
+
+def out_of_reach(diagram: Diagram, horizon: float) -> Iterator[str]:
+    """How each desired path of a tool leaves the tool's reach within that time [s], where it does."""
+    loop = diagram.loop
+    for name, robot, path in _paths(diagram):
+        times = np.linspace(0.0, horizon, SAMPLES)
         function = ca.Function("path", [loop.time, loop.p], [path])
-        places = function.map(SAMPLES)(times[None, :], np.tile(loop.p_values[:, None], SAMPLES)).full()
-        for why in (*_too_far(robot, places, times), *_off_plane(robot, places, times)):
-            yield Checked(f"{name} {why}", "within the reach of the tool", None, False, SOURCE, reads=loop.p)
+        places = Sampler(function, loop.p_values).over(times)
+        yield from (f"{name} {why}" for why in (*_too_far(robot, places, times), *_off_plane(robot, places, times)))
 
 
 def kept_within(claim: Claim) -> Iterator[tuple[str, SX | None, SX]]:
@@ -54,7 +57,7 @@ def kept_within(claim: Claim) -> Iterator[tuple[str, SX | None, SX]]:
     where it is not above zero at the graph's own numbers, or no bounds of the path were found.
     """
     loop = claim.loop
-    for name, robot, path in _paths(claim):
+    for name, robot, path in _paths(claim.diagram):
         known = symbols_in([loop.p])
         read = ca.vertcat(ca.SX(0, 1), *(x for x in ca.symvar(path) if x.element_hash() in known))
         margin = _room(loop, robot, path) if not _still(robot)[0].shape[1] else None
@@ -64,33 +67,36 @@ def kept_within(claim: Claim) -> Iterator[tuple[str, SX | None, SX]]:
 
 
 def _room(loop: ClosedLoop, robot: Any, path: SX) -> SX | None:
-    """The square of the reach less that of the farthest corner of a box about the path."""
-    found = _sphere(robot)
-    if found is None:
+    """The least of two margins over a box about the path: to the farthest and to the nearest that the tool can be."""
+    shell = shell_of(robot)
+    if shell is None:
         return ca.SX(1)
-    center, reach = found
     with suppress(ValueFault):
-        ends = enclosing(path - center, {loop.time.element_hash(): (0.0, HORIZON)}, waves=True)
+        away = ca.DM(shell.across) @ (path - shell.center)
+        ends = enclosing(away, {loop.time.element_hash(): (0.0, HORIZON)}, waves=True)
         far = ca.fmax(ends.lower * ends.lower, ends.upper * ends.upper)
-        return ca.SX(reach * reach - ca.sum1(far))
+        outside = shell.outer**2 - ca.sum1(far)
+        if not shell.inner:
+            return ca.SX(outside)
+        near = ca.fmax(0, ca.fmax(ends.lower, -ends.upper))
+        return ca.fmin(outside, ca.sum1(near * near) - shell.inner**2)
     return None
 
 
-def _paths(claim: Claim) -> Iterator[tuple[str, Any, SX]]:
+def _paths(diagram: Diagram) -> Iterator[tuple[str, Any, SX]]:
     """Desired paths of a robot's tool that parameters and the time decide: label, robot, path."""
-    loop = claim.loop
+    loop = diagram.loop
     for pair in loop.followed:
-        robot = claim.diagram.models[pair.actual.partition(".")[0]].robot
+        robot = diagram.models[pair.actual.partition(".")[0]].robot
         path = loop.on_path(pair.wanted)
         if robot is None or not symbols_in([path]) <= symbols_in([loop.time, loop.p]):
             continue
-        if _is_tool(claim, robot, loop.joined([pair.found])[0]):
+        if _is_tool(loop, robot, loop.joined([pair.found])[0]):
             yield pair.desired, robot, ca.densify(path)
 
 
-def _is_tool(claim: Claim, robot: Any, found: SX) -> bool:
+def _is_tool(loop: ClosedLoop, robot: Any, found: SX) -> bool:
     """True for the position of the robot's tool at a state of the plant, at random points."""
-    loop = claim.loop
     for variable in loop.plant:
         if variable.symbol.numel() != robot.n or found.shape != (robot.m, 1):
             continue
@@ -105,28 +111,22 @@ def _is_tool(claim: Claim, robot: Any, found: SX) -> bool:
     return False
 
 
-def _sphere(robot: Any) -> tuple[np.ndarray, float] | None:
-    """The origin of the first joint and the reach about it; None with a joint that slides."""
-    chain = robot.chain
-    if any(joint.kind != "revolute" for joint in chain.joints):
-        return None
-    first, *others = [np.array([float(x) for x in joint.translation]) for joint in chain.joints]
-    tool = np.array([float(x) for x in chain.tool])
-    reach = OUTWARD * math.fsum(float(np.linalg.norm(offset)) for offset in (*others, tool))
-    return first[["xyz".index(axis) for axis in chain.axes]], reach
-
-
 def _too_far(robot: Any, places: np.ndarray, times: np.ndarray) -> Iterator[str]:
-    found = _sphere(robot)
-    if found is None:
+    shell = shell_of(robot)
+    if shell is None:
         return
-    center, reach = found
-    away = np.linalg.norm(places - center[:, None], axis=0)
-    k = int(np.argmax(np.nan_to_num(away, nan=0.0)))
-    if away[k] > reach + FLAT:
+    away = np.linalg.norm(shell.across @ (places - shell.center[:, None]), axis=0)
+    from_where = "from the first joint" + ", across the directions in which it slides," * shell.slides
+    k, near = int(np.argmax(np.nan_to_num(away, nan=0.0))), int(np.argmin(np.nan_to_num(away, nan=np.inf)))
+    if away[k] > shell.outer + FLAT:
         yield (
-            f"is {plain(float(away[k]), 'm')} from the first joint at t = {times[k]:.6g} s, and the tool reaches no "
-            f"farther than {plain(reach, 'm')}"
+            f"is {plain(float(away[k]), 'm')} {from_where} at t = {times[k]:.6g} s, and the tool reaches no "
+            f"farther than {plain(shell.outer, 'm')}"
+        )
+    if away[near] < shell.inner - FLAT:
+        yield (
+            f"is {plain(float(away[near]), 'm')} {from_where} at t = {times[near]:.6g} s, and the tool comes no "
+            f"nearer than {plain(shell.inner, 'm')}"
         )
 
 

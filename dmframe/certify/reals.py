@@ -46,7 +46,7 @@ BY_ROUNDING = (
 )
 NOWHERE = (
     f"not decided: what the blocks claim has a real value at none of {TRIES} random points; a root, power or logarithm "
-    "asks for a region that was not found"
+    "needs a region that was not found"
 )
 
 

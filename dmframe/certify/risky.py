@@ -8,7 +8,7 @@ from typing import Final
 import casadi as ca
 
 from dmframe.certificate import SX
-from dmframe.certify.sign import TELLING, Sign, sign_after
+from dmframe.certify.sign import SIGNED, Sign, sign_after
 from dmframe.program import DIVISIONS, OPERATIONS, POWERS
 
 
@@ -37,7 +37,7 @@ def sign_of_node(x: SX, deep: int = _DEEP) -> Sign:
     """What is known of a scalar's sign by its last operations."""
     if x.is_constant():
         return sign_after(ca.OP_CONST, (), positive=float(x) > 0)
-    if not x.n_dep() or not deep or x.op() not in TELLING:
+    if not x.n_dep() or not deep or x.op() not in SIGNED:
         return Sign.ANY
     return sign_after(x.op(), [sign_of_node(x.dep(k), deep - 1) for k in range(x.n_dep())])
 

@@ -18,7 +18,7 @@ class Sign(Enum):
     ABOVE = 2
 
 
-TELLING = frozenset(
+SIGNED = frozenset(
     {
         ca.OP_CONST, ca.OP_EXP, ca.OP_COSH, ca.OP_FMAX, ca.OP_ADD, ca.OP_MUL, ca.OP_DIV, ca.OP_INV, ca.OP_SQRT,
         ca.OP_TWICE, ca.OP_FMIN, ca.OP_SQ, ca.OP_FABS,

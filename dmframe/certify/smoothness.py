@@ -20,6 +20,7 @@ from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Assumption
 from dmframe.certify.claim import Claim
 from dmframe.certify.differentiated import Differentiated
+from dmframe.certify.sampler import Sampler
 from dmframe.certify.sign import Sign, sign_after
 from dmframe.certify.symbols import exact_values
 from dmframe.diagram import Diagram
@@ -74,7 +75,7 @@ def smoothness(diagram: Diagram, claim: Claim) -> Smoothness:
 
 @final
 class Examiner:
-    """Examines what a claim differentiates; asked again, only what has been differentiated since."""
+    """Examines what a claim differentiates; a second call examines only later entries."""
 
     def __init__(self, diagram: Diagram, claim: Claim) -> None:
         self._diagram, self._claim = diagram, claim
@@ -84,7 +85,7 @@ class Examiner:
 
     def found(self) -> Smoothness:
         """What was found of all that is differentiated by now."""
-        entries = self._claim.differentiated.since(self._count)
+        entries = self._claim.operator.record.since(self._count)
         self._count += len(entries)
         for entry in entries:
             self._enter(_symbols(self._claim, entry))
@@ -97,23 +98,23 @@ class Examiner:
         assumptions = tuple(Assumption(text, SOURCE) for text in self._texts["assumed"])
         return Smoothness(tuple(self._texts["fault"]), assumptions, tuple(self._texts["note"]))
 
-    def _enter(self, told: Told) -> None:
-        for kind, text in told:
+    def _enter(self, findings: Findings) -> None:
+        for kind, text in findings:
             self._texts[kind][text] = None
 
 
 def slope(claim: Claim, expression: SX) -> SX | None:
     """The rate of a signal; None where it jumps or holds what has no rate, so that the chain rule does not give it.
 
-    A kink may stay: the rate is bounded next to it, which is all that Barbalat's lemma asks.
+    A kink may stay: the rate is bounded next to it, which is all that Barbalat's lemma requires.
     """
     still = symbols_in(parameter.symbol for parameter in claim.loop.parameters)
     if jumps(expression, still) or any(_strangers(claim, expression)):
         return None
-    return claim.field.unrecorded(expression)
+    return claim.flow.unrecorded(expression)
 
 
-Told = Iterator[tuple[str, str]]
+Findings = Iterator[tuple[str, str]]
 """Pairs of ``fault``, ``assumed`` or ``note`` with a text."""
 
 
@@ -126,7 +127,7 @@ def _strangers(claim: Claim, expression: SX) -> Iterator[SX]:
     return (symbol for symbol in ca.symvar(expression) if symbol.element_hash() not in known)
 
 
-def _symbols(claim: Claim, entry: Differentiated) -> Told:
+def _symbols(claim: Claim, entry: Differentiated) -> Findings:
     for symbol in _strangers(claim, entry.expression):
         what = _stranger(claim.diagram, claim, symbol)
         yield "fault", f"{entry.of} holds {what}; it has no rate to differentiate along"
@@ -144,7 +145,7 @@ def _stranger(diagram: Diagram, claim: Claim, symbol: SX) -> str:
     return f"{symbol}, which is no state, trajectory or parameter of this diagram"
 
 
-def _operations(claim: Claim, entry: Differentiated) -> Told:
+def _operations(claim: Claim, entry: Differentiated) -> Findings:
     """No operation jumps while the loop moves, and none has a kink that shows."""
     moving = symbols_in([claim.loop.time, claim.loop.state, *(leaf.symbol for leaf in claim.loop.trajectories)])
     moving |= symbols_in(leaf.symbol for leaf in claim.diagram.resolver.trajectories.values())
@@ -180,8 +181,8 @@ def jumps(expression: SX, still: set[int]) -> bool:
     return any(code in JUMPS for _, code in moving_operations(Tape.from_function(function), [moving]))
 
 
-def _field(claim: Claim) -> Told:
-    """Where a rate jumps, solutions slide along the switching set, and have to be told what they are."""
+def _field(claim: Claim) -> Findings:
+    """Where a rate jumps, solutions slide along the switching set, and their definition has to be stated."""
     loop = claim.loop
     for variable in loop.variables:
         (rate,) = loop.joined(loop.rates_of([variable]))
@@ -246,18 +247,18 @@ def _differentiated(diagram: Diagram, used: set[int]) -> Iterator[Leaf]:
             used |= symbols_in([resolver.input(block, source.of)])
     for (block, port, order), leaf in list(resolver.trajectories.items()):
         if resolver.steps(block, port):
-            continue  # what is said is of the time between its steps
+            continue  # the proof holds between its steps
         if used & symbols_in([leaf.symbol]) or (block, port, order + 1) in resolver.trajectories:
             yield leaf
 
 
 def followed_by_numbers(diagram: Diagram, claim: Claim) -> Iterator[tuple[str, SX]]:
-    """Trajectories that are held to be continuous at the graph's numbers alone, with the parameters that they read.
+    """Trajectories checked for continuity at the graph's numbers only, with the parameters that they read.
 
     One that is continuous, exactly, at random numbers near and far from these, and in which parameters alone switch
     nothing, is so by how it is written, and left out.
     """
-    for leaf in _differentiated(diagram, symbols_in([entry.expression for entry in claim.differentiated.since(0)])):
+    for leaf in _differentiated(diagram, symbols_in([entry.expression for entry in claim.operator.record.since(0)])):
         joined, function = _path(diagram, leaf)
         if not function.has_free() and _switches(function) and not _continuous_anywhere(diagram, function):
             moves = symbols_in([diagram.loop.time])
@@ -274,7 +275,7 @@ def _continuous_anywhere(diagram: Diagram, function: ca.Function) -> bool:
     own = [value for parameter in diagram.loop.parameters for value in exact[parameter.label]]
     for scale in SCALES:
         try:
-            course = follow(tape, [_beside(value, scale, rng) for value in own])
+            course = follow(tape, [_near(value, scale, rng) for value in own])
         except (NotFollowed, UndefinedHere, ZeroDivisionError):
             return False
         if course.jump is not None or course.edged:
@@ -282,7 +283,7 @@ def _continuous_anywhere(diagram: Diagram, function: ca.Function) -> bool:
     return True
 
 
-def _beside(value: Fraction, scale: Fraction, rng: random.Random) -> Fraction:
+def _near(value: Fraction, scale: Fraction, rng: random.Random) -> Fraction:
     """Another number of the same sign; of zero, one that is not, since a factor would leave it what it is."""
     part = Fraction(rng.randrange(1, 10**6), 10**6)
     return value * (1 + scale * part) if value else scale * part * rng.choice((1, -1))
@@ -302,7 +303,7 @@ def _switches(function: ca.Function) -> bool:
     return bool(found & (JUMPS | KINKS | EDGES | DIVISIONS))
 
 
-def _followed(diagram: Diagram, leaf: Leaf) -> Told:
+def _followed(diagram: Diagram, leaf: Leaf) -> Findings:
     """A function of time alone, and continuous."""
     parameters = diagram.loop.parameters
     _, function = _path(diagram, leaf)
@@ -320,12 +321,12 @@ def _followed(diagram: Diagram, leaf: Leaf) -> Told:
     except (NotFollowed, UndefinedHere, ZeroDivisionError):
         yield from _looked_at(leaf, function, diagram.loop.p_values)
         return
-    yield from _told(leaf, course)
+    yield from _course(leaf, course)
     if course.jump is None and course.edged:
         yield from _looked_at(leaf, function, diagram.loop.p_values)
 
 
-def _told(leaf: Leaf, course: Course) -> Told:
+def _course(leaf: Leaf, course: Course) -> Findings:
     count = len(course.instants)
     if course.jump is not None:
         jump = course.jump
@@ -338,7 +339,7 @@ def _told(leaf: Leaf, course: Course) -> Told:
         yield "note", f"{leaf.name} is continuous at its {count} switching instants, and smooth between"
 
 
-def _looked_at(leaf: Leaf, function: ca.Function, p: np.ndarray) -> Told:
+def _looked_at(leaf: Leaf, function: ca.Function, p: np.ndarray) -> Findings:
     """Not followed exactly: looked at where its steps stand out."""
     found = _step(function, p)
     if found is not None:
@@ -351,32 +352,28 @@ def _looked_at(leaf: Leaf, function: ca.Function, p: np.ndarray) -> Told:
 
 def _step(function: ca.Function, p: np.ndarray) -> tuple[int, float, float, float] | None:
     """(element, time, before, after) of a step that stays when the time between its ends is halved and halved again."""
+    at = Sampler(function, p)
     time = np.linspace(0.0, HORIZON, SAMPLES)
-    values = np.asarray(function.map(SAMPLES)(time[None, :], np.tile(p[:, None], SAMPLES)).full())
+    values = at.over(time)
     for element, row in enumerate(values):
         steps = np.abs(np.diff(row))
         odd = np.abs(steps - (np.roll(steps, 1) + np.roll(steps, -1)) / 2)
         scale = float(np.max(np.abs(row[np.isfinite(row)]), initial=0.0))
         suspects = np.argsort(np.where(np.isfinite(odd), odd, np.inf))[-SUSPECTS:]
-        steps_found = [_narrowed(function, p, element, float(time[k]), float(time[k + 1])) for k in suspects]
+        steps_found = [_narrowed(at, element, float(time[k]), float(time[k + 1])) for k in suspects]
         jumps = [found for found in steps_found if not abs(found[3] - found[2]) <= 1e-6 * max(scale, 1e-6)]
         if jumps:  # the first one, and one with two sides before one without
             return min(jumps, key=lambda found: (not np.isfinite(found[3] - found[2]), found[1]))
     return None
 
 
-def _narrowed(
-    function: ca.Function, p: np.ndarray, element: int, low: float, high: float
-) -> tuple[int, float, float, float]:
-    def at(t: float) -> float:
-        return float(function(t, p).full()[element, 0])
-
-    before, after = at(low), at(high)
+def _narrowed(at: Sampler, element: int, low: float, high: float) -> tuple[int, float, float, float]:
+    before, after = float(at(low)[element]), float(at(high)[element])
     for _ in range(HALVINGS):
         middle = (low + high) / 2
         if middle in (low, high):
             break
-        value = at(middle)
+        value = float(at(middle)[element])
         if abs(value - before) >= abs(after - value):
             high, after = middle, value
         else:

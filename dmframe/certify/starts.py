@@ -9,7 +9,7 @@ from typing import Any, Final
 import casadi as ca
 import numpy as np
 
-from dmframe.block.faults import told_by
+from dmframe.block.faults import fault_context
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
 from dmframe.certify.begun import Begun
@@ -42,7 +42,7 @@ def start_of(label: str, numbers: Numbers, given: Mapping[str, Any]) -> list[Num
             return [decimal(float(value)) for value in _spread(values, size)]
     seen = view(claim.diagram, block, claim.truths)
     try:
-        with told_by(block, "start()"):
+        with fault_context(block, "start()"):
             said = model.block.composed_start(seen.u, seen.p, seen.truth).get(state)
     except BlockError:  # a start that no run could take; the run says so
         return [None] * size
@@ -52,7 +52,7 @@ def start_of(label: str, numbers: Numbers, given: Mapping[str, Any]) -> list[Num
     return [_value(said[row], numbers) for row in range(size)]
 
 
-def start_is_said(label: str, numbers: Numbers, given: Mapping[str, Any]) -> bool:
+def has_start(label: str, numbers: Numbers, given: Mapping[str, Any]) -> bool:
     """True where a graph, a parameter or a block says where a state starts, and where it starts at zero without a word.
 
     Of the plant's states alone a run may look for one, where a measured signal follows a trajectory.
@@ -65,7 +65,7 @@ def start_is_said(label: str, numbers: Numbers, given: Mapping[str, Any]) -> boo
         return True
     seen = view(claim.diagram, block, claim.truths)
     try:
-        with told_by(block, "start()"):
+        with fault_context(block, "start()"):
             return model.block.composed_start(seen.u, seen.p, seen.truth).get(state) is not None
     except BlockError:
         return True
@@ -86,7 +86,7 @@ def start_expression(label: str, numbers: Numbers, given: Mapping[str, Any]) -> 
         return ca.SX(ca.DM(_spread(number, size)))
     seen = view(claim.diagram, block, claim.truths)
     try:
-        with told_by(block, "start()"):
+        with fault_context(block, "start()"):
             said = model.block.composed_start(seen.u, seen.p, seen.truth).get(state)
     except BlockError:
         return None
@@ -111,8 +111,8 @@ def begun_at(
         label = variable.label
         if used & symbols_in([variable.symbol]) and (labels is None or label in labels):
             symbols[label] = claim.starts[label]
-            told = zero or start_is_said(label, numbers, given)
-            value = start_expression(label, numbers, given) if told else None
+            given_start = zero or has_start(label, numbers, given)
+            value = start_expression(label, numbers, given) if given_start else None
             said[label] = None if value is None else ca.densify(value)
             (margin,) = ca.substitute([margin], [ca.vec(variable.symbol)], [symbols[label]])
     return Begun(margin, symbols, said, frozenset(numbers.known))

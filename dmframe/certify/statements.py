@@ -91,15 +91,13 @@ def _memory(term: Gathered) -> Driven:
 
 IN_V = "V holds it with a positive weight and does not grow"
 INSIDE = "V holds its divergence, which grows beyond all bounds at the edge of the positive definite matrices"
-SPENT = "dV/dt spends it, and V has no more than V(0) to spend"
+SPENT = "dV/dt dissipates it, and the total dissipation is at most V(0)"
 DRIVEN = "a stable linear equation with the servo's true gains drives it, and its input is bounded"
 CLOSED = "it is made of bounded signals, sines and cosines"
 BARBALAT = "a square-integrable signal with a bounded derivative goes to zero [Barbalat's lemma]"
 AGAIN = "a signal that converges, with a bounded second derivative, comes to rest [Barbalat's lemma]"
-ULTIMATELY = (
-    "dV/dt spends each square that V holds, or a projection bounds it: dV/dt <= -lambda V + constant, lambda > 0"
-)
-IN_THE_MEAN = "over a long time, what dV/dt spends is on average no more than the bounded residual"
+ULTIMATELY = "dV/dt dissipates each square of V, or a projection bounds it: dV/dt <= -lambda V + constant, lambda > 0"
+IN_THE_MEAN = "over a long time, the mean dissipation is at most the bounded residual"
 PROJECTED = "a projection keeps the estimate in its set"
 
 
@@ -174,10 +172,10 @@ def _vectors(claim: Claim) -> dict[str, SX]:
     return found
 
 
-def _states(claim: Claim, closure: Closure, told: set[str]) -> list[Statement]:
+def _states(claim: Claim, closure: Closure, stated: set[str]) -> list[Statement]:
     """The plant's states that follow, each by its name in the equations."""
     known = _vectors(claim)
-    before = [vector for name, vector in known.items() if name in told]
+    before = [vector for name, vector in known.items() if name in stated]
     left = {variable.label for variable in closure.open_states()}
     return [
         Statement(_state_name(claim, variable, known), "is bounded", CLOSED)
@@ -200,7 +198,7 @@ def _equal(one: SX, other: SX) -> bool:
 
 
 def _vanishing(claim: Claim, closure: Closure, spent: Sequence[Square]) -> list[Vanishing]:
-    """What dV/dt spends, with whether its derivative is bounded."""
+    """The dissipated squares, with whether their derivatives are bounded."""
     rates = [slope(claim, square.vector) for square in spent]
     shown = iter(closure.bounds([rate for rate in rates if rate is not None]))
     return [
@@ -210,7 +208,7 @@ def _vanishing(claim: Claim, closure: Closure, spent: Sequence[Square]) -> list[
 
 
 def vanishing_of(claim: Claim, closure: Closure, signs: Signs) -> list[Vanishing]:
-    """What goes to zero because dV/dt spends it; nothing of a claim with a residual."""
+    """What converges to zero because it is dissipated; nothing for a claim with a residual."""
     if any(part.certificate.excess for part in claim.parts):
         return []
     spent = _distinct([square for square in _spent_squares(claim) if signs.positive(square)])
@@ -284,8 +282,8 @@ def _into_dead_zones(claim: Claim, signs: Signs) -> Iterator[Statement]:
     for part in claim.parts:
         for term in part.certificate.dissipation:
             dead = isinstance(term, Lemma) and term.phi == "beyond"
-            if dead and isinstance(term, Lemma) and term.second.is_zero() and signs.spends(term):
-                step = "dV/dt spends no less than the square of what it has beyond the dead zone [Barbalat's lemma]"
+            if dead and isinstance(term, Lemma) and term.second.is_zero() and signs.dissipates(term):
+                step = "dV/dt dissipates at least the square of its part beyond the dead zone [Barbalat's lemma]"
                 yield Statement(term.of, "goes into its dead zone", step, (f"the derivative of {term.of} is bounded",))
 
 

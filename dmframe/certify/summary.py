@@ -24,7 +24,7 @@ KINDS = {
 
 def summary(name: str, verdict: Verdict) -> dict[str, Any]:
     """Plain data that JSON can hold; numbers that are not finite are None."""
-    test, claim = verdict.test, verdict.claim
+    test, claim, flow = verdict.test, verdict.claim, verdict.flow_claim
     return {
         "graph": name,
         "verdict": verdict.outcome,
@@ -36,9 +36,9 @@ def summary(name: str, verdict: Verdict) -> dict[str, Any]:
         "seed": None if test is None else test.seed,
         "degree_bound": None if test is None else str(test.degree_bound),
         "log2_error_bound": None if test is None else _finite(test.log2_error_bound),
-        "storage": [] if claim is None else _terms(claim, "storage"),
-        "dissipation": [] if claim is None else _terms(claim, "dissipation"),
-        "residual_bound": None if claim is None else _finite(verdict.residual_bound),
+        "storage": [] if flow is None else _terms(flow, "storage"),
+        "dissipation": [] if flow is None else _terms(flow, "dissipation"),
+        "residual_bound": None if flow is None else _finite(verdict.residual_bound),
         "bounded_by": [
             {
                 "block": b.block,
@@ -83,7 +83,7 @@ def summary(name: str, verdict: Verdict) -> dict[str, Any]:
             "open": list(verdict.states.open),
         },
         "fixed": list(verdict.fixed),
-        "notices": list(verdict.notices),
+        "notices": [],
         "mutants": {
             "tried": len(verdict.controls),
             "refuted": sum(control.refuted for control in verdict.controls),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -10,6 +10,7 @@ from typing import Any, final
 
 import casadi as ca
 
+from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
 from dmframe.certify.claim import Claim, NotApplicableError
 from dmframe.diagram import ClosedLoop, Diagram, Parameter
@@ -58,13 +59,21 @@ class Symbols:
         return {k: group.values for k, group in enumerate(self.groups) if group.values is not None}
 
 
-def symbols_of(claim: Claim, uncertain: Container[str] = ()) -> Symbols:
-    """The claim's symbols.
+def symbols_of(claim: Claim, uncertain: Collection[str] = ()) -> Symbols:
+    """The claim's symbols: the same object until a derivative adds a trajectory.
 
     Free are the time, all states, trajectories, projections' corrections, gains, servo and inertial parameters. Fixed
     are the robot's rotations, which must be orthogonal, and what the plant has not: its parameters that are zero, and
     that are not `uncertain`, by label.
     """
+    key = (frozenset(uncertain), len(claim.diagram.resolver.trajectories))
+    if key not in claim.symbols:
+        claim.symbols[key] = _symbols_of(claim, uncertain)
+    known: Symbols = claim.symbols[key]
+    return known
+
+
+def _symbols_of(claim: Claim, uncertain: Collection[str]) -> Symbols:
     loop, diagram = claim.loop, claim.diagram
     states = [Group(v.label, "state", v.symbol) for v in loop.variables]
     trajectories = [Group(leaf.name, "trajectory", leaf.symbol) for leaf in diagram.resolver.trajectories.values()]
@@ -77,7 +86,35 @@ def symbols_of(claim: Claim, uncertain: Container[str] = ()) -> Symbols:
     kappa = [] if claim.kappa.is_constant() else [Group("kappa", "weight", claim.kappa)]
     time = Group("t", "time", loop.time)
     groups = (time, *states, *trajectories, *corrections, *parameters, *kappa)
-    return Symbols((*groups, *_of_a_clock(loop)) if loop.clocked else groups)
+    if not claim.over_samples:
+        return Symbols(groups)
+    known = (*groups, *_of_a_clock(loop))
+    unknown = [
+        Group(f"{part.block}.{name}", "constant", ca.SX(symbol))
+        for part in claim.parts
+        for name, symbol in part.certificate.unknown.items()
+    ]
+    for text in _no_constants(claim, known, unknown):
+        raise NotApplicableError(text)
+    return Symbols((*known, *unknown))
+
+
+def _no_constants(claim: Claim, known: Sequence[Group], unknown: Sequence[Group]) -> Iterator[str]:
+    """Unknown constants that are a signal, a parameter, or no symbol of their own."""
+    labels, loop = {group.label for group in known}, claim.loop
+    sources = claim.diagram.resolver.trajectories.values()
+    taken = symbols_in([*(group.symbol for group in known), *(leaf.symbol for leaf in (*loop.crossings, *sources))])
+    taken |= symbols_in(parameter.symbol for parameter in loop.parameters)
+    for group in unknown:
+        block, _, name = group.label.partition(".")
+        symbol, found = group.symbol, symbols_in([group.symbol])
+        if not name.isidentifier() or group.label in labels:
+            yield f"{block}: expected a constant's name to be one of its own, found {name!r}"
+        if not symbol.is_dense() or not symbol.is_valid_input() or len(found) != symbol.numel():
+            yield f"{block}: expected the constant {name} to be a symbol, found an expression"
+        if found & taken:
+            yield f"{block}: expected the constant {name} to be a symbol of its own, found one of the diagram"
+        taken |= found
 
 
 def _of_a_clock(loop: ClosedLoop) -> Iterator[Group]:

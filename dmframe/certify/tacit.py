@@ -1,9 +1,9 @@
-"""What `verify` looks at in silence, beside its conditions: as margins, or as what each outcome depends on.
+"""Checks of `verify` without a line of their own: as margins, or as the list of what each outcome depends on.
 
 That nothing divides by zero, that a clipped term has a width, that a projection's set has an inside, that an equation
-is stable of which its block would otherwise ask more, that a path does not jump, that a load is a body, that what is
-zero in the graph is zero, that a path of the tool is within its reach, that what is assumed to stay above zero is not
-led to it. None of it is computed by `verify` of a single graph: it is for intervals and for numbers that move.
+is stable for which its block would otherwise require more, that a path does not jump, that a load is a body, that what
+is zero in the graph is zero, that a path of the tool is within its reach, that what is assumed to stay above zero does
+not converge to it. None of it is computed by `verify` of a single graph: it is for intervals and for numbers that move.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ TINY: Final = 1e-30
 @final
 @dataclass(frozen=True, eq=False)
 class Tacit:
-    """One thing of which a verdict says nothing while it holds.
+    """One check that a verdict lists only if it fails.
 
     Parameters
     ----------
@@ -131,16 +131,16 @@ def _widths(claim: Claim) -> Iterator[Tacit]:
                 yield Tacit(f"{part.block}: width of the clipped {term.of} > 0", ca.SX(term.width), over=True)
 
 
-def _asks(item: Driven) -> bool:
-    """Its block states conditions that stand in where it does not follow."""
+def _replaced(item: Driven) -> bool:
+    """True where its block states conditions that replace it where it does not follow."""
     return not all(isinstance(condition, Assumption) for condition in item.otherwise)
 
 
 def _stable(claim: Claim) -> Iterator[Tacit]:
-    """As the closure looks at equations of which a block says what stands in where they are not stable."""
+    """Stability of linear subsystems with a replacement, as the closure checks it."""
     for part in claim.parts:
         for item in part.certificate.driven:
-            if _asks(item):
+            if _replaced(item):
                 text = f"{part.block}: the linear equation of {', '.join(item.of)} is stable"
                 yield Tacit(text, _stability(item), opens=True, over=True)
 
@@ -154,7 +154,7 @@ def _stability(item: Driven) -> SX:
 
 def _follows(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
     """What follows at the graph's numbers follows at almost all others, or depends on them; in an interval, at zero."""
-    if not any(_asks(item) for part in claim.parts for item in part.certificate.driven):
+    if not any(_replaced(item) for part in claim.parts for item in part.certificate.driven):
         return
     symbols = symbols_of(claim, numbers.uncertain)
     bases = bases_of(claim, symbols, Signs(claim, numbers))
@@ -287,7 +287,7 @@ def _steps(expressions: Sequence[SX], time: set[int]) -> Iterator[SX]:
 
 
 def _starts(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
-    """What `verify` asks of a start as soon as there is a number for it."""
+    """Requirements of `verify` on a start with a known number."""
     for projection in claim.loop.projections:
         yield _started(projection, numbers)
     for part in claim.parts:

@@ -6,10 +6,9 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Certificate, SampledCertificate
-from dmframe.certify.claim import certificates_of
+from dmframe.certificate import SX, Certificate
+from dmframe.certify.certificates import certificates_of
 from dmframe.certify.form import NotApplicableError
-from dmframe.certify.samples import certificates_over_samples
 from dmframe.diagram import Diagram
 
 
@@ -17,31 +16,30 @@ def estimated(diagram: Diagram, *, resting: bool = False) -> dict[str, SX | None
     """The estimates, by state label, each with what it estimates as an expression in the diagram's parameters.
 
     None stands for a true value that is no function of parameters alone, and for all of a diagram that claims nothing.
-    Where the loop is `resting`, constants that nobody knows, such as where an integrator started, are taken as zero.
+    Where the loop is `resting`, unknown constants, such as the start of an integrator, are taken as zero.
     """
     loop, found = diagram.loop, dict[str, SX | None]()
     known = symbols_in(parameter.symbol for parameter in loop.parameters)
     for name, model in diagram.models.items():
         found |= dict.fromkeys(f"{name}.{item.name}" for item in model.estimates)
     try:
-        certificates = certificates_over_samples(diagram)[0] if loop.clocked else certificates_of(diagram)[0]
+        certificates = certificates_of(diagram).stated
     except NotApplicableError:
         return found
     for name, certificate in certificates.items():
         for state, true in _stated(certificate).items():
             value = ca.SX(true) + ca.SX.zeros(*diagram.models[name].states[state].shape)
-            if resting and isinstance(certificate, SampledCertificate):
-                unknown = ca.veccat(ca.SX(0, 1), *certificate.constants.values())
+            if resting and certificate.unknown:
+                unknown = ca.veccat(ca.SX(0, 1), *certificate.unknown.values())
                 value = ca.substitute(value, unknown, ca.SX.zeros(unknown.shape))
             value = ca.vec(ca.densify(*loop.joined([value])))
             found[f"{name}.{state}"] = value if symbols_in([value]) <= known else None
     return found
 
 
-def _stated(certificate: Certificate | SampledCertificate) -> dict[str, SX]:
-    if isinstance(certificate, SampledCertificate):
-        return {item.estimate: item.true for item in certificate.steps}
-    return {state: true.value for state, true in certificate.estimates.items()}
+def _stated(certificate: Certificate) -> dict[str, SX]:
+    moved = {item.estimate: item.true for item in certificate.steps}
+    return moved | {state: true.value for state, true in certificate.estimates.items()}
 
 
 def estimates_of(diagram: Diagram, *, resting: bool = False) -> dict[str, np.ndarray | None]:

@@ -7,14 +7,13 @@ from typing import Any
 
 from dmframe.block.model import SYMBOLIC
 from dmframe.certify.along import Along, along
-from dmframe.certify.along_samples import sampled_along
+from dmframe.certify.along_steps import sampled_along
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim, NotApplicableError, claim_of
 from dmframe.certify.conditions import conditions_of
 from dmframe.certify.excess import bounds_of
 from dmframe.certify.hypotheses import undefined
-from dmframe.certify.payment import payment
-from dmframe.certify.samples import SampledClaim, sampled_claim_of
+from dmframe.certify.small_gain import small_gain
 from dmframe.certify.smoothness import smoothness
 from dmframe.certify.symbols import symbols_of
 from dmframe.diagram import Diagram
@@ -38,7 +37,7 @@ def unproved_along(
 
 def claimed_along(
     run: Recording, uncertain: Mapping[str, Sequence[Interval]], start: Mapping[str, Any]
-) -> tuple[Claim | SampledClaim, Along]:
+) -> tuple[Claim, Along]:
     """The claim of a run's blocks, and V along the run with the weight that a proof would choose.
 
     It costs what writing the claim and deciding its conditions cost, 0.3 s for a UR10, and 20 us an instant: the exact
@@ -53,16 +52,16 @@ def claimed_along(
     diagram = run.diagram
     with SYMBOLIC:
         if diagram.loop.clocked:
-            sampled = sampled_claim_of(diagram)
+            sampled = claim_of(diagram)
             return sampled, sampled_along(sampled, run)
         if size := _large(diagram):
             raise NotApplicableError(
                 f"V is not computed along the run of a loop of that size, {size} numbers in one column or gain; "
                 f"expected at most {MOST}; `verify --report` computes it"
             )
-        claim = claim_of(diagram, near=True)
+        claim = claim_of(diagram)
         numbers = Numbers(claim, uncertain)
-        kappa = payment(claim, numbers) if claim.cascaded else None
+        kappa = small_gain(claim, numbers) if claim.cascaded else None
         for reason in _faults(claim, numbers, start):
             raise NotApplicableError(reason)
         return claim, along(claim, run, as_float(kappa.chosen) if kappa else 1.0)

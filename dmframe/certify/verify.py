@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from hashlib import sha256
 from typing import Any, Final, Literal, final
 
@@ -15,22 +16,21 @@ from dmframe.certify.claim import Claim, NotApplicableError, claim_of
 from dmframe.certify.closure import Closure
 from dmframe.certify.conditions import conditions_of, decide, remedies
 from dmframe.certify.contradicted import contradicted
-from dmframe.certify.controls import Control, negative_controls
+from dmframe.certify.controls import Control, inject_faults
+from dmframe.certify.discrete import discrete_assumptions, discrete_conditions, discrete_statements
 from dmframe.certify.excess import Bound, bounds_of, total_bound
 from dmframe.certify.hypotheses import hypotheses, undefined
 from dmframe.certify.identity import check_identity, empty_terms, equalities
 from dmframe.certify.over import failing_of, over_intervals
-from dmframe.certify.payment import Kappa, payment
 from dmframe.certify.positive import Signs
 from dmframe.certify.reach import reach_conditions
 from dmframe.certify.reals import doubt
 from dmframe.certify.refute import Refutation, refute
-from dmframe.certify.sample_states import held_in_v
-from dmframe.certify.samples import SampledClaim
+from dmframe.certify.small_gain import Kappa, small_gain
 from dmframe.certify.smoothness import Examiner
 from dmframe.certify.statements import Statement, States, bases_of, statements_of, states_of, vanishing_of
+from dmframe.certify.states import held_in_v, sampled_states
 from dmframe.certify.symbols import Symbols, symbols_of
-from dmframe.certify.verify_samples import prove_over_samples
 from dmframe.diagram import Diagram
 from dmframe.errors import ValueFault, listed
 from dmframe.exact import ZeroTest
@@ -51,7 +51,7 @@ class Verdict:
     ----------
     outcome
         ``proved``: the identity holds for all values of its symbols, every condition holds at the graph's numbers, and
-        every negative control was refuted; where there are `bounds`, it is proved up to a bounded residual.
+        every seeded fault was refuted; where there are `bounds`, it is proved up to a bounded residual.
         ``refuted``: the identity is false. ``not_applicable``: there is nothing to prove, or a condition fails;
         `reason` says which.
     test
@@ -62,12 +62,8 @@ class Verdict:
         Parameters that are zero in the graph, and that the proof takes for zero, by label.
     uncertain
         Parameters over whose intervals the conditions hold, by label.
-    notices
-        Equations of docstrings that could not be read, and so not be held to the code; they are printed nowhere.
     bounds
         What dV/dt may have above the dissipation, term by term; none for a claim without a bounded residual.
-    samples
-        What was claimed over samples, of a graph that runs on a clock alone.
     build, check
         Seconds spent on writing V and dV/dt, and on deciding.
     """
@@ -85,11 +81,19 @@ class Verdict:
     states: States | None = None
     fixed: tuple[str, ...] = ()
     uncertain: tuple[str, ...] = ()
-    notices: tuple[str, ...] = ()
     bounds: tuple[Bound, ...] = ()
-    samples: SampledClaim | None = None
     build: float = 0.0
     check: float = 0.0
+
+    @property
+    def flow_claim(self) -> Claim | None:
+        """The claim, where it is in continuous time."""
+        return self.claim if self.claim is not None and not self.claim.over_samples else None
+
+    @property
+    def samples(self) -> Claim | None:
+        """The claim, where it is over samples."""
+        return self.claim if self.claim is not None and self.claim.over_samples else None
 
     @property
     def headline(self) -> str:
@@ -106,7 +110,9 @@ class Verdict:
 
     @property
     def residual_bound(self) -> float | None:
-        """The most that dV/dt can be above minus the dissipation; None where a signal scales it."""
+        """The most that dV/dt can be above minus the dissipation; None where a signal scales it, and over samples."""
+        if self.samples is not None:
+            return None
         return total_bound(list(self.bounds), as_float(self.kappa.chosen) if self.kappa else 1.0)
 
     def __repr__(self) -> str:
@@ -176,107 +182,113 @@ def _verified(
     start: Mapping[str, Any],
     clock: _Clock,
 ) -> Verdict:
-    if diagram.loop.clocked:
-        return _over_samples(diagram, trials, seed, uncertain, start, clock)
     claim = claim_of(diagram)
     symbols = symbols_of(claim, uncertain)
     own = seed
     seed = drawn(claim, symbols, own)  # which has differentiated all that has to vanish
-    examiner = Examiner(diagram, claim)
-    smooth = examiner.found()
+    examiner = None if claim.over_samples else Examiner(diagram, claim)
+    smooth = None if examiner is None else examiner.found()
     clock.built()
-    if smooth.faults:
-        return Verdict("not_applicable", "; ".join(smooth.faults), claim, build=clock.build, check=clock.check)
+
+    def ends(outcome: Outcome, reason: str, **found: Any) -> Verdict:
+        return Verdict(outcome, reason, claim, build=clock.build, check=clock.check, **found)
+
+    if smooth is not None and smooth.faults:
+        return ends("not_applicable", "; ".join(smooth.faults))
     try:
-        test = check_identity(claim, symbols, trials=trials, seed=seed)
+        test = replace(check_identity(claim, symbols, trials=trials, seed=seed), seed=own)
     except ValueFault as error:
-        return Verdict("not_applicable", error.text, claim, build=clock.build, check=clock.check)
-    if not test.zero and (reason := doubt(equalities(claim), symbols, seed)):
-        return Verdict("not_applicable", reason, claim, test, build=clock.build, check=clock.check)
+        return ends("not_applicable", error.text)
+    of = "what a sample does" if claim.over_samples else "dV/dt"
+    if not test.zero and (reason := doubt(equalities(claim), symbols, seed, of)):
+        return ends("not_applicable", reason, test=test)
+    numbers = Numbers(claim, uncertain)
     if not test.zero:
         refutation = refute(equalities(claim), symbols, seed=seed)
-        lacking = remedies(claim, Numbers(claim, uncertain))
-        return Verdict(
-            "refuted", _blame(claim, refutation, lacking), claim, test, refutation, build=clock.build, check=clock.check
-        )
-    controls = negative_controls(claim, symbols, seed=seed)
-    numbers = Numbers(claim, uncertain)
+        blame = _blame(claim, refutation, [] if claim.over_samples else remedies(claim, numbers))
+        return ends("refuted", blame, test=test, refutation=refutation)
+    controls = inject_faults(claim, symbols, seed=seed)
+    find = _in_discrete_time if examiner is None else partial(_in_continuous_time, examiner=examiner)
+    found = find(claim, symbols, numbers, start, seed)
+    if found.fault:
+        return ends("not_applicable", found.fault, test=test)
+    conditions = found.conditions if found.undefined else tuple(over_intervals(list(found.conditions), claim, numbers))
+    empty = () if found.undefined else empty_terms(claim, symbols, seed)
+    outcome, reason = _judge(claim, conditions, controls, empty, found.bounds)
+    if found.undefined:
+        return ends(outcome, reason, test=test, conditions=conditions)
+    return ends(
+        outcome,
+        reason,
+        test=test,
+        kappa=small_gain(claim, numbers) if claim.cascaded else None,
+        conditions=conditions,
+        assumptions=tuple(dict.fromkeys(found.assumptions)),
+        controls=controls,
+        statements=found.statements,
+        states=found.states,
+        fixed=tuple(g.label for g in symbols.groups if g.values is not None and not any(g.values)),
+        bounds=found.bounds,
+        uncertain=tuple(uncertain),
+    )
+
+
+@final
+@dataclass(frozen=True)
+class _Found:
+    """What is decided and concluded once the identity holds.
+
+    `fault`: why nothing can be; `undefined`: the conditions hold a divisor that is zero, and nothing further is found.
+    """
+
+    conditions: tuple[Checked, ...] = ()
+    assumptions: tuple[Assumption, ...] = ()
+    statements: tuple[Statement, ...] = ()
+    states: States | None = None
+    bounds: tuple[Bound, ...] = ()
+    undefined: bool = False
+    fault: str = ""
+
+
+def _in_continuous_time(
+    claim: Claim, symbols: Symbols, numbers: Numbers, start: Mapping[str, Any], seed: int, *, examiner: Examiner
+) -> _Found:
     signs = Signs(claim, numbers)
     conditions, assumptions = conditions_of(claim, numbers, start)
-    bounds = bounds_of(claim, numbers, symbols)
-    missing = list(dict.fromkeys(undefined(claim, numbers)))
-    if missing:
-        outcome, reason = _judge([*conditions, *missing], controls, (), bounds)
-        failed = (*conditions, *missing)
-        return Verdict(outcome, reason, claim, test, conditions=failed, build=clock.build, check=clock.check)
+    bounds = tuple(bounds_of(claim, numbers, symbols))
+    if missing := list(dict.fromkeys(undefined(claim, numbers))):
+        return _Found((*conditions, *missing), bounds=bounds, undefined=True)
     kept = list(tubes(claim, numbers, symbols, start))
     bases = bases_of(claim, symbols, signs)
     bases = replace(bases, vectors=(*bases.vectors, *(tube.position for tube in kept)))
     closure = Closure(claim, numbers, bases, seed=seed)
     needed, given = decide(closure.conditions(), numbers)
-    # over intervals more may be asked than at any number in them
+    # over intervals more may be required than at any number in them
     conditions += [replace(item, sufficient=bool(numbers.open)) for item in needed]
-    smooth = examiner.found()  # with residuals, true values, barriers and what is driven, all differentiated by now
+    smooth = examiner.found()  # with residuals, true values, barriers and linear subsystems, all differentiated by now
     if smooth.faults:
-        return Verdict("not_applicable", "; ".join(smooth.faults), claim, test, build=clock.build, check=clock.check)
+        return _Found(fault="; ".join(smooth.faults))
     statements = [*statements_of(claim, symbols, signs, closure), *barrier_statements(kept)]
     smooth = examiner.found()
     if smooth.faults:  # of a trajectory that the statements have differentiated once more
         statements = [item for item in statements if not item.concludes and item.says != "goes to zero"]
     conditions += reach_conditions(claim)
     conditions += contradicted(claim, numbers, vanishing_of(claim, closure, signs), start)
-    conditions = over_intervals(conditions, claim, numbers)
-    outcome, reason = _judge(conditions, controls, empty_terms(claim, symbols, seed), bounds)
-    return Verdict(
-        outcome=outcome,
-        reason=reason,
-        claim=claim,
-        test=replace(test, seed=own),
-        kappa=payment(claim, numbers) if claim.cascaded else None,
-        conditions=tuple(conditions),
-        assumptions=tuple(dict.fromkeys([*assumptions, *given, *smooth.assumptions, *hypotheses(claim, closure)])),
-        controls=controls,
-        statements=tuple(statements),
-        states=states_of(claim, closure),
-        fixed=tuple(g.label for g in symbols.groups if g.values is not None and not any(g.values)),
-        bounds=tuple(bounds),
-        uncertain=tuple(uncertain),
-        notices=claim.notices,
-        build=clock.build,
-        check=clock.check,
+    assumed = (*assumptions, *given, *smooth.assumptions, *hypotheses(claim, closure))
+    return _Found(tuple(conditions), assumed, tuple(statements), states_of(claim, closure), bounds)
+
+
+def _in_discrete_time(claim: Claim, symbols: Symbols, numbers: Numbers, start: Mapping[str, Any], seed: int) -> _Found:
+    conditions, assumptions = discrete_conditions(claim, numbers, start)
+    return _Found(
+        tuple(conditions),
+        (*assumptions, *discrete_assumptions(claim, symbols, seed)),
+        tuple(discrete_statements(claim)),
+        sampled_states(claim, numbers, seed),
     )
 
 
-def _over_samples(
-    diagram: Diagram,
-    trials: int,
-    seed: int,
-    uncertain: Mapping[str, Sequence[Interval]],
-    start: Mapping[str, Any],
-    clock: _Clock,
-) -> Verdict:
-    try:
-        found = prove_over_samples(diagram, trials=trials, seed=seed, uncertain=uncertain, start=start)
-    except ValueFault as error:
-        return Verdict("not_applicable", error.text, build=clock.build)
-    return Verdict(
-        found.outcome,
-        found.reason,
-        test=found.test,
-        refutation=found.refutation,
-        conditions=found.conditions,
-        assumptions=found.assumptions,
-        controls=found.controls,
-        statements=found.statements,
-        states=found.states,
-        fixed=found.fixed,
-        uncertain=tuple(uncertain),
-        samples=found.claim,
-        build=clock.build,
-    )
-
-
-def _over(claim: SampledClaim, states: States | None) -> str:
+def _over(claim: Claim, states: States | None) -> str:
     """Of which states something is proved over samples, up to what, and of which nothing is."""
     held, left = held_in_v(claim), [] if states is None else list(states.open)
     words = _counted(held, "states") + f", up to {claim.left}" * bool(claim.left)
@@ -292,7 +304,7 @@ def _counted(labels: Sequence[str], many: str) -> str:
 
 
 def drawn(claim: Claim, symbols: Symbols, seed: int) -> int:
-    """The seed of this claim's points and primes: nobody can write a claim that vanishes modulo primes known before."""
+    """The seed of this claim's points and primes, derived from the claim: no claim can be written for known primes."""
     function = symbols.function("claim", [equality.expression for equality in equalities(claim)])
     digest = sha256(f"{seed}:{claim.diagram.fingerprint}:{function.serialize()}".encode()).digest()
     return int.from_bytes(digest[:8], "big")
@@ -302,6 +314,8 @@ def _blame(claim: Claim, refutation: Refutation, lacking: Sequence[str]) -> str:
     if lacking:
         return f"{refutation.says} is not what the blocks claim; {'; '.join(lacking)}"
     where = ", ".join(refutation.blame)
+    if claim.over_samples:
+        return f"{refutation.says} is not what the block claims"
     if refutation.says != "dV/dt":
         return f"{refutation.says} is not what the block claims, though dV/dt of the diagram is; to blame: {where}"
     if where:
@@ -315,15 +329,25 @@ def _blame(claim: Claim, refutation: Refutation, lacking: Sequence[str]) -> str:
 
 
 def _judge(
-    conditions: Sequence[Checked], controls: Sequence[Control], empty: Sequence[str], bounds: Sequence[Bound]
+    claim: Claim,
+    conditions: Sequence[Checked],
+    controls: Sequence[Control],
+    empty: Sequence[str],
+    bounds: Sequence[Bound],
 ) -> tuple[Outcome, str]:
     if empty:
         return "not_applicable", f"identically zero, so that nothing would be proved: {'; '.join(empty)}"
     missed = [control.fault for control in controls if not control.refuted]
     if not controls or missed:
-        return "not_applicable", f"the negative controls were not refuted: {', '.join(missed) or 'there are none'}"
+        return "not_applicable", f"seeded faults were not refuted: {', '.join(missed) or 'there are none'}"
     if failing := failing_of(conditions):
         return "not_applicable", failing
+    if claim.over_samples:
+        plus = " plus the residual" if claim.left else ""
+        return "proved", (
+            f"V(next) - V equals minus what is lost{plus}, for all measurements, commands, gains and sampling "
+            "periods; every condition holds"
+        )
     unbounded = [f"{bound.block}: {bound.of}" for bound in bounds if not bound.known]
     if unbounded:
         return "not_applicable", f"the identity holds, but nothing bounds the residual: {'; '.join(unbounded)}"

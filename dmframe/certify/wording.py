@@ -1,4 +1,4 @@
-"""What a condition is called: its author's words, and beside them what is decided, unless the words say just that."""
+"""The printed name of a condition: its author's words, followed by the decided expression unless the words state it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from dmframe.formula.read import UnreadableError
 from dmframe.naming import Naming, expression_of, reading
 
 SHORT: Final = 40
-"""Letters up to which an expression stands beside a name."""
+"""Length up to which an expression is printed after a name."""
 
 
 def _decided(claim: Claim, block: str, condition: Inequality) -> str:
@@ -40,7 +40,7 @@ def _decided(claim: Claim, block: str, condition: Inequality) -> str:
 
 
 def worded(claim: Claim, block: str, condition: Inequality) -> tuple[str, str]:
-    """The name, and what is decided: the author's words alone where they say just that, else with it beside them."""
+    """The name, and what is decided: the author's words alone where they state it, else followed by it."""
     if _says(claim, block, condition):
         return condition.name, condition.name
     text = _decided(claim, block, condition)
@@ -52,7 +52,7 @@ def _sign(condition: Inequality) -> str:
 
 
 _RELATION: Final = re.compile(r"([\w\s.+*/()-]+?)\s*(<=|>=|<|>)\s*([\w\s.+*/()-]+)")
-_BESIDE: Final = re.compile(r"(?<=[\w)])\s+(?=[\w(])")
+_ADJACENT: Final = re.compile(r"(?<=[\w)])\s+(?=[\w(])")
 _UNCLEAR: Final = re.compile(r"/\s*[\w.]+\s+[\w(]")
 """``a / 2 b`` may be read in two ways."""
 
@@ -69,7 +69,9 @@ def _says(claim: Claim, block: str, condition: Inequality) -> bool:
         return False
     try:
         known = _known(claim, block)
-        sides = [_value(ast.parse(_BESIDE.sub(" * ", side.strip()), mode="eval").body, known) for side in (left, right)]
+        sides = [
+            _value(ast.parse(_ADJACENT.sub(" * ", side.strip()), mode="eval").body, known) for side in (left, right)
+        ]
         difference = sides[0] - sides[1] - ca.SX(condition.expression)
         if difference.shape != ca.SX(condition.expression).shape or not difference.numel():
             return False

@@ -1,4 +1,4 @@
-"""``dmframe analyse``: poles, margins, passivity, how slow the clock may be, the least K_c."""
+"""``dmframe analyse``: poles, margins, passivity, largest stable sampling period, least K_c."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The commands. Each is a thin call of the library; heavy parts are imported when a command needs them."""
+"""Commands: thin calls of the library, with deferred imports."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from dmframe.cli.catalogue import blocks, graphs, learn, new, robots, schema
 from dmframe.cli.robots import drive, export, rehearse, replay, robot
 from dmframe.cli.streams import tell
 from dmframe.cli.studies import study, tune
-from dmframe.errors import raise_all, visible
+from dmframe.errors import DmframeError
 from dmframe.files import check_place
 
 if TYPE_CHECKING:
@@ -74,22 +74,25 @@ for command in (study, tune, graphs, robots, new):
 
 
 @app.command()
-def check(graph: OneGraph, overrides: Overrides = NOTHING, trust: Trust = False) -> None:
-    """Build a graph and print its blocks, wires, shapes, units and clock.
+def check(graph: OneGraph, overrides: Overrides = NOTHING, trust: Trust = False) -> int:
+    """Build a graph, print its blocks, wires, shapes, units and clock, and compare printed laws with the code.
 
-    Of block files that others may have written, which are not run without --trust, print what they declare.
+    Exit status 1 if a printed law or a docstring differs from the code.
     """
-    from dmframe.cli.graphs import one_graph, unrun
+    from dmframe.cli.graphs import one_graph
 
-    if (looked := unrun(graph, overrides, trust=trust)) is not None:
-        from dmframe.graph.unrun_page import unrun_page
-
-        tell(unrun_page(looked))
-        raise_all(looked.faults)
     loaded = one_graph(graph, overrides, trust=trust)
     loaded.experiment.intervals(loaded.diagram)
     loaded.experiment.check_units(loaded.diagram)
     tell(str(loaded))
+    try:
+        notices = loaded.check_laws()
+    except DmframeError as error:
+        tell(f"\n{error.text}")
+        return 1
+    for notice in notices:
+        tell(f"notice: {notice}")
+    return 0
 
 
 @app.command()
@@ -99,7 +102,7 @@ def explain(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
     trust: Trust = False,
 ) -> None:
-    """Say in sentences what each block of a graph does, which signals go where, and what its certificate says."""
+    """Describe the blocks of a graph, its signal flow and its certificate in sentences."""
     from dmframe.cli.graphs import one_graph
 
     found = one_graph(graph, overrides, trust=trust).explain()
@@ -119,13 +122,13 @@ def run(
     engine: Annotated[str, typer.Option(metavar="ENGINE", help="auto, compiled or interpreted.")] = "auto",
     reality: Annotated[
         str | None,
-        typer.Option(metavar="SET", help="Put what is real between controller and robot: ur; none,ur runs both."),
+        typer.Option(metavar="SET", help="Add channel models between controller and robot: ur; none,ur runs both."),
     ] = None,
     baseline: Annotated[bool, typer.Option("--baseline", help="Run each graph's baseline too, to compare.")] = False,
     figures: FigureFormats = "svg",
     no_plots: Annotated[bool, typer.Option("--no-plots", help="Draw no figures.")] = False,
-    page: Annotated[bool, typer.Option("--page", help="Write each graph's live page beside its results.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Write to --out though it holds files.")] = False,
+    page: Annotated[bool, typer.Option("--page", help="Write each graph's live page to its results.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Write to --out even if it contains files.")] = False,
     as_json: AsJson = False,
     trust: Trust = False,
 ) -> int:
@@ -142,7 +145,7 @@ def run(
         graphs_of(graph, [*real, *overrides], trust=trust),
         until=until,
         out=out,
-        engine=cast("Choice", engine),  # where it is used, it is checked
+        engine=cast("Choice", engine),  # checked where it is used
         baseline=baseline,
         formats=() if no_plots else formats_of(figures),
         pages=page,
@@ -158,7 +161,10 @@ def verify(
     report: Annotated[
         Path | None, typer.Option(metavar="FILE", callback=home, help="Write a report: .html, .md or .json.")
     ] = None,
-    seed: Annotated[str, typer.Option(metavar="N", help="Of the random points and primes.")] = "0",
+    seed: Annotated[str, typer.Option(metavar="N", help="Seed of the random points and primes.")] = "0",
+    fresh: Annotated[  # read by `dmframe.remembered.front`, before the library is imported
+        bool, typer.Option("--fresh", help="Prove again, even if a verdict for the same inputs is remembered.")
+    ] = False,
     as_json: AsJson = False,
     trust: Trust = False,
 ) -> int:
@@ -178,7 +184,7 @@ def analyse(
     overrides: Overrides = NOTHING,
     horizon: Annotated[
         str | None,
-        typer.Option(metavar="S", help="Length of the runs that look for the period.", show_default=HORIZON),
+        typer.Option(metavar="S", help="Length of the runs in the search for the period.", show_default=HORIZON),
     ] = None,
     rank: Rank = False,
     tube: Tube = None,
@@ -198,7 +204,7 @@ def analyse(
     if rank:
         from dmframe.cli.rank import rank_of
 
-        refuse({"--horizon": horizon}, "it does nothing with --rank; leave one out")
+        refuse({"--horizon": horizon}, "it has no effect with --rank; leave one out")
         options: dict[str, Any] = {key: word for key, word in words.items() if word is not None}
         if least is not None:
             options["least"] = quantity("--least", least, "")
@@ -209,7 +215,7 @@ def analyse(
     from dmframe.cli.analyse import analyse_graph
 
     given = {"tube": tube, "least": least, **words, "boxes": boxes}
-    refuse({f"--{key}": value for key, value in given.items()}, "it does nothing without --rank; add that")
+    refuse({f"--{key}": value for key, value in given.items()}, "it has no effect without --rank; add that")
     analyse_graph(
         one_graph(graph, overrides, trust=trust),
         horizon=quantity("--horizon", horizon or HORIZON, "s"),
@@ -226,9 +232,9 @@ def delay(
     as_json: AsJson = False,
     trust: Trust = False,
 ) -> int:
-    """Run a graph that probes its robot, and fit how many samples later than commanded it moves.
+    """Run a graph with an excitation of its robot, and fit the delay between command and motion in samples.
 
-    Prints what to tell the blocks; or why no delay may be told, with exit status 1.
+    Prints the delay for the blocks; exit status 1 with the reason if it cannot be determined.
     """
     from dmframe.cli.delay import delay_of
     from dmframe.cli.graphs import one_graph
@@ -255,19 +261,13 @@ def draw(
     trust: Trust = False,
 ) -> None:
     """Draw the block diagram of a graph."""
-    from dmframe.cli.graphs import one_graph, unrun
-    from dmframe.drawing import Drawing, check_ending
+    from dmframe.cli.graphs import one_graph
+    from dmframe.drawing import check_ending
 
     if out is not None:
         check_ending(out)
         check_place(out)
-    looked = unrun(graph, overrides, trust=trust)
-    if looked is None:
-        drawing = one_graph(graph, overrides, trust=trust).draw()
-    else:
-        drawing = Drawing(looked, looked.experiment.file.title)
-        for fault in looked.faults:
-            tell(f"drawn from declarations alone: {visible(str(fault))}", aside=True)
+    drawing = one_graph(graph, overrides, trust=trust).draw()
     if out is None:
         tell(drawing.mermaid.rstrip())
         return
@@ -282,13 +282,11 @@ def page(
         Path | None,
         typer.Option("-o", "--out", metavar="FILE", callback=home, help="A file .html; GRAPH.html without it."),
     ] = None,
-    periods: Annotated[
-        bool, typer.Option(help="Look for the sampling periods up to which the loop is stable; takes seconds.")
-    ] = True,
+    periods: Annotated[bool, typer.Option(help="Compute the largest stable sampling periods; takes seconds.")] = True,
     overrides: Overrides = NOTHING,
     trust: Trust = False,
 ) -> None:
-    """Write a live page of a graph: it runs in a browser, under sliders, beside its proof."""
+    """Write a live page of a graph: simulation in a browser, with sliders and the verdict."""
     from dmframe.cli.graphs import one_graph
     from dmframe.page.page import check_own_place, check_page_place
     from dmframe.results.folder import safe_name
@@ -319,17 +317,17 @@ def regressor(
         Path | None, typer.Option(metavar="FILE", callback=home, help="Write M, C, g, Y_d, Y_k; up to 3 joints.")
     ] = None,
     free: Annotated[str | None, typer.Option(metavar="J1,J2,...", help="The joints that move.")] = None,
-    hold: Annotated[list[str], typer.Option(metavar="JOINT=ANGLE", help="A joint held still.")] = NOTHING,
+    hold: Annotated[list[str], typer.Option(metavar="JOINT=ANGLE", help="A locked joint with its angle.")] = NOTHING,
     tool: Annotated[str | None, typer.Option(metavar="FRAME", help="The tool's frame.")] = None,
     friction: Annotated[str, typer.Option(metavar="KINDS", help="viscous, coulomb, or viscous,coulomb.")] = "",
 ) -> int:
-    """A robot's regressor: parameters, entries, code, proofs, and how far it is from Pinocchio's."""
+    """Regressor of a robot: parameters, entries, code, proofs, and difference from Pinocchio."""
     from dmframe.cli.options import angles, refuse, words
     from dmframe.cli.regressor import Wanted, regressor_of
     from dmframe.robot.library import load
 
     kinds = words(friction) or ()
-    if kinematic and latex is None:  # which holds both regressors
-        refuse({"--base": base, "--friction": friction or None}, "it does nothing with --kinematic; leave one out")
+    if kinematic and latex is None:  # LaTeX contains both regressors
+        refuse({"--base": base, "--friction": friction or None}, "it has no effect with --kinematic; leave one out")
     chain = load(robot, base=Path(), free=words(free), hold=angles("--hold", hold), tool=tool)
     return regressor_of(chain, kinds, Wanted(base, kinematic, symbolic, prove, c, python, latex))

@@ -1,4 +1,4 @@
-"""What several commands take, and what a shell completes."""
+"""Arguments and options shared by commands, and shell completion."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from dmframe.files import expanded
 
 
 def home(path: Path | None) -> Path | None:
-    """A path that an option names, ``--report=~/x.html`` too, which no shell expands."""
+    """Expand ``~`` in a path, for ``--report=~/x.html``, which no shell expands."""
     return None if path is None else expanded(path)
 
 
 def graph_names(begin: str) -> list[str]:
-    """For a shell's completion: packaged graphs, and graph files."""
+    """Shell completion: packaged graphs and graph files."""
     from dmframe.catalogue import graphs as packaged
 
     folder = Path(begin).parent
@@ -28,28 +28,28 @@ def graph_names(begin: str) -> list[str]:
 
 
 def type_names(begin: str) -> list[str]:
-    """For a shell's completion: types of blocks."""
+    """Shell completion: block types."""
     from dmframe.catalogue import block_modules
 
     return [name for name in block_modules() if name.startswith(begin)]
 
 
 def robot_names(begin: str) -> list[str]:
-    """For a shell's completion: packaged robots."""
+    """Shell completion: packaged robots."""
     from dmframe.robot.library import robots as known
 
     return [name for name in known() if name.startswith(begin)]
 
 
 def lesson_numbers(begin: str) -> list[tuple[str, str]]:
-    """For a shell's completion: numbers of lessons, with their titles."""
+    """Shell completion: lesson numbers with titles."""
     from dmframe.lessons import lessons
 
     return [(str(number), lesson.title) for number, lesson in lessons().items() if str(number).startswith(begin)]
 
 
 NOTHING: Final[list[str]] = []
-"""What an option that may be repeated holds where it is not given; typer reads it, nobody changes it."""
+"""Default of repeatable options; typer reads it, no code changes it."""
 TUBE = "0.05 rad"
 
 Graphs = Annotated[
@@ -65,16 +65,16 @@ Overrides = Annotated[
     typer.Option(
         "--set",
         metavar="BLOCK.PARAM=VALUE",
-        help="Change a value; may be repeated. A.yaml:BLOCK.PARAM=VALUE: of that graph alone.",
+        help="Change a value; may be repeated. A.yaml:BLOCK.PARAM=VALUE: for that graph only.",
     ),
 ]
 Trust = Annotated[
     bool,
-    typer.Option("--trust", help="Run the code of blocks in the graph's folder, though others may have written it."),
+    typer.Option("--trust", help="Run the code of blocks in the graph's folder, even if written by others."),
 ]
 LimitsFile = Annotated[
     Path | None,
-    typer.Option("--limits", metavar="FILE", callback=home, help="Limits that are narrower than the robot's own."),
+    typer.Option("--limits", metavar="FILE", callback=home, help="Limits narrower than those of the robot."),
 ]
 FigureFormats = Annotated[
     str, typer.Option("--figures", metavar="FORMATS", help="Figures as svg, png, pdf; or several: svg,png.")
@@ -82,19 +82,18 @@ FigureFormats = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object (a list for several graphs).")]
 Listed = Annotated[bool, typer.Option("--json", help="Print a JSON list.")]
 
-Rank = Annotated[
-    bool, typer.Option("--rank", help="Instead: the kinematic parameters with which J_hat keeps its rank.")
-]
+Rank = Annotated[bool, typer.Option("--rank", help="Instead: kinematic parameters for which J_hat keeps its rank.")]
 Tube = Annotated[
     str | None,
-    typer.Option(metavar="ANGLE", help="With --rank: how far each joint may be from its path.", show_default=TUBE),
+    typer.Option(
+        metavar="ANGLE", help="With --rank: largest deviation of each joint from its path.", show_default=TUBE
+    ),
 ]
-Least = Annotated[
-    str | None, typer.Option(metavar="C", help="With --rank: the least singular value that is asked for.")
-]
+Least = Annotated[str | None, typer.Option(metavar="C", help="With --rank: required least singular value.")]
 Shape = Annotated[str | None, typer.Option(metavar="SHAPE", help="With --rank: box or ball.", show_default="box")]
 Centre = Annotated[
-    str | None, typer.Option(metavar="AT", help="With --rank: about the truth or the start.", show_default="truth")
+    str | None,
+    typer.Option(metavar="AT", help="With --rank: around the true or the initial values.", show_default="truth"),
 ]
 Scale = Annotated[
     str | None,
@@ -104,7 +103,7 @@ Boxes = Annotated[
     str | None,
     typer.Option(
         metavar="N",
-        help="With --rank: the most boxes; more take longer and find a larger region.",
+        help="With --rank: maximum number of boxes; more take longer and find a larger region.",
         show_default="40000",
     ),
 ]

@@ -1,6 +1,4 @@
-"""The commands about what there is: graphs, robots, blocks, lessons, schemas; thin calls of the library, as those of
-`dmframe.cli.app`.
-"""
+"""Commands that list graphs, robots, blocks, lessons and schemas."""
 
 from __future__ import annotations
 
@@ -19,14 +17,14 @@ if TYPE_CHECKING:
     from dmframe.graph.named import Named
 
 SCHEMA = "dmframe.schema.json"
-"""Beside a new graph; the editors' YAML server finds it by the graph's first line."""
+"""Schema file next to a new graph; the YAML server of an editor finds it by the graph's first line."""
 
 
 def graphs(as_json: Listed = False) -> None:
-    """List the packaged graphs, with how long each runs, its clock and its title."""
-    from dmframe.graph import graphs as shelf
+    """List the packaged graphs with duration, clock and title."""
+    from dmframe.graph import graphs as registry
 
-    _tell_shelf(shelf(), as_json)
+    _print(registry(), as_json)
 
 
 def robots(
@@ -35,26 +33,26 @@ def robots(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, a list or the one robot.")] = False,
 ) -> None:
-    """List the robots that come with the installed packages, or print one's joints, masses, tool and known errors."""
-    from dmframe.graph import robots as shelf
+    """List the packaged robots, or print joints, masses, tool and known errors of one."""
+    from dmframe.graph import robots as registry
     from dmframe.graph.robot_page import robot_data, robot_page
 
     if name is None:
-        _tell_shelf(shelf(), as_json)
+        _print(registry(), as_json)
     else:
         tell(json.dumps(robot_data(name), indent=2) if as_json else robot_page(name))
 
 
-def _tell_shelf(shelf: Named[Any], as_json: bool) -> None:
-    tell(json.dumps(shelf.summary, indent=2) if as_json else str(shelf))
+def _print(registry: Named[Any], as_json: bool) -> None:
+    tell(json.dumps(registry.summary, indent=2) if as_json else str(registry))
 
 
 def new(
     name: Annotated[str, typer.Argument(help="A packaged graph, as a start.", autocompletion=graph_names)],
     file: Annotated[Path | None, typer.Argument(callback=home, help="The new file; NAME.yaml without it.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
 ) -> None:
-    """Copy a packaged graph to a file of your own, to edit it; an editor completes it from the schema beside it."""
+    """Copy a packaged graph to a new file, with the schema for completion in an editor."""
     from dmframe.catalogue import graphs as packaged
     from dmframe.config.schema import json_schema
 
@@ -77,14 +75,14 @@ def blocks(
     """List the block types, or print one block's page."""
     from dmframe.catalogue import block_types, find_block
     from dmframe.cli.options import refuse
-    from dmframe.graph import blocks as shelf
+    from dmframe.graph import blocks as registry
     from dmframe.graph.pages import block_list, block_page
 
     if kind is not None:
         refuse({"--json": as_json}, "a block's page is text; leave the type out for a list")
         tell(block_page(find_block(kind, Path(), "blocks")))
     elif as_json:
-        _tell_shelf(shelf(), as_json)
+        _print(registry(), as_json)
     else:
         tell(block_list(block_types()))
 
@@ -94,7 +92,7 @@ def learn(
         str | None, typer.Argument(metavar="LESSON", help="Open this one.", autocompletion=lesson_numbers)
     ] = None,
     read: Annotated[bool, typer.Option("--read", help="Print it instead of writing a notebook.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Write over a notebook that is there.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing notebook.")] = False,
     as_json: Listed = False,
 ) -> None:
     """List the lessons of the course, or open one: write it as a notebook into this folder."""
@@ -102,17 +100,17 @@ def learn(
     from dmframe.cli.options import refuse
 
     if lesson is None:
-        refuse({"--read": read, "--force": force}, "it does nothing without a lesson; name one")
+        refuse({"--read": read, "--force": force}, "it has no effect without a lesson; name one")
         list_lessons(as_json=as_json)
     else:
-        refuse({"--json": as_json}, "it does nothing with a lesson; leave the lesson out for a list")
-        refuse({"--force": force and read}, "it does nothing with --read; leave one out")
+        refuse({"--json": as_json}, "it has no effect with a lesson; leave the lesson out for a list")
+        refuse({"--force": force and read}, "it has no effect with --read; leave one out")
         open_lesson(lesson, read=read, force=force)
 
 
 def schema(
-    verdict: Annotated[bool, typer.Option("--verdict", help="Of what verify --json prints, instead.")] = False,
-    study: Annotated[bool, typer.Option("--study", help="Of study files, instead.")] = False,
+    verdict: Annotated[bool, typer.Option("--verdict", help="Schema of verify --json instead.")] = False,
+    study: Annotated[bool, typer.Option("--study", help="Schema of study files instead.")] = False,
 ) -> None:
     """Print the JSON Schema of graph files, for an editor."""
     from dmframe.certify.schema import verdict_schema
@@ -120,6 +118,6 @@ def schema(
     from dmframe.config.schema import json_schema
     from dmframe.study.grammar import study_schema
 
-    refuse({"--study": study and verdict}, "it does nothing with --verdict; leave one out")
+    refuse({"--study": study and verdict}, "it has no effect with --verdict; leave one out")
     made = study_schema() if study else verdict_schema() if verdict else json_schema()
     tell(json.dumps(made, indent=2))

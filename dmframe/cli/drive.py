@@ -1,4 +1,4 @@
-"""``dmframe drive``, ``rehearse`` and ``replay``: a controller on a robot, and what goes before and after."""
+"""``dmframe drive``, ``rehearse`` and ``replay``: run a controller on a robot, rehearse it and replay its record."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ def drive_graph(
     force: bool,
     as_json: bool,
 ) -> int:
-    """Drive, write the results and tell; returns the exit status.
+    """Drive a robot, write and print the results; returns the exit status.
 
-    Signals are noted meanwhile and asked for at each sample, so that the robot comes to rest in order.
+    Signals are stored and polled at each sample, so that the robot stops in a controlled way.
     """
     graph = graph if seconds is None else graph.until(time_of("--seconds", seconds))
     _ = graph.diagram
@@ -76,7 +76,7 @@ def drive_graph(
             summaries = write_data(place, [run])
         tell(json.dumps(summaries[0], indent=2) if as_json else f"{table_of([run])}\nresults: {place.path}")
         if formats and not came:
-            draw(place)
+            draw(place, [run])
         complete(place)
     if came:
         return STOPPED
@@ -100,7 +100,7 @@ def _not_negative(option: str, text: str, unit: str) -> float:
 def rehearse_graph(
     graph: Graph, *, seconds: str | None, payload: str | None, limits: Path | None, as_json: bool
 ) -> int:
-    """Rehearse and tell; one that is passed is kept for `drive`, where no run was cut short."""
+    """Rehearse a graph and print the result; a passed rehearsal with full runs is kept for `drive`."""
     from dmframe.drive.kept import keep
 
     _ = graph.diagram
@@ -114,12 +114,12 @@ def rehearse_graph(
     else:
         tell(str(found))
         if found.passed and not found.whole:
-            tell(f"not kept for drive: that takes runs of {found.asked:g} s")
+            tell(f"not kept for drive: that requires runs of {found.required:g} s")
     return 0 if found.passed else NOT_BORNE
 
 
 def replay_log(log: Path, graph: Graph, *, as_json: bool) -> int:
-    """Play a record again and tell; 1 where commands differ."""
+    """Recompute the commands of a record and print differences; returns 1 if there are any."""
     found = graph.replay(log)
     tell(json.dumps(found.summary, indent=2) if as_json else str(found))
     return 0 if found.differs is None else 1

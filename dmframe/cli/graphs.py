@@ -1,7 +1,7 @@
-"""The graphs that a command names, with what ``--set`` says of them.
+"""Graphs of a command with their overrides ``--set``.
 
-``--set block.parameter=value`` goes for every graph, ``--set A.yaml:block.parameter=value`` for that one, and
-``--set block.parameter=1,10,100`` makes three of each, one a value.
+``--set block.parameter=value`` applies to every graph, ``--set A.yaml:block.parameter=value`` to one graph, and
+``--set block.parameter=1,10,100`` makes three variants of each.
 """
 
 from __future__ import annotations
@@ -13,20 +13,19 @@ from pathlib import Path
 
 from dmframe.catalogue import find_graph
 from dmframe.config import load_experiment
-from dmframe.config.unrun import Unrun, look_at
 from dmframe.errors import DmframeError, UnknownNameError, ValueFault
 from dmframe.graph import Graph
 from dmframe.trust import remember
 
 _FREE = ("title",)
-"""Keys whose text may hold commas."""
+"""Keys whose text may contain commas."""
 _NESTED = re.compile(r"""("(?:\\.|[^"])*"|'(?:''|[^'])*'|[\[\](){}]|,)""")
 
 
 def graphs_of(names: Sequence[str], overrides: Sequence[str], *, trust: bool = False) -> list[Graph]:
-    """A graph for each name and each combination of swept values. Raises what `load_experiment` does.
+    """Graphs of all names and combinations of swept values; raises the errors of `load_experiment`.
 
-    With `trust`, the code of blocks that lie in a graph's folder is run from now on, whoever wrote it.
+    With `trust`, the code of blocks in the folder of a graph is trusted from now on.
     """
     if trust:
         for path in map(find_graph, names):
@@ -45,22 +44,15 @@ def graphs_of(names: Sequence[str], overrides: Sequence[str], *, trust: bool = F
 
 
 def one_graph(name: str, overrides: Sequence[str], *, trust: bool = False) -> Graph:
-    """The one graph of a command that takes one."""
+    """Graph of a command that takes one graph."""
     found = graphs_of([name], overrides, trust=trust)
     if len(found) > 1:
         raise ValueFault(f"--set: several values make {len(found)} graphs, expected one; `dmframe run` takes several")
     return found[0]
 
 
-def unrun(name: str, overrides: Sequence[str], *, trust: bool) -> Unrun | None:
-    """The graph, looked at, where it has block files that are not to be run; with `trust` there are none."""
-    if trust or any(len(alternatives(text)) > 1 for text in overrides):  # `one_graph` refuses several values
-        return None
-    return look_at(name, [_addressed(text, [name])[1] for text in overrides])
-
-
 def _addressed(text: str, names: Sequence[str]) -> tuple[list[int], str]:
-    """Which graphs an override is for, and what it says."""
+    """Indices of the graphs of an override, and the override without the graph name."""
     label, equals, value = text.partition("=")
     graph, colon, key = label.rpartition(":")
     if not colon:
@@ -70,14 +62,14 @@ def _addressed(text: str, names: Sequence[str]) -> tuple[list[int], str]:
         places = [place for place, name in enumerate(names) if graph.strip() == Path(name).stem]
         if len({names[place] for place in places}) > 1:
             alike = " and ".join(dict.fromkeys(names[place] for place in places))
-            raise ValueFault(f"--set {label}: {graph.strip()} may be {alike}; write the one that is meant in full")
+            raise ValueFault(f"--set {label}: {graph.strip()} may be {alike}; write the full name")
     if not places:
         raise UnknownNameError(f"--set {label}", "graph", graph.strip(), names)
     return places, f"{key}{equals}{value}"
 
 
 def alternatives(text: str) -> list[str]:
-    """An override for each of its values, which commas part: ``a.b=1,10`` is ``a.b=1`` and ``a.b=10``.
+    """Overrides for each of the comma-separated values: ``a.b=1,10`` is ``a.b=1`` and ``a.b=10``.
 
     Commas in brackets and quotes belong to one value.
     """
@@ -94,7 +86,7 @@ def alternatives(text: str) -> list[str]:
     if len(parts) == 1:
         return [text]
     if not all(part.strip() for part in parts):
-        raise ValueFault(f"--set {text}: expected a value between commas; put a text that holds them in quotes")
+        raise ValueFault(f"--set {text}: expected a value between commas; put a text with commas in quotes")
     return [f"{label}={part.strip()}" for part in parts]
 
 

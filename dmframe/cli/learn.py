@@ -1,4 +1,4 @@
-"""``dmframe learn``: the lessons of the course, listed, written as a notebook, or read in a terminal."""
+"""``dmframe learn``: list the lessons of the course, write one as a notebook, or print it."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ def _rows(lesson: Lesson) -> list[tuple[str, str, str]]:
 
 
 def open_lesson(text: str, *, read: bool, force: bool) -> None:
-    """Write a lesson as a notebook into the working folder, or print it: page by page where a terminal reads."""
+    """Write a lesson as a notebook into the working folder, or print it, with a pager in a terminal."""
     known = _known()
     number = whole("learn", text)
     if number not in known:
-        numbers = f"{min(known)} to {max(known)}"  # of numbers, the nearest name is no help
+        numbers = f"{min(known)} to {max(known)}"
         raise ValueFault(f"learn: expected a lesson from {numbers}, found {number}; `dmframe learn` lists them")
     lesson = known[number]
     if read:
@@ -44,7 +44,7 @@ def open_lesson(text: str, *, read: bool, force: bool) -> None:
         return
     target = Path(f"lesson_{lesson.number:02}_{lesson.name}.ipynb")
     if target.exists() and not force:
-        raise OutputError(f"{target}: expected a new file, found one; --force writes over it")
+        raise OutputError(f"{target}: expected a new file, found one; --force overwrites it")
     write_text(target, notebook(lesson), new=not force)
     tell(
         f"wrote {target}: {lesson.title}, {lesson.minutes} minutes\n"
@@ -55,7 +55,7 @@ def open_lesson(text: str, *, read: bool, force: bool) -> None:
 
 def _show(text: str) -> None:
     if sys.stdout.isatty():
-        os.environ.setdefault("LESS", "FRX")  # as git has it: it ends by itself where all fits on the screen
+        os.environ.setdefault("LESS", "FRX")  # as in git: quit if the text fits on the screen
         pydoc.pager(text)
     else:
         tell(text.rstrip("\n"))
@@ -64,5 +64,5 @@ def _show(text: str) -> None:
 def _known() -> dict[int, Lesson]:
     found = lessons()
     if not found:
-        raise MissingError("learn: expected the lessons of the course, found none; install dmframe anew")
+        raise MissingError("learn: expected the lessons of the course, found none; reinstall dmframe")
     return found

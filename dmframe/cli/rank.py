@@ -1,4 +1,4 @@
-"""``dmframe analyse --rank``: the kinematic parameters with which a Jacobian keeps its rank along the path."""
+"""``dmframe analyse --rank``: kinematic parameters for which a Jacobian keeps its rank along the path."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from dmframe.analysis.rank_report import option_value, proved, rank_summary
 from dmframe.cli.streams import tell
 from dmframe.columns import columns
 from dmframe.graph import Graph
-from dmframe.graph.progress import telling
+from dmframe.graph.progress import progress_line
 from dmframe.units import plain
 
 NO_REGION = 1
 
 
 def rank_of(graph: Graph, *, tube: float, as_json: bool, **options: Any) -> int:
-    """Find the region of one graph and print it; returns the exit status."""
-    with telling(f"{graph.name}: rank", quiet=as_json) as progress:
+    """Compute and print the region of a graph; returns the exit status."""
+    with progress_line(f"{graph.name}: rank", quiet=as_json) as progress:
         region = rank_region(
             graph.diagram, graph.experiment.start, duration=graph.duration, tube=tube, progress=progress, **options
         )
@@ -29,7 +29,7 @@ def rank_of(graph: Graph, *, tube: float, as_json: bool, **options: Any) -> int:
 
 
 def page(graph: Graph, region: RankRegion) -> str:
-    """A region for the terminal."""
+    """Terminal page of a region."""
     parts = [f"{graph.name}: {graph.title}".rstrip(": "), ""]
     if region.loss is not None:
         return "\n".join([*parts, f"no region: {region.loss.text}"])
@@ -55,21 +55,21 @@ def _facts(region: RankRegion) -> Iterator[tuple[str, str]]:
     yield "radius", plain(region.radius, "m")
     yield (
         "fails at",
-        f"{plain(region.fails_at, 'm')}: parameters with a smaller singular value are known"
+        f"{plain(region.fails_at, 'm')}: there are parameters with a smaller singular value"
         if region.fails_at is not None
-        else "not known: no parameters were found that refute a larger one",
+        else "unknown: no parameters found that refute a larger one",
     )
-    yield "least singular value", f"{region.certified:.4g} {region.unit} certified, {region.asked:.4g} asked for"
-    yield "", f"{region.nominal:.4g} {region.unit} on the path itself, in the middle of the {region.shape}"
+    yield "least singular value", f"{region.certified:.4g} {region.unit} certified, {region.asked:.4g} required"
+    yield "", f"{region.nominal:.4g} {region.unit} on the path, at the centre of the {region.shape}"
     yield "tightest", f"t = {region.time:.4g} s, q = [{', '.join(f'{angle:.4g}' for angle in region.q)}]"
-    covered = f"over {path.span:.4g} s" if path.span else "from the start to where the path rests"
-    again = f"; it repeats itself, proved up to {region.until:.6g} s" if path.span and path.period else ""
+    covered = f"over {path.span:.4g} s" if path.span else "from the start to the end point"
+    again = f"; periodic, proved up to {region.until:.6g} s" if path.span and path.period else ""
     yield "joint path", f"{len(path.poses)} poses {covered}{again}"
-    yield "proved over", f"{region.boxes} boxes of poses, of the model {region.model[:12]}"
+    yield "proved over", f"{region.boxes} boxes of poses, model {region.model[:12]}"
 
 
 def _set(region: RankRegion) -> Iterator[tuple[str, str, str]]:
-    yield "translation", "middle", "half-width" if region.shape == "box" else "half axis"
+    yield "translation", "centre", "half-width" if region.shape == "box" else "half axis"
     for name, centre, half in zip(region.names, region.centre, region.half, strict=True):
         yield name, f"{centre:.6g} m", f"{half:.4g} m"
 
@@ -82,7 +82,7 @@ def _use(region: RankRegion) -> Iterator[str]:
     if not region.start_inside:
         yield ""
         yield from textwrap.wrap(
-            f"The estimate starts outside: a run with this {region.shape} is refused. Begin nearer, or take "
-            "--centre start, and then see that the true value lies inside.",
+            f"The initial estimate is outside: a run with this {region.shape} is rejected. Start closer, or use "
+            "--centre start and make sure that the true value is inside.",
             110,
         )

@@ -1,4 +1,4 @@
-"""``dmframe regressor``: a robot's regressors as text, code and LaTeX, each tested against Pinocchio."""
+"""``dmframe regressor``: regressors of a robot as text, code and LaTeX, tested against Pinocchio."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NOT_PROVED = 1
 @final
 @dataclass(frozen=True)
 class Wanted:
-    """What the command line asks for; see its options."""
+    """Options of the command."""
 
     base: bool = False
     kinematic: bool = False
@@ -31,7 +31,7 @@ class Wanted:
 
 
 def regressor_of(chain: SerialChain, friction: Sequence[str], wanted: Wanted) -> int:
-    """Print and write what is wanted; returns the exit status."""
+    """Print and write the requested parts; returns the exit status."""
     _check_places([path for path in (wanted.c, wanted.python, wanted.latex) if path is not None])
     parts, proved = page(chain, friction, wanted)
     tell("\n\n".join(parts))
@@ -43,12 +43,12 @@ def _check_places(paths: Sequence[Path]) -> None:
     for path in paths:
         check_place(path)
         first = taken.setdefault(os.path.realpath(path), path)
-        if first is not path and (path.is_file() or not path.exists()):  # a device takes several
-            raise OutputError(f"{path}: two files would be written there; name another for one of them")
+        if first is not path and (path.is_file() or not path.exists()):  # devices excepted
+            raise OutputError(f"{path}: two files have this name; rename one")
 
 
 def page(chain: SerialChain, friction: Sequence[str], wanted: Wanted) -> tuple[list[str], bool]:
-    """The parts of the text, the files written on the way; and whether all that was to be proved is."""
+    """Write the files; returns the parts of the text, and whether all requested proofs hold."""
     from dmframe.regressor import base_parameters, export_c, self_test, write_out, write_python
     from dmframe.regressor.typeset import largest_difference, latex, plain_text
 
@@ -85,7 +85,7 @@ def _parameters(chain: SerialChain, friction: Sequence[str], wanted: Wanted) -> 
     if wanted.kinematic:
         pairs = zip(kinematic_names(chain), kinematic_values(chain), strict=True)
         lengths = ", ".join(f"{name} = {value:.10g}" if value else name for name, value in pairs)
-        return f"{chain.name}: {chain.k} kinematic parameters [m], zero where no value stands: {lengths}"
+        return f"{chain.name}: {chain.k} kinematic parameters [m], zero if no value is given: {lengths}"
     if wanted.base:
         return listing(chain, base_parameters(chain, friction)).rstrip()
     names = DynamicParameters(chain, friction).names

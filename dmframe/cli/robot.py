@@ -1,4 +1,4 @@
-"""``dmframe robot``: a virtual closed robot on this machine's ports, until it is stopped."""
+"""``dmframe robot``: serve a virtual closed robot on ports of this machine."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def ports_of(pairs: Sequence[str]) -> dict[str, int]:
-    """Ports by name, each ``rtde=30004``. Raises `ValueFault`, which names the option."""
+    """Parse ports such as ``rtde=30004``; raises `ValueFault`."""
     from dmframe.virtual.server import NAMES
 
     found = dict[str, int]()
@@ -30,30 +30,30 @@ def ports_of(pairs: Sequence[str]) -> dict[str, int]:
 def serve(
     graph: Graph, host: str, ports: dict[str, int], until: float | None, patience: float, **behaviour: Any
 ) -> None:
-    """Open the ports and run, telling what happens."""
+    """Open the ports and run the robot, printing its messages."""
     from dmframe.virtual import Ports
 
     with graph.virtual_robot(**behaviour) as robot:
         opened = robot.listen(host, Ports(**ports))
         listed = ", ".join(f"{name} {number}" for name, number in vars(opened).items())
         tell(f"{graph.name}: a virtual {robot.arm.name} at {host}, {1 / robot.dt:g} cycles a second; {listed}")
-        tell("no hardware: what it does not emulate stands in its documentation; Ctrl-C ends it")
-        told = _Told(robot)
-        robot.serve(lambda: told.wanted(until), patience)
+        tell("no hardware: its documentation lists what is not emulated; Ctrl-C stops it")
+        printer = _Printer(robot)
+        robot.serve(lambda: printer.goes_on(until), patience)
 
 
-class _Told:
-    """Prints the robot's messages as they come."""
+class _Printer:
+    """Prints new messages of the robot."""
 
     def __init__(self, robot: VirtualRobot) -> None:
         self._robot, self._seen = robot, 0
 
-    def wanted(self, until: float | None) -> bool:
-        """Whether to go on."""
+    def goes_on(self, until: float | None) -> bool:
+        """Print new messages; returns False at the end time."""
         robot = self._robot
-        fresh = robot.told - self._seen
+        fresh = robot.message_count - self._seen
         if fresh:
             for text in list(robot.messages)[-fresh:]:
                 tell(text)
-            self._seen = robot.told
+            self._seen = robot.message_count
         return until is None or robot.time < until - 0.5 * robot.dt

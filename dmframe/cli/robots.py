@@ -1,4 +1,4 @@
-"""The commands about robots: thin calls of the library, as those of `dmframe.cli.app`."""
+"""Commands about robots."""
 
 from __future__ import annotations
 
@@ -15,17 +15,20 @@ from dmframe.errors import MissingError
 def rehearse(
     graph: OneGraph,
     seconds: Annotated[
-        str | None, typer.Option(metavar="S", help="Of each run; the graph's duration, 40 s at most, without it.")
+        str | None, typer.Option(metavar="S", help="Duration of each run; default: that of the graph, 40 s at most.")
     ] = None,
     payload: Annotated[
-        str | None, typer.Option(metavar="M", help="At the tool, not told; a twentieth of what moves without it.")
+        str | None,
+        typer.Option(
+            metavar="M", help="Mass at the tool, unknown to the controller; default: 1/20 of the moving mass."
+        ),
     ] = None,
     limits: LimitsFile = None,
     overrides: Overrides = NOTHING,
     as_json: AsJson = False,
     trust: Trust = False,
 ) -> int:
-    """Try in simulation what a robot does to a controller: delay, jitter, lost samples, a load, a speed slider."""
+    """Simulate effects of real robots on a controller: delay, jitter, lost samples, payload, speed slider."""
     from dmframe.cli.drive import rehearse_graph
     from dmframe.cli.graphs import one_graph
 
@@ -39,28 +42,28 @@ def drive(
         str,
         typer.Option(
             metavar="ROBOT",
-            help="sim: the graph's own; sim:2: that one, two samples late; ur:HOST; ur_rtde:HOST; xarm:HOST. The last "
-            "three are untested on hardware.",
+            help="sim: that of the graph; sim:2: with a delay of two samples; ur:HOST; ur_rtde:HOST; xarm:HOST. The "
+            "last three are untested on hardware.",
         ),
     ],
     seconds: Annotated[
-        str | None, typer.Option(metavar="S", help="Time of the reference; the graph's duration without it.")
+        str | None, typer.Option(metavar="S", help="Reference time; default: the duration of the graph.")
     ] = None,
     limits: LimitsFile = None,
     ramp: Annotated[
         str | None,
-        typer.Option(metavar="S", help="How long the first motion gathers speed; 0 for sim, else 1 s."),
+        typer.Option(metavar="S", help="Acceleration time of the first motion; 0 for sim, else 1 s."),
     ] = None,
     patience: Annotated[
         str | None,
-        typer.Option(metavar="S", help="How long to wait for a sample of a real robot; five periods without it."),
+        typer.Option(metavar="S", help="Waiting time for a sample of a real robot; default: five periods."),
     ] = None,
     payload: Annotated[
-        str | None, typer.Option(metavar="M", help="What the rehearsal tried at the tool, where that was given to it.")
+        str | None, typer.Option(metavar="M", help="Payload of the rehearsal, if one was given.")
     ] = None,
-    shadow: Annotated[bool, typer.Option("--shadow", help="Compute, and send nothing.")] = False,
+    shadow: Annotated[bool, typer.Option("--shadow", help="Compute commands without sending them.")] = False,
     unrehearsed: Annotated[
-        bool, typer.Option("--without-a-passed-rehearsal", help="Drive a real robot all the same.")
+        bool, typer.Option("--without-a-passed-rehearsal", help="Drive a real robot without a passed rehearsal.")
     ] = False,
     overrides: Overrides = NOTHING,
     out: Annotated[
@@ -68,13 +71,13 @@ def drive(
     ] = None,
     figures: FigureFormats = "svg",
     no_plots: Annotated[bool, typer.Option("--no-plots", help="Draw no figures.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Write to --out though it holds files.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Write to --out even if it contains files.")] = False,
     as_json: AsJson = False,
     trust: Trust = False,
 ) -> int:
-    """Drive a robot with a graph's controller, through the gate, and write what `run` writes.
+    """Drive a robot with a graph's controller, through the gate, and write the same results as `run`.
 
-    Ctrl-C and SIGTERM bring the robot to rest. The gate is no safety function, and none of this was tried on hardware.
+    Ctrl-C and SIGTERM stop the robot. The gate is not a safety function, and nothing was tested on hardware.
     """
     from dmframe.cli.drive import drive_graph
     from dmframe.cli.graphs import one_graph
@@ -104,7 +107,7 @@ def replay(
     as_json: AsJson = False,
     trust: Trust = False,
 ) -> int:
-    """Compute commands again from what was measured, and tell where they differ; 1 where they do."""
+    """Recompute commands from recorded measurements and report differences; exit status 1 if there are any."""
     from dmframe.cli.drive import replay_log
     from dmframe.cli.graphs import one_graph
 
@@ -123,37 +126,35 @@ def export(
     ] = False,
     trust: Trust = False,
 ) -> None:
-    """Write a graph's controller for other programs."""
+    """Export the controller of a graph for other programs."""
     from dmframe.cli.graphs import one_graph
 
     kinds: dict[Literal["c", "fmi2", "fmi3", "ros2"], bool] = {"c": c, "fmi2": fmi2, "fmi3": fmi3, "ros2": ros2}
-    asked = [kind for kind, wanted in kinds.items() if wanted]
-    if len(asked) != 1:
-        raise MissingError(f"expected one of --c, --fmi2, --fmi3 and --ros2, found {len(asked) or 'none'}")
-    files = one_graph(graph, overrides, trust=trust).export(out, asked[0])
+    chosen = [kind for kind, wanted in kinds.items() if wanted]
+    if len(chosen) != 1:
+        raise MissingError(f"expected one of --c, --fmi2, --fmi3 and --ros2, found {len(chosen) or 'none'}")
+    files = one_graph(graph, overrides, trust=trust).export(out, chosen[0])
     tell(f"wrote {out}: {', '.join(file.name for file in files)}")
 
 
 def robot(
     graph: OneGraph,
     overrides: Overrides = NOTHING,
-    host: Annotated[str, typer.Option(metavar="ADDRESS", help="Of this machine, on which to listen.")] = "127.0.0.1",
+    host: Annotated[str, typer.Option(metavar="ADDRESS", help="Address of this machine to listen on.")] = "127.0.0.1",
     port: Annotated[
         list[str],
         typer.Option(metavar="NAME=NUMBER", help="Another port, rtde=40004; 0 for any free one. May be repeated."),
     ] = NOTHING,
     series: Annotated[str, typer.Option(metavar="SERIES", help="cb3, 125 cycles a second, or e, 500.")] = "e",
-    slider: Annotated[str, typer.Option(metavar="SHARE", help="Where the speed slider stands, 0 to 1.")] = "1",
-    command_delay: Annotated[str, typer.Option(metavar="N", help="Cycles until what a client writes is taken.")] = "0",
+    slider: Annotated[str, typer.Option(metavar="SHARE", help="Speed slider, 0 to 1.")] = "1",
+    command_delay: Annotated[str, typer.Option(metavar="N", help="Cycles until a client command takes effect.")] = "0",
     measurement_delay: Annotated[str, typer.Option(metavar="N", help="Cycles until a sample is sent.")] = "0",
-    lost: Annotated[str, typer.Option(metavar="SHARE", help="Share of samples that are not sent.")] = "0",
-    seed: Annotated[str, typer.Option(metavar="N", help="Of the samples that are lost.")] = "0",
+    lost: Annotated[str, typer.Option(metavar="SHARE", help="Fraction of lost samples.")] = "0",
+    seed: Annotated[str, typer.Option(metavar="N", help="Seed of the lost samples.")] = "0",
     until: Annotated[str | None, typer.Option(metavar="S", help="End after this time; at Ctrl-C without it.")] = None,
     patience: Annotated[
         str | None,
-        typer.Option(
-            metavar="S", help="Let the clock wait so long for a client's answer to a sample; real time without it."
-        ),
+        typer.Option(metavar="S", help="Maximum waiting time for a client's answer to a sample; default: real time."),
     ] = None,
     trust: Trust = False,
 ) -> None:

@@ -1,4 +1,4 @@
-"""``dmframe run``: simulate with a progress bar, write the results, tell the figures."""
+"""``dmframe run``: simulate with a progress bar, write results and figures."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 
 from dmframe.cli import STOPPED
 from dmframe.cli.signals import held_off
 from dmframe.cli.streams import tell
+from dmframe.copies import shared
 from dmframe.errors import OutputError
 from dmframe.graph import Graph
 from dmframe.graph.arguments import seconds
@@ -19,12 +21,12 @@ from dmframe.graph.progress import Bars
 from dmframe.graph.runs import labelled, labels_of
 from dmframe.results.folder import drawing, folders_of, safe_name, write_data
 from dmframe.results.place import PAGE, Place, complete, reserved
-from dmframe.results.run import Run
+from dmframe.results.run import Run, notes_of, numbers_of
 from dmframe.simulate.engine import Choice
 
 DIVERGED = 1
 MOST = 100
-"""Runs that may begin in one millisecond."""
+"""Maximum number of runs that start in one millisecond."""
 
 
 def run_graphs(
@@ -41,14 +43,14 @@ def run_graphs(
 ) -> int:
     """Run graphs one after another and write one folder of results; returns the exit status.
 
-    At Ctrl-C the graph that runs is kept up to there, and those not begun are left out.
+    At Ctrl-C the current run is kept up to that time, and the others are skipped.
     """
     if baseline:
         graphs = [each for graph in graphs for each in (graph, graph.baseline())]
     if until is not None:
         duration = seconds("--until", until)
         graphs = [graph.until(duration) for graph in graphs]
-    for graph in graphs:  # faults of every graph are told before the first runs
+    for graph in graphs:  # report faults of all graphs before the first run
         _ = graph.diagram
         if pages:
             _check_page(graph)
@@ -56,25 +58,25 @@ def run_graphs(
         found, interrupted = _run_all(graphs, engine, as_json)
         if not found:
             return STOPPED
-        with drawing(labelled(found) if formats else (), formats) as draw:
-            judged = [
-                Run(run.experiment, graph.warned(run.recording))  # while the figures are drawn elsewhere
-                for run, graph in zip(found, graphs, strict=False)  # after Ctrl-C there are fewer runs than graphs
-            ]
-            runs = labelled(judged)
-            try:  # printing may fail, and everything is written all the same
-                if not as_json:
-                    tell(str(runs))
-            finally:
-                with held_off() as signals:
-                    summaries = write_data(place, runs)
-                told = json.dumps(summaries[0] if len(graphs) == 1 else summaries, indent=2)
-                try:
-                    tell(told if as_json else f"results: {place.path}")
-                finally:
-                    if formats and not signals:
-                        _say("drawing the figures", as_json)
-                        draw(place)
+        lost = list[Exception]()
+        runs: Sequence[Run] = labelled(found)
+        say = partial(_say, lost=lost)
+        with drawing(runs if formats else (), formats) as draw:
+            if not as_json:
+                say(numbers_of(runs))
+            with held_off() as signals:
+                runs = _judged(runs, graphs)  # takes longer than the run
+                if not as_json and (said := notes_of(runs)):
+                    say("\n".join(said))
+                summaries = write_data(place, runs)
+            data = json.dumps(summaries[0] if len(graphs) == 1 else summaries, indent=2)
+            say(data if as_json else f"results: {place.path}")
+            if formats and not signals:
+                if not as_json and sys.stderr.isatty():
+                    tell("drawing the figures", aside=True)
+                draw(place, runs)
+        for error in lost:
+            raise error
         if pages and not signals:
             _write_pages(place, [run.name for run in runs], graphs)
         complete(place)
@@ -97,7 +99,7 @@ def _write_pages(place: Place, names: Sequence[str], graphs: Sequence[Graph]) ->
 
 @contextmanager
 def placed_folder(out: Path | None, graphs: Sequence[Graph], *, force: bool) -> Iterator[Place]:
-    """The folder that was named, or one named by the time, of which two runs may not have the same."""
+    """Reserve the given folder, or a new one named by the time."""
     if out is not None:
         labels = labels_of([(graph.name, graph.experiment) for graph in graphs])
         with reserved(out, force=force, folders=folders_of(labels)) as place:
@@ -126,7 +128,7 @@ def _run_all(graphs: Sequence[Graph], engine: Choice, as_json: bool) -> tuple[li
                 runs.append(graph.run(engine=engine, progress=bars.of(graph.name, graph.duration), judge=False))
                 if runs[-1].recording.interrupted:
                     return runs, True
-    except KeyboardInterrupt:  # between two marches, where a run has nothing to keep yet
+    except KeyboardInterrupt:  # before a run has any results
         return runs, True
     return runs, False
 
@@ -138,6 +140,21 @@ def _default_folder(graphs: Sequence[Graph]) -> Path:
     )
 
 
-def _say(text: str, as_json: bool) -> None:
-    if not as_json and sys.stderr.isatty():
-        tell(text, aside=True)
+def _say(text: str, lost: list[Exception]) -> None:
+    """Print; errors are stored in `lost` and raised after the results are written."""
+    try:
+        tell(text)
+    except Exception as error:
+        lost.append(error)
+
+
+def _judged(runs: Sequence[Run], graphs: Sequence[Graph]) -> list[Run]:
+    """The runs with V, and with the notices that a copy of this process decides meanwhile.
+
+    After Ctrl-C there are fewer runs than graphs.
+    """
+    doubts = [partial(graph.doubts, run.recording) for run, graph in zip(runs, graphs, strict=False)]
+    with shared(doubts, busy=True) as finished:
+        for run in runs:
+            _ = run.notices
+        return [run.noticed(*said) if said else run for run, said in zip(runs, finished(), strict=True)]

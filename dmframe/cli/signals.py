@@ -1,4 +1,4 @@
-"""Signals that end a program: all of them as Ctrl-C does, and none while results are written."""
+"""Handle terminating signals like Ctrl-C, and defer them while results are written."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _ENDING: Final = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") i
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """Let the signals of a shutdown and of a terminal that goes stop the program as Ctrl-C does."""
+    """Treat SIGTERM and SIGHUP like Ctrl-C."""
 
     def stop(*_: object) -> None:
         raise KeyboardInterrupt
@@ -24,10 +24,10 @@ def stoppable() -> Iterator[None]:
 
 @contextmanager
 def held_off() -> Iterator[list[int]]:
-    """Note such signals instead of obeying: an impatient second one must not lose what was computed."""
+    """Store terminating signals instead of raising, so that a second Ctrl-C does not lose results."""
     came = list[int]()
-    heard = [number for number in (signal.SIGINT, *_ENDING) if signal.getsignal(number) is not signal.SIG_IGN]
-    with _handled(lambda number, _: came.append(number), heard):
+    deferred = [number for number in (signal.SIGINT, *_ENDING) if signal.getsignal(number) is not signal.SIG_IGN]
+    with _handled(lambda number, _: came.append(number), deferred):
         yield came
 
 
@@ -35,7 +35,7 @@ def held_off() -> Iterator[list[int]]:
 def _handled(handler: Callable[[int, Any], None], numbers: list[int]) -> Iterator[None]:
     before = dict[int, Any]()
     try:
-        if threading.current_thread() is threading.main_thread():  # no other may
+        if threading.current_thread() is threading.main_thread():  # Python restriction
             for number in numbers:
                 before[number] = signal.signal(number, handler)
         yield

@@ -1,4 +1,4 @@
-"""The commands about many runs: thin calls of the library, as those of `dmframe.cli.app`."""
+"""Commands about studies of many runs."""
 
 from __future__ import annotations
 
@@ -16,31 +16,29 @@ def study(
         list[str],
         typer.Argument(
             metavar="[report] FILE",
-            help="A study file, or the folder of a study's results; report DIR writes that folder's report anew.",
+            help="A study file, or the folder of a study's results; report DIR rewrites the report of that folder.",
         ),
     ],
     workers: Annotated[
-        str | None, typer.Option(metavar="N", help="Processes on this machine; as many as cores without it.")
+        str | None, typer.Option(metavar="N", help="Processes on this machine; default: number of cores.")
     ] = None,
     scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Of a dask scheduler, whose workers compute instead.")
+        str | None, typer.Option(metavar="ADDRESS", help="Address of a dask scheduler whose workers compute.")
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", callback=home, help="Folder of the results; studies/NAME without it."),
+        typer.Option(metavar="DIR", callback=home, help="Folder of the results; default: studies/NAME."),
     ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be run, and how long it takes.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the planned runs and their time.")] = False,
     rerun: Annotated[
         str | None, typer.Option(metavar="RUN", help="Write this run as a graph, run it, compare it with its row.")
     ] = None,
-    no_report: Annotated[bool, typer.Option("--no-report", help="Write no report in the end.")] = False,
-    force: Annotated[
-        bool, typer.Option("--force", help="Throw away the runs of another study that --out holds.")
-    ] = False,
+    no_report: Annotated[bool, typer.Option("--no-report", help="Write no report.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Delete the runs of another study in --out.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
     trust: Trust = False,
 ) -> int:
-    """Run a study: a graph over what varies. What its folder holds already is not computed again."""
+    """Run a study: a graph with varied parameters. Results in its folder are not computed again."""
     from dmframe.cli.options import refuse, whole
     from dmframe.cli.study import REPORT, one_file, report, run
     from dmframe.cli.study import dry_run as said
@@ -48,19 +46,19 @@ def study(
 
     if words[0] == REPORT and len(words) > 1:
         given = {"--workers": workers, "--scheduler": scheduler, "--out": out, "--dry-run": dry_run, "--rerun": rerun}
-        refuse({**given, "--no-report": no_report, "--force": force}, "it does nothing with report; leave one out")
+        refuse({**given, "--no-report": no_report, "--force": force}, "it has no effect with report; leave one out")
         return report(one_file(words[1:]), as_json=as_json, trust=trust)
     file = one_file(words)
     count = None if workers is None else whole("--workers", workers)
     if dry_run or rerun is not None:
         what = "--dry-run" if dry_run else "--rerun"
-        refuse({"--scheduler": scheduler}, f"it does nothing with {what}; leave one out")
+        refuse({"--scheduler": scheduler}, f"it has no effect with {what}; leave one out")
     if dry_run:
         unused = {"--rerun": rerun, "--force": force, "--no-report": no_report}
-        refuse(unused, "it does nothing with --dry-run; leave one out")
+        refuse(unused, "it has no effect with --dry-run; leave one out")
         return said(file, workers=count, out=out, as_json=as_json, trust=trust)
     if rerun is not None:
-        refuse({"--workers": workers, "--no-report": no_report}, "it does nothing with --rerun; leave one out")
+        refuse({"--workers": workers, "--no-report": no_report}, "it has no effect with --rerun; leave one out")
         return repeated(file, whole("--rerun", rerun), out=out, force=force, as_json=as_json, trust=trust)
     return run(
         file,
@@ -78,17 +76,19 @@ def tune(
     study: Annotated[str, typer.Argument(metavar="STUDY", help="A study file with a section tune.")],
     out: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", callback=home, help="Folder of the search; one that is there goes on."),
+        typer.Option(metavar="DIR", callback=home, help="Folder of the search; an existing search continues."),
     ] = None,
-    trials: Annotated[str | None, typer.Option(metavar="N", help="Trials in all, instead of the file's.")] = None,
+    trials: Annotated[
+        str | None, typer.Option(metavar="N", help="Total number of trials; default: that of the file.")
+    ] = None,
     overrides: Overrides = NOTHING,
-    workers: Annotated[str | None, typer.Option(metavar="N", help="Threads; as many as cores without it.")] = None,
+    workers: Annotated[str | None, typer.Option(metavar="N", help="Threads; default: number of cores.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
     trust: Trust = False,
 ) -> int:
-    """Search for the values that are best over a study's plants, check them on fresh ones, and prove them.
+    """Optimise parameters over the plants of a study, validate them on new plants, and prove them.
 
-    It may be stopped and goes on; several processes may work on one folder.
+    An interrupted search continues; several processes may share one folder.
     """
     from dmframe.cli.options import whole
     from dmframe.cli.tune import tune_study

@@ -1,4 +1,4 @@
-"""``dmframe study``: run a study, say what would be run, or run one of its runs again."""
+"""``dmframe study``: run a study, print its plan, or repeat one of its runs."""
 
 from __future__ import annotations
 
@@ -12,14 +12,12 @@ from dmframe.cli import STOPPED
 from dmframe.cli.streams import tell
 from dmframe.columns import columns
 from dmframe.errors import MissingError, ValueFault, visible
-from dmframe.graph.progress import counting, telling
+from dmframe.graph.progress import counting, progress_line
 from dmframe.study.again import Again, again
-from dmframe.study.execute import State, run_study
-from dmframe.study.foreseen import Foreseen, foreseen
-from dmframe.study.lock import LOCK
+from dmframe.study.execute import Foreseen, State, foreseen, run_study
+from dmframe.study.journal import LOCK
 from dmframe.study.plan import Study, load_study
-from dmframe.study.results import Results
-from dmframe.study.run import default_folder
+from dmframe.study.results import Results, default_folder
 from dmframe.study.store import polars
 from dmframe.trust import remember
 
@@ -30,18 +28,18 @@ INCOMPLETE: Final = 1
 FILE: Final = "study.yaml"
 REPORT: Final = "report"
 MANY: Final = 64
-"""Points that are looked at one by one before a study runs."""
+"""Number of points up to which each is checked before a study runs."""
 
 
 def one_file(words: Sequence[str]) -> str:
-    """The one study that a command names."""
+    """Study file of a command."""
     if len(words) > 1:
         raise ValueFault(f"study: expected one file, found {len(words)}: {' '.join(words)[:60]}")
     return words[0]
 
 
 def study_of(file: str, *, trust: bool = False) -> tuple[Study, Path]:
-    """A study from its file, or from the folder of its results; and the folder where those are, or will be."""
+    """Study of a file or results folder, and its results folder."""
     path = Path(file).expanduser()
     if path.is_dir():
         path /= FILE
@@ -66,33 +64,35 @@ def run(
     as_json: bool,
     trust: bool,
 ) -> int:
-    """Compute the rows that are not there yet, and write the report; returns the exit status."""
-    polars()  # before anything takes long
+    """Compute the missing rows and write the report; returns the exit status."""
+    polars()  # fail early if it is missing
     study, place = study_of(file, trust=trust)
     place = out or place
-    with telling(study.name, quiet=as_json) as say:
+    with progress_line(study.name, quiet=as_json) as say:
         say("building its closed loops")
         _check(study)
     last: State | None = None
     try:
         with counting(study.name, study.runs, "runs", quiet=True if as_json else None) as bar:
 
-            def told(state: State) -> None:
+            def progress(state: State) -> None:
                 nonlocal last
                 last = state
                 bar(state.kept, _note(state, scheduler))
 
-            state = run_study(study, place, workers=workers, scheduler=scheduler, force=force, told=told)
+            state = run_study(study, place, workers=workers, scheduler=scheduler, force=force, report=progress)
     except KeyboardInterrupt:
         if last is not None:
             tell(f"{last.kept} of {last.runs} runs are kept in {place}; the same command continues", aside=True)
         return STOPPED
-    _tell(study, state, place, _reported(Results(place), quiet=as_json) if report and state.complete else None, as_json)
+    _print(
+        study, state, place, _reported(Results(place), quiet=as_json) if report and state.complete else None, as_json
+    )
     return 0 if state.complete else INCOMPLETE
 
 
 def report(folder: str, *, as_json: bool, trust: bool) -> int:
-    """Write the report of a folder's runs anew; returns the exit status."""
+    """Rewrite the report of a results folder; returns the exit status."""
     if trust:
         remember(Path(folder).expanduser())
     made = _reported(Results(folder), quiet=as_json)
@@ -109,13 +109,13 @@ def _answered(made: Reported | None) -> dict[str, Any]:
 def _reported(results: Results, *, quiet: bool) -> Reported:
     from dmframe.study.report import reported
 
-    with telling(results.name, quiet=quiet) as say:
-        say("deciding the proof over all that was drawn, and writing the report")
+    with progress_line(results.name, quiet=quiet) as say:
+        say("deciding the proof over all samples, and writing the report")
         return reported(results.folder, results)
 
 
 def _check(study: Study) -> None:
-    """Tell what is wrong before anything runs. Of many points, the closed loops alone: each point takes a while."""
+    """Raise faults before any run; of many points only the closed loops are checked, to save time."""
     if len(study.points) <= MANY:
         study.check()
     else:
@@ -131,7 +131,7 @@ def _note(state: State, scheduler: str | None) -> str:
     return ", ".join(notes)
 
 
-def _tell(study: Study, state: State, place: Path, made: Reported | None, as_json: bool) -> None:
+def _print(study: Study, state: State, place: Path, made: Reported | None, as_json: bool) -> None:
     counted = _counted(place) if state.kept else {"diverged": 0, "faults": 0}
     if as_json:
         data = {
@@ -173,21 +173,21 @@ def _workers(count: int) -> str:
 
 
 def _counted(place: Path) -> dict[str, int]:
-    """From the rows, read one column at a time."""
+    """Numbers of diverged and faulty runs, read column by column."""
     library = polars()
     column = library.col
     table = library.scan_parquet(place / "runs" / "*.parquet")
     names = set(table.collect_schema().names())
     wanted = {"diverged": column("diverged").sum(), "faults": column("fault").is_not_null().sum()}
-    asked = [expression.alias(name) for name, expression in wanted.items() if {"diverged", "fault"} <= names]
-    row = table.select(asked).collect().row(0, named=True) if asked else {}
+    present = [expression.alias(name) for name, expression in wanted.items() if {"diverged", "fault"} <= names]
+    row = table.select(present).collect().row(0, named=True) if present else {}
     return {name: int(row.get(name) or 0) for name in wanted}
 
 
 def dry_run(file: str, *, workers: int | None, out: Path | None, as_json: bool, trust: bool) -> int:
-    """Say what would be run; returns the exit status."""
+    """Print the plan of a study; returns the exit status."""
     study, place = study_of(file, trust=trust)
-    with telling(study.name, quiet=as_json) as say:
+    with progress_line(study.name, quiet=as_json) as say:
         say("building its closed loops")
         _check(study)
         say("timing some runs")
@@ -195,16 +195,16 @@ def dry_run(file: str, *, workers: int | None, out: Path | None, as_json: bool, 
     if as_json:
         tell(json.dumps(found.summary | {"out": str(out or place)}, indent=2))
     else:
-        tell(_foretold(study, found, out or place))
+        tell(_plan_text(study, found, out or place))
     return 0
 
 
-def _foretold(study: Study, found: Foreseen, place: Path) -> str:
+def _plan_text(study: Study, found: Foreseen, place: Path) -> str:
     rows = [
         ("points", str(found.points), _axes(study)),
         ("samples", str(found.samples), f"a point, {study.file.sample.method}, seed {study.file.sample.seed}"),
         ("runs", str(found.runs), f"of {study.bases[''].file.duration:g} s; {found.kept} are kept in {place}"),
-        ("chunks", str(found.chunks), f"that are left, of up to {found.each} runs"),
+        ("chunks", str(found.chunks), f"remaining, of up to {found.each} runs"),
         ("time", _time(found.seconds), f"on {_workers(found.workers)} here, at {found.rate:.3g} runs/s each"),
     ]
     varied = [(column.name, f"[{column.unit}]" if column.unit else "", column.kind) for column in study.varied]
@@ -227,18 +227,18 @@ def rerun(file: str, number: int, *, out: Path | None, force: bool, as_json: boo
     """Write one run as a graph, run it, and compare it with its row; returns the exit status."""
     study, place = study_of(file, trust=trust)
     place = out or place
-    with telling(study.name, quiet=as_json) as say:
+    with progress_line(study.name, quiet=as_json) as say:
         say(f"run {number}")
         found = again(study, number, place, place if place.is_dir() else Path(), force=force)
-    tell(json.dumps(found.summary, indent=2) if as_json else _told_again(study, found))
+    tell(json.dumps(found.summary, indent=2) if as_json else _comparison(study, found))
     return 0 if found.alike else INCOMPLETE
 
 
-def _told_again(study: Study, found: Again) -> str:
+def _comparison(study: Study, found: Again) -> str:
     values = ", ".join(f"{key} = {value}" for key, value in study.points[found.point].values.items())
     head = f"run {found.run}: sample {found.sample} of point {found.point}" + (f", {values}" if values else "")
     rows = [("", "unit", "rerun", "row"), *((name, found.units[name], *_pair(found, name)) for name in found.rerun)]
-    kept = f"its row is not in {found.place}: nothing to compare with" if found.row is None else found.verdict
+    kept = f"its row is not in {found.place}: no comparison" if found.row is None else found.verdict
     return "\n".join([head, f"wrote {os.fspath(found.graph)}", columns(rows), kept])
 
 

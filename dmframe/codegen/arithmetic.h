@@ -1,12 +1,12 @@
-/* Sine, cosine and tanh to about one unit in the last place, short enough that a compiler puts them in line.
-   Taylor series after a reduction of the argument; the C library's own for arguments that reduction does not serve. */
+/* Sine, cosine and tanh to about one unit in the last place, short enough for a compiler to inline.
+   Taylor series after argument reduction; the C library's functions for arguments out of the reduction's range. */
 #include <float.h>
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
 
 static inline void dm_sincos(double x, double *sine, double *cosine) {
-  if (!(fabs(x) < 1e5)) { /* not a number, too */
+  if (!(fabs(x) < 1e5)) { /* NaN, too */
     *sine = sin(x);
     *cosine = cos(x);
     return;

@@ -1,7 +1,7 @@
 /* One step of a controller: the commands of this instant, and its states one period T later.
 
-   A sample that is not finite, or from which something follows that is not, is refused: commands and states stay as
-   they were, for one NaN in the states would never leave them. */
+   A sample is refused if it, a command or a state after it is not finite: commands and states remain unchanged, since a
+   NaN would stay in the states forever. */
 
 DM_EXPORT void dm_prepare(const double *p, double *c) { dm_constants(p, c); }
 
@@ -11,7 +11,7 @@ static int dm_finite(const double *values, int count) {
   return gap == 0;
 }
 
-/* Whether the sample was taken. */
+/* Returns 0 if the sample is refused. */
 DM_EXPORT int dm_tick(double *z, const double *measured, const double *t, const double *T, const double *p,
                       const double *c, double *u) {
   double next[DM_Z + 1], command[DM_U + 1];

@@ -1,4 +1,4 @@
-"""A function of CasADi's as C: each instruction a line, each value named once."""
+"""Translation of a CasADi function to C: one line for each instruction."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _FORMS: Final[dict[str, str | int]] = {
     "le": "{} <= {}",
     "eq": "{} == {}",
     "ne": "{} != {}",
-    # compared with 0, for clang warns where a double is taken as a truth value
+    # compared with 0: clang warns of a double as a truth value
     "and": "{} != 0 && {} != 0",
     "or": "{} != 0 || {} != 0",
     "not": "{} == 0",
@@ -41,12 +41,12 @@ _FORMS: Final[dict[str, str | int]] = {
     "sin": 0,
     "cos": 1,
 }
-"""Of sine and cosine, which of the two results of one call."""
+"""Operation -> C; for sine and cosine, the index of the result of one call."""
 
 
-_IN_LANES: Final[dict[str, str | int]] = {
-    **{name: f"dm_{name}_lanes({{}})" for name in _LIBRARY_ONE.split()},
-    **{name: f"dm_{name}_lanes({{}}, {{}})" for name in _LIBRARY_TWO.split()},
+_IN_SIMD: Final[dict[str, str | int]] = {
+    **{name: f"dm_{name}_simd({{}})" for name in _LIBRARY_ONE.split()},
+    **{name: f"dm_{name}_simd({{}}, {{}})" for name in _LIBRARY_TWO.split()},
     "fabs": "dm_abs({})",
     "lt": "dm_truth({} < {})",
     "le": "dm_truth({} <= {})",
@@ -56,11 +56,11 @@ _IN_LANES: Final[dict[str, str | int]] = {
     "or": "dm_truth(({} != 0) | ({} != 0))",
     "not": "dm_truth({} == 0)",
     "if_else_zero": "dm_where({} != 0, {})",
-    "fmin": "dm_fmin_lanes({}, {})",
-    "fmax": "dm_fmax_lanes({}, {})",
-    "sign": "dm_sign_lanes({})",
-    "tanh": "dm_tanh_lanes({})",
-    "constpow": "dm_pow_lanes({}, {})",
+    "fmin": "dm_fmin_simd({}, {})",
+    "fmax": "dm_fmax_simd({}, {})",
+    "sign": "dm_sign_simd({})",
+    "tanh": "dm_tanh_simd({})",
+    "constpow": "dm_pow_simd({}, {})",
 }
 
 
@@ -71,20 +71,20 @@ def _noted(form: str | int, *operands: str) -> tuple[str | int, tuple[str, ...]]
 @final
 @dataclass(frozen=True)
 class Dialect:
-    """How numbers are written: one, or one of several runs in a vector.
+    """C for scalars, or for SIMD vectors of several runs.
 
     Parameters
     ----------
     number
-        The type of a value.
+        Type of a value.
     constant
-        A number of the program as one of that type.
+        Conversion of a constant to that type.
     forms
-        What stands for each operation, by its name.
+        C form of each operation, by name.
     sincos
-        The function that gives a sine and a cosine.
+        Function that computes sine and cosine.
     arithmetic
-        The files in which the functions of the forms stand.
+        Files that define the functions of the forms.
     """
 
     number: str
@@ -95,28 +95,28 @@ class Dialect:
 
     @cached_property
     def rules(self) -> Mapping[int, Any]:
-        """For `dmframe.program.run`."""
+        """Rules for `dmframe.program.run`."""
         return by_code({name: partial(_noted, form) for name, form in self.forms.items()})
 
 
 ONE: Final = Dialect("double", "{}", _FORMS, "dm_sincos", ("arithmetic.h", "one.h"))
-LANES: Final = Dialect("dm_real", "dm_all({})", {**_FORMS, **_IN_LANES}, "dm_sincos_lanes", ("arithmetic.h", "lanes.h"))
+SIMD: Final = Dialect("dm_real", "dm_all({})", {**_FORMS, **_IN_SIMD}, "dm_sincos_simd", ("arithmetic.h", "simd.h"))
 
 PIECE: Final = 3000
-"""Lines of one C function: a compiler's time grows faster than the function, so that a longer one is cut."""
+"""Lines of one C function; longer ones are split, since compile time grows faster than linearly."""
 
 
 @final
 @dataclass(frozen=True)
 class Line:
-    """One value, or a sine and cosine, from operands: names of other lines' targets, arguments or constants."""
+    """Line of C that computes a value, or sine and cosine, from other lines' targets, arguments or constants."""
 
     targets: tuple[str, ...]
     form: str
     operands: tuple[str, ...]
 
     def text(self, dialect: Dialect, name: Callable[[str], str]) -> str:
-        """In C, with the operands called as `name` says."""
+        """C of the line; `name` maps the operands to C."""
         operands, number = [name(operand) for operand in self.operands], dialect.number
         if len(self.targets) == 1:
             return f"  const {number} {self.targets[0]} = {self.form.format(*operands)};"
@@ -127,7 +127,7 @@ class Line:
 def written(f: Any, dialect: Dialect = ONE) -> str:
     """An SX function as C: ``static void dm_name(a0, a1, ..., r0, ...)``; a long one calls its pieces in turn.
 
-    An argument may be a result too: nothing is stored before everything is read.
+    A result may alias an argument: all arguments are read before results are stored.
     """
     lines, results = _lines(f, dialect)
     number = dialect.number
@@ -153,11 +153,11 @@ def written(f: Any, dialect: Dialect = ONE) -> str:
 
 
 def _lines(f: Any, dialect: Dialect = ONE) -> tuple[list[Line], dict[str, str]]:
-    """A function's lines, and its results: where each goes, and what it is called."""
+    """Lines of a function, and its results: place -> name."""
     program, lines, angles = read(f), list[Line](), dict[str, tuple[str, str]]()
 
     def keep(node: Node, value: Any) -> str:
-        if isinstance(value, str):  # an argument or a number
+        if isinstance(value, str):  # an argument or a constant
             return value
         form, operands = value
         if isinstance(form, str):
@@ -176,7 +176,7 @@ def _lines(f: Any, dialect: Dialect = ONE) -> tuple[list[Line], dict[str, str]]:
         given="a{}[{}]".format,
         constant=lambda value: dialect.constant.format(_constant(value)),
         refuse=lambda code: EngineError(
-            f"engine: {program.name} holds CasADi's instruction {code}, which cannot be written as C"
+            f"engine: {program.name} has CasADi's instruction {code}, which cannot be translated to C"
         ),
         keep=keep,
     )
@@ -185,7 +185,7 @@ def _lines(f: Any, dialect: Dialect = ONE) -> tuple[list[Line], dict[str, str]]:
 
 
 def _carried(pieces: Sequence[Sequence[Line]], results: Mapping[str, str]) -> dict[str, str]:
-    """Values that another piece or the results read, each with its place in h."""
+    """Values that another piece or the results read, with their places in h."""
     home = {target: k for k, piece in enumerate(pieces) for line in piece for target in line.targets}
     read = [operand for k, piece in enumerate(pieces) for line in piece for operand in line.operands
             if home.get(operand, k) != k]  # fmt: skip

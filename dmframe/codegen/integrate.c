@@ -1,19 +1,20 @@
-/* From one tick to the next: what a tick works with, and its integrators. Numbers are of the type dm_real, one or one of
-   several runs in a vector, each of which may take other steps than its neighbours: it rests when it has taken its own. Above this stand the sizes DM_Z ... and the closed loop's own functions. Arrays have one element
-   more than they need, as C knows no empty ones. Nothing here allocates memory. */
+/* Integrators from one tick to the next. Numbers are of type dm_real: a double, or a vector with one element for each run.
+   Runs of a vector may take different numbers of steps; a run keeps its state after its own steps. The sizes DM_Z ... and
+   the functions of the closed loop precede this file. Arrays have one element more than needed, since C has no empty
+   arrays. No memory is allocated. */
 
 typedef struct {
   dm_real z[DM_Z + 1], u[DM_U + 1], w[DM_W + 1], y[DM_Y + 1], c[DM_C + 1];
 } dm_work;
 
-/* dx at time t, commands held. */
+/* dx at time t, with constant commands. */
 static void dm_slope(dm_real t, const dm_real *x, const dm_real *p, dm_work *k, dm_real *dx) {
   if (DM_MOVED) dm_trajectory(&t, p, k->c, k->w);
   dm_rate(x, k->u, k->w, p, k->c, dx);
 }
 
 #ifdef DM_STAGES
-/* x from t to t + T by the Rosenbrock method whose numbers stand above: (3) of dmframe.diagram.rosenbrock. */
+/* x from t to t + T by the Rosenbrock method of the coefficients above: (3) of dmframe.diagram.rosenbrock. */
 static void dm_integrate(dm_real *x, double t, dm_real h, dm_steps substeps, const dm_real *p, dm_work *k) {
   dm_real u[DM_STAGES][DM_X + 1], at[DM_X + 1], right[DM_X + 1], drift[DM_X + 1], dw[DM_W + 1] = {0}, factors[DM_F + 1];
   for (int64_t j = 0; j < dm_most(substeps); j++) {

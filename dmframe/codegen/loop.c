@@ -1,15 +1,15 @@
-/* A run in plain C: what samples move, over the plant, or everything in continuous time (then DM_Z is 0). Above this
-   stand integrate.c and what is above that. */
+/* Simulation of one run: sampled states and the plant, or everything in continuous time (DM_Z is 0). integrate.c precedes
+   this file. */
 
 static void dm_log(const double *state, const dm_work *k, const int64_t *kept, int64_t columns, double *row) {
   for (int64_t j = 0; j < columns; j++)
     row[j] = kept[j] < DM_Z + DM_X ? state[kept[j]] : k->y[kept[j] - (DM_Z + DM_X)];
 }
 
-/* Ticks first to first + ticks - 1; each has a row of `given`: its time, its length, and the DM_N numbers drawn for it. Of
-   every `every`th tick, at its start, the `kept` numbers of (state, outputs) go to a row of `log`. Returns how many ticks
-   ended with a state within `bounds`; it is left where the last one led. With no ticks at all, the row of `first` is
-   written. */
+/* Compute the ticks first to first + ticks - 1. Each has a row of `given`: its time, its length, and its DM_N random
+   numbers. At the start of every `every`th tick the `kept` numbers of (state, outputs) are written to a row of `log`.
+   Returns the number of ticks that ended with a state within `bounds`; `state` is that after the last one. With 0 ticks,
+   only the row of `first` is written. */
 DM_EXPORT int64_t dm_run(double *state, const double *p, double period, int64_t substeps, int64_t first, int64_t ticks,
                          const double *given, int64_t every, const int64_t *kept, int64_t columns, double *log,
                          const double *bounds) {

@@ -1,7 +1,7 @@
-"""The closed loop as C: its own functions written out, and over them the loop of `loop.c`.
+"""C source of the closed loop: its functions, and the loop of `loop.c` or `batch.c`.
 
-Every name begins with ``dm_`` and, but for the entry, is static: a function that were called ``step`` or ``sample``
-could be taken for the C library's, which returns at once and says nothing.
+Every name begins with ``dm_`` and, except for the entry points, is static: a function ``step`` or ``sample`` could
+silently be replaced by one of the C library.
 """
 
 from __future__ import annotations
@@ -14,23 +14,22 @@ from typing import Any, Final
 
 import casadi as ca
 
-from dmframe.codegen.function import LANES, ONE, Dialect, written
+from dmframe.codegen.function import ONE, SIMD, Dialect, written
 from dmframe.diagram.parts import Parts, split
 from dmframe.diagram.rosenbrock import ROS34PW2, Rosenbrock
 
 
 def loop_source(parts: Parts, *, implicit: bool = False) -> str:
-    """The C of a whole run; gains, true parameters and start states are its arguments.
+    """C of a whole run, with gains, true parameters and initial states as arguments.
 
-    It integrates with rk4, or with ros34pw2 where it is `implicit`. Raises `EngineError` where an expression holds what
-    C has no word for.
+    It integrates with rk4, or with ros34pw2 if `implicit`. Raises `EngineError` for an operation without a C form.
     """
     return _loop(parts, implicit, "loop.c", ONE)
 
 
-def lanes_source(parts: Parts, *, implicit: bool = False) -> str:
-    """The C of several whole runs at once, of which figures of the outputs are kept; as `loop_source` otherwise."""
-    return _loop(parts, implicit, "lanes.c", LANES)
+def simd_source(parts: Parts, *, implicit: bool = False) -> str:
+    """C of several whole runs at once (SIMD), which stores figures of the outputs; otherwise as `loop_source`."""
+    return _loop(parts, implicit, "simd.c", SIMD)
 
 
 def _loop(parts: Parts, implicit: bool, frame: str, dialect: Dialect) -> str:
@@ -45,7 +44,7 @@ def _loop(parts: Parts, implicit: bool, frame: str, dialect: Dialect) -> str:
 
 
 def _coefficients(method: Rosenbrock) -> list[str]:
-    """A method's numbers, to the last bit of a double."""
+    """Coefficients of a method, exact doubles."""
 
     def row(values: Sequence[Fraction]) -> str:
         return "{" + ", ".join(map(repr, map(float, values or (Fraction(0),)))) + "}"
@@ -60,7 +59,7 @@ def _coefficients(method: Rosenbrock) -> list[str]:
 
 
 def control_source(control: Any) -> tuple[str, int]:
-    """The C of one step of a controller, (z, measured, t, T, p) -> (z', u), and how many constants follow from p."""
+    """C of one step of a controller, (z, measured, t, T, p) -> (z', u), and the number of constants, functions of p."""
     inputs = [ca.SX.sym(f"i{k}", control.numel_in(k)) for k in range(5)]
     (step,), constants = split({"control": (inputs[:4], control(*inputs))}, inputs[4])
     sizes = {"Z": control.numel_out(0), "M": control.numel_in(1), "U": control.numel_out(1)}
@@ -87,10 +86,7 @@ def _assembled(
 
 
 def helpers(*texts: str) -> str:
-    """`arithmetic.h` with those functions alone that some texts call.
-
-    A compiler such as clang warns of a static function that nothing calls, and a reader need not read it.
-    """
+    """Functions of `arithmetic.h` that some texts call; compilers warn of unused static functions."""
     words = set(re.findall(r"\bdm_\w+", "\n".join(texts)))
     return _HELPER.sub(lambda match: match.group() if match["name"] in words else "", shipped("arithmetic.h"))
 
@@ -98,9 +94,9 @@ def helpers(*texts: str) -> str:
 _HELPER: Final = re.compile(
     r"^static inline \w+ (?P<name>dm_\w+)\([^)]*\) \{(?:[^\n]*\}\n|\n.*?^\}\n)\n?", re.MULTILINE | re.DOTALL
 )
-"""A function of that file; none of them calls another."""
+"""Pattern of a function of that file; none of them calls another."""
 
 
 def shipped(name: str) -> str:
-    """A file of C that comes with this package."""
+    """A C file of this package."""
     return files("dmframe.codegen").joinpath(name).read_text(encoding="utf-8")

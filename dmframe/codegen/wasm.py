@@ -1,23 +1,24 @@
-"""The closed loop as a WebAssembly module, written straight from its expressions: no compiler is needed.
+"""The closed loop as a WebAssembly module, generated from its expressions without a compiler.
 
-It is the C of `loop_source` operation by operation, so that its numbers are those of that C to the last bit, where a
-compiler fuses no products into sums (``-ffp-contract=off``). A module exports
+It has the operations of `loop_source` in the same order, so that its numbers equal those of the C bit by bit, if the
+compiler does not use fused multiply-add (``-ffp-contract=off``). A module exports
 
 - ``run(state, p, period, substeps, first, ticks, given, every, kept, columns, log, bounds)``: ``dm_run`` of `loop.c`,
-  which returns how many ticks ended within bounds. ``period`` is an f64, all others are i32: counts, and the addresses
-  of arrays in bytes. Arrays hold f64, but for ``kept``, which holds i32. Counts are from 0 to 2^31 - 1; of ``first``
-  nothing but the remainder by ``every`` matters.
-- ``flow(state, t, T, p, rates)``, all addresses: the rates of what is integrated, with the commands of that instant.
-- what is asked for beside it, each a function of the addresses of its arguments and then of its results, of f64 all.
-- ``memory``, and ``heap``: its first bytes, up to that address, are the module's own. From there on the host lays out
-  the arrays as it likes, with no overlap, and lets the memory grow where they need more.
+  which returns the number of ticks that ended within bounds. ``period`` is an f64; the others are i32: counts, and the
+  addresses of arrays in bytes. Arrays are of f64, except ``kept``, which is of i32. Counts are from 0 to 2^31 - 1; only
+  the remainder of ``first`` by ``every`` is used.
+- ``flow(state, t, T, p, rates)``, all addresses: the derivatives of the continuous states, with the commands of that
+  instant.
+- additional functions, each with the addresses of its arguments and then of its results, all of f64.
+- ``memory``, and ``heap``: the bytes up to that address are reserved for the module. The host places its arrays after
+  them without overlap, and grows the memory as needed.
 
-Nothing is kept from one call to the next: what stands in the module's own bytes follows from what a call is given.
+The module keeps no state between calls.
 
 Sine, cosine, tanh, sign, fmin and fmax are those of `arithmetic.h`; sqrt, fabs, floor, ceil and copysign are single
-instructions. The other functions, which no packaged graph needs, are asked of the host by their names in C, as
-``env.exp``, and are as accurate as it makes them; so are ``env.sin`` and ``env.cos``, for angles from 1e5 rad on. A web
-page gives its ``Math``, which has them all but erf, fmod and remainder.
+instructions. Other functions, which no packaged graph needs, are imported from the host by their C names, as
+``env.exp``; so are ``env.sin`` and ``env.cos``, for angles from 1e5 rad on. Their accuracy is that of the host. A web
+page provides its ``Math``, which has all of them except erf, fmod and remainder.
 """
 
 from __future__ import annotations
@@ -55,15 +56,15 @@ _HOST_TWO: Final = "pow fmod atan2 hypot remainder"
 HOST: Final = {f"env.{name}": 1 for name in ("sin", "cos", *_HOST_ONE.split())} | {
     f"env.{name}": 2 for name in _HOST_TWO.split()
 }
-"""What a module may ask of its host, and how many numbers each takes."""
+"""Functions that a module may import from the host, with their numbers of arguments."""
 
 ENTRY: Final = tuple("state p period substeps first ticks given every kept columns log bounds".split())
-"""What ``run`` takes, in order."""
+"""Parameters of ``run``, in order."""
 
 
 @final
 class Turn(NamedTuple):
-    """Of an angle, the sine (0) or the cosine (1): one call gives both."""
+    """Sine (0) or cosine (1) of an angle; one call computes both."""
 
     angle: Number
     which: int
@@ -104,11 +105,11 @@ RULES: Final[dict[int, Callable[..., Any]]] = by_code(
 
 
 def loop_module(parts: Parts, more: Sequence[Any] = ()) -> bytes:
-    """The module of a whole run; gains, true parameters and start states are its arguments.
+    """Module of a whole run, with gains, true parameters and initial states as arguments.
 
-    `more` are SX functions that it exports beside the run, each by its name.
+    `more` are SX functions that it exports additionally, by their names.
 
-    Raises `EngineError` where an expression holds what there is no rule for, or is longer than a browser takes.
+    Raises `EngineError` for an operation without a rule, or a function that is too long for a browser.
     """
     hoisted = parts.hoisted
     own = {f.name(): written(f) for f in hoisted}
@@ -126,14 +127,14 @@ def loop_module(parts: Parts, more: Sequence[Any] = ()) -> bytes:
         "run": _run(places, sizes),
         "flow": _flow(places, sizes),
     }
-    beside = {f.name(): written(f) for f in more}
-    return module({**ARITHMETIC, **own, **frame, **beside}, ("run", "flow", *beside), HOST, used)
+    extra = {f.name(): written(f) for f in more}
+    return module({**ARITHMETIC, **own, **frame, **extra}, ("run", "flow", *extra), HOST, used)
 
 
 def written(f: Any) -> Function:
-    """An SX function that takes the addresses of its arguments and then of its results, none of which may overlap.
+    """An SX function with the addresses of its arguments and then of its results, none of which may overlap.
 
-    A value that is read once is computed where it is read. Another has a local, which is free after its last read.
+    A value that is read once is computed where it is read. Another has a local, which is reused after its last read.
     """
     program = read(f)
     refuse = partial(_refused, program.name)
@@ -141,7 +142,7 @@ def written(f: Any) -> Function:
     places = count()
 
     def counted(node: Node, value: Value) -> Number:
-        """The value's place, as if it were a local."""
+        """Number of the value, as if it were a local."""
         place = next(places)
         if isinstance(value, Turn):
             if not {(node.a, 0), (node.a, 1)} & firsts.keys():
@@ -175,12 +176,12 @@ def _locals(value: Number) -> list[int]:
 
 
 def _refused(name: str, code: int) -> EngineError:
-    return EngineError(f"engine: {name} holds CasADi's instruction {code}, which cannot be written as WebAssembly")
+    return EngineError(f"engine: {name} has CasADi's instruction {code}, which cannot be translated to WebAssembly")
 
 
 @final
 class _Straight:
-    """Code without jumps, whose values are read so often as `reads` says of their places."""
+    """Straight-line code; `reads` counts the reads of each value."""
 
     def __init__(self, function: Function, reads: Counter[int], firsts: Mapping[tuple[int, int], int]) -> None:
         self._function, self._reads, self._firsts = function, reads, firsts
@@ -189,7 +190,7 @@ class _Straight:
         self._left, self._free = dict[int, int](), list[int]()
 
     def kept(self, node: Node, value: Value) -> Number:
-        """What stands for a value from then on."""
+        """Expression for a value from then on."""
         reads = self._reads[next(self._places)]
         if isinstance(value, Turn):
             if (node.a, value.which) not in self._turns:
@@ -202,9 +203,9 @@ class _Straight:
         return self._settled(reads)
 
     def release(self, value: Number) -> None:
-        """Its locals have been read here."""
+        """Count a read of the value's locals."""
         for local in _locals(value):
-            if local in self._left:  # not one that holds an address
+            if local in self._left:  # not an address
                 self._left[local] -= 1
                 if self._left[local] == 0:
                     self._free.append(local)
@@ -212,14 +213,14 @@ class _Straight:
     def _turn(self, place: int, angle: Number) -> None:
         self._function.write(angle, "sincos")
         self.release(angle)
-        for which in (1, 0):  # the cosine lies above the sine
+        for which in (1, 0):  # the cosine is on top of the stack
             if (place, which) in self._firsts:
                 self._turns[place, which] = self._settled(self._reads[self._firsts[place, which]])
             else:
                 self._function.write(DROP)
 
     def _settled(self, reads: int) -> Number:
-        """What lies on the stack, in a local of its own until it has been read."""
+        """Move the top of the stack to a local, until its last read."""
         local = self._free.pop() if self._free else self._function.local(F64)
         self._function.set(local)
         self._left[local] = reads
@@ -231,7 +232,7 @@ def _integer(place: int) -> Whole:
 
 
 def _slope(at: Mapping[str, Whole], moved: bool) -> Function:
-    """(t, x, p, dx): dx at time t, commands held."""
+    """(t, x, p, dx): dx at time t, with constant commands."""
     f = Function([F64, I32, I32, I32])
     t, (x, p, dx) = Number((0,)), map(_integer, (1, 2, 3))
     if moved:
@@ -242,7 +243,7 @@ def _slope(at: Mapping[str, Whole], moved: bool) -> Function:
 
 
 def _flow(at: Mapping[str, Whole], sizes: Mapping[str, int]) -> Function:
-    """The function that is exported: what a tick does before its first step, with nothing drawn at random."""
+    """Exported function: derivatives at the first step of a tick, without random numbers."""
     f = Function([I32] * 5)
     state, t, period, p, rates = map(_integer, range(5))
     f.write(p, at["c"], "constants")
@@ -275,7 +276,7 @@ def _integrate(at: Mapping[str, Whole], size: int) -> Function:
 
 
 def _sound(size: int) -> Function:
-    """(state, bounds): whether all of the state is within its bounds; what is no number is not."""
+    """(state, bounds): 1 if all states are within their bounds; 0 for NaN."""
     f = Function([I32, I32], [I32])
     state, bounds = map(_integer, (0, 1))
     f.write(whole(1))
@@ -285,7 +286,7 @@ def _sound(size: int) -> Function:
 
 
 def _record(at: Mapping[str, Whole], size: int) -> Function:
-    """(state, kept, columns, row): the kept numbers of the state and, after it, of the outputs."""
+    """(state, kept, columns, row): write the kept numbers of (state, outputs)."""
     f = Function([I32] * 4)
     state, kept, columns, row = map(_integer, range(4))
     place = f.local(I32)
@@ -300,7 +301,7 @@ def _record(at: Mapping[str, Whole], size: int) -> Function:
 
 
 def _run(at: Mapping[str, Whole], sizes: Mapping[str, int]) -> Function:
-    """The function that is exported; its parameters are `ENTRY`."""
+    """Exported function with the parameters `ENTRY`."""
     f = Function([F64 if name == "period" else I32 for name in ENTRY], [I32])
     local = {name: place for place, name in enumerate(ENTRY)}
     state, p, _, substeps, first, ticks, given, every, kept, columns, log, bounds = map(_integer, range(len(ENTRY)))

@@ -1,4 +1,4 @@
-"""The functions of `arithmetic.h` in WebAssembly, operation by operation: the same bits, where C fuses none of them."""
+"""Functions of `arithmetic.h` in WebAssembly, with the same operations, and the same bits if C fuses none of them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Final
 from dmframe.codegen.wasm_binary import F64, RETURN, Function, Number, called, number
 
 _SHIFT: Final = 1.5 * 2.0**52
-"""A number to which it is added is rounded to a whole one, which then stands in the last bits."""
+"""Adding it rounds a number to an integer, which is then in the last bits."""
 
 _hex = float.fromhex
 
@@ -89,4 +89,4 @@ ARITHMETIC: Final[Mapping[str, Function]] = {
     "fmin": _of_two(lambda x, y: ((x < y) | y.differs(y)).choose(x, y)),
     "fmax": _of_two(lambda x, y: ((x > y) | y.differs(y)).choose(x, y)),
 }
-"""By name; ``sincos`` returns two numbers."""
+"""Functions by name; ``sincos`` returns two numbers."""

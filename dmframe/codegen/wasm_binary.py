@@ -1,16 +1,15 @@
-"""WebAssembly in its binary form: expressions, functions made of them, and a module of functions.
+"""Encoder of binary WebAssembly: expressions, functions and modules.
 
-An expression is a sequence of pieces: instructions as bytes, a number for the local that is read, a name for the
-function that is called. What a name stands for is decided when the module is put together: functions that nothing calls
-stay out, and a name ``env.exp`` is the host's ``exp``.
+An expression is a sequence of pieces: instructions (bytes), locals to read (numbers), functions to call (names). Names
+are resolved when the module is assembled: uncalled functions are omitted, and ``env.exp`` is imported from the host.
 
-Of what came after WebAssembly 1.0 it takes functions with several results and the copying of memory.
+Beyond WebAssembly 1.0 it uses functions with several results, and memory copy.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import groupby
@@ -23,14 +22,14 @@ Piece = bytes | str | int
 I32, F64 = b"\x7f", b"\x7c"
 IF, END, RETURN, DROP, AND = b"\x04\x40", b"\x0b", b"\x0f", b"\x1a", b"\x71"
 COPY: Final = b"\xfc\x0a\x00\x00"
-"""Copies bytes: to an address, from an address, so many."""
+"""Memory copy: destination, source, count of bytes."""
 
 PAGE: Final = 65536
-"""Bytes by which memory grows."""
+"""Page size of the memory [bytes]."""
 
 MOST_LOCALS: Final = 50_000
 MOST_BYTES: Final = 7_654_321
-"""Of one function: browsers refuse more."""
+"""Limits of browsers for one function."""
 
 
 def unsigned(value: int) -> bytes:
@@ -51,6 +50,40 @@ def signed(value: int) -> bytes:
     return bytes((*found, value & 0x7F))
 
 
+def _whole(operation: bytes) -> Callable[[Whole, Whole | int], Whole]:
+    """Binary instruction of two i32."""
+
+    def method(self: Whole, other: Whole | int) -> Whole:
+        return Whole((*self.parts, *(whole(other) if isinstance(other, int) else other).parts, operation))
+
+    return method
+
+
+def _unary(operation: bytes) -> Callable[[Number], Number]:
+    """Instruction of one f64."""
+    return lambda self: Number((*self.parts, operation))
+
+
+def _binary(operation: bytes) -> Callable[[Number, Number | float], Number]:
+    """Instruction of two f64."""
+
+    def method(self: Number, other: Number | float) -> Number:
+        return Number((*self.parts, *(other if isinstance(other, Number) else number(other)).parts, operation))
+
+    return method
+
+
+def _reflected(operation: bytes) -> Callable[[Number, float], Number]:
+    """Binary instruction with a constant on the left."""
+    return lambda self, other: Number((*number(other).parts, *self.parts, operation))
+
+
+def _comparison(operation: bytes) -> Callable[[Number, Number | float], Whole]:
+    """Comparison of two f64, with the result 1 or 0."""
+    compare = _binary(operation)
+    return lambda self, other: Whole(compare(self, other).parts)
+
+
 @final
 @dataclass(frozen=True)
 class Whole:
@@ -58,135 +91,70 @@ class Whole:
 
     parts: tuple[Piece, ...]
 
-    def __add__(self, other: Whole | int) -> Whole:
-        return self._with(other, b"\x6a")
-
-    def __sub__(self, other: Whole | int) -> Whole:
-        return self._with(other, b"\x6b")
-
-    def __mul__(self, other: Whole | int) -> Whole:
-        return self._with(other, b"\x6c")
-
-    def __mod__(self, other: Whole | int) -> Whole:
-        return self._with(other, b"\x70")
-
-    def __and__(self, other: Whole | int) -> Whole:
-        return self._with(other, b"\x71")
-
-    def __or__(self, other: Whole | int) -> Whole:
-        return self._with(other, b"\x72")
-
-    def __lt__(self, other: Whole | int) -> Whole:
-        return self._with(other, b"\x49")
-
-    def __ge__(self, other: Whole | int) -> Whole:
-        return self._with(other, b"\x4f")
+    __add__ = _whole(b"\x6a")
+    __sub__ = _whole(b"\x6b")
+    __mul__ = _whole(b"\x6c")
+    __mod__ = _whole(b"\x70")
+    __and__ = _whole(b"\x71")
+    __or__ = _whole(b"\x72")
+    __lt__ = _whole(b"\x49")
+    __ge__ = _whole(b"\x4f")
 
     def empty(self) -> Whole:
-        """1 for 0, 0 for others."""
+        """1 if it is 0, else 0."""
         return Whole((*self.parts, b"\x45"))
 
     def number(self) -> Number:
-        """The same as an f64; it is taken as signed."""
+        """Conversion to f64, as signed."""
         return Number((*self.parts, b"\xb7"))
 
     def choose(self, one: Number, other: Number) -> Number:
-        """`one` where this is not 0; both are computed."""
+        """`one` if it is not 0, else `other`; both are computed."""
         return Number((*one.parts, *other.parts, *self.parts, b"\x1b"))
 
     def load(self, offset: int = 0) -> Number:
-        """The f64 that lies there."""
+        """The f64 at this address."""
         return Number((*self.parts, b"\x2b\x03" + unsigned(offset)))
 
     def load_whole(self) -> Whole:
-        """The i32 that lies there."""
+        """The i32 at this address."""
         return Whole((*self.parts, b"\x28\x02\x00"))
-
-    def _with(self, other: Whole | int, operation: bytes) -> Whole:
-        return Whole((*self.parts, *(whole(other) if isinstance(other, int) else other).parts, operation))
 
 
 @final
 @dataclass(frozen=True)
 class Number:
-    """An f64."""
+    """An f64; comparisons with NaN are 0, except `differs`."""
 
     parts: tuple[Piece, ...]
 
-    def __add__(self, other: Number | float) -> Number:
-        return self._with(other, b"\xa0")
-
-    def __radd__(self, other: float) -> Number:
-        return number(other) + self
-
-    def __sub__(self, other: Number | float) -> Number:
-        return self._with(other, b"\xa1")
-
-    def __rsub__(self, other: float) -> Number:
-        return number(other) - self
-
-    def __mul__(self, other: Number | float) -> Number:
-        return self._with(other, b"\xa2")
-
-    def __rmul__(self, other: float) -> Number:
-        return number(other) * self
-
-    def __truediv__(self, other: Number | float) -> Number:
-        return self._with(other, b"\xa3")
-
-    def __rtruediv__(self, other: float) -> Number:
-        return number(other) / self
-
-    def copysign(self, other: Number) -> Number:
-        """The sign of the other."""
-        return self._with(other, b"\xa6")
-
-    def __neg__(self) -> Number:
-        return self._then(b"\x9a")
-
-    def __abs__(self) -> Number:
-        return self._then(b"\x99")
-
-    def __ceil__(self) -> Number:
-        return self._then(b"\x9b")
-
-    def __floor__(self) -> Number:
-        return self._then(b"\x9c")
-
-    def sqrt(self) -> Number:
-        """The square root."""
-        return self._then(b"\x9f")
-
-    def __lt__(self, other: Number | float) -> Whole:
-        return Whole(self._with(other, b"\x63").parts)
-
-    def __gt__(self, other: Number | float) -> Whole:
-        return Whole(self._with(other, b"\x64").parts)
-
-    def __le__(self, other: Number | float) -> Whole:
-        return Whole(self._with(other, b"\x65").parts)
-
-    def equals(self, other: Number | float) -> Whole:
-        """1 where they are equal; two that are no numbers are not."""
-        return Whole(self._with(other, b"\x61").parts)
-
-    def differs(self, other: Number | float) -> Whole:
-        """1 where they are not equal."""
-        return Whole(self._with(other, b"\x62").parts)
+    __add__ = _binary(b"\xa0")
+    __sub__ = _binary(b"\xa1")
+    __mul__ = _binary(b"\xa2")
+    __truediv__ = _binary(b"\xa3")
+    __radd__ = _reflected(b"\xa0")
+    __rsub__ = _reflected(b"\xa1")
+    __rmul__ = _reflected(b"\xa2")
+    __rtruediv__ = _reflected(b"\xa3")
+    copysign = _binary(b"\xa6")
+    __neg__ = _unary(b"\x9a")
+    __abs__ = _unary(b"\x99")
+    __ceil__ = _unary(b"\x9b")
+    __floor__ = _unary(b"\x9c")
+    sqrt = _unary(b"\x9f")
+    __lt__ = _comparison(b"\x63")
+    __gt__ = _comparison(b"\x64")
+    __le__ = _comparison(b"\x65")
+    equals = _comparison(b"\x61")
+    differs = _comparison(b"\x62")
 
     def low_bits(self) -> Whole:
-        """The last 32 bits of the 64."""
-        return Whole(self._then(b"\xbd\xa7").parts)
+        """Low 32 bits."""
+        return Whole((*self.parts, b"\xbd\xa7"))
 
     def power_of_two(self) -> Number:
-        """2^n, of a sum n + 1.5 * 2^52, whose last bits are those of n."""
-        return self._then(b"\xbd\x42" + signed(1023) + b"\x7c\x42" + signed(52) + b"\x86\xbf")
-
-    def _then(self, operation: bytes) -> Number:
-        return Number((*self.parts, operation))
-
-    def _with(self, other: Number | float, operation: bytes) -> Number:
-        return Number((*self.parts, *(other if isinstance(other, Number) else number(other)).parts, operation))
+        """2^n from n + 1.5 * 2^52, whose last bits are those of n."""
+        return Number((*self.parts, b"\xbd\x42" + signed(1023) + b"\x7c\x42" + signed(52) + b"\x86\xbf"))
 
 
 def whole(value: int) -> Whole:
@@ -195,18 +163,18 @@ def whole(value: int) -> Whole:
 
 
 def number(value: float) -> Number:
-    """A constant, with all its bits."""
+    """An exact constant."""
     return Number((b"\x44" + struct.pack("<d", value),))
 
 
 def called(name: str, *operands: Number) -> Number:
-    """What a function of numbers returns."""
+    """Call of a function of numbers."""
     return Number((*(piece for operand in operands for piece in operand.parts), name))
 
 
 @final
 class Function:
-    """A function; what it takes is in its first locals."""
+    """A function, whose parameters are its first locals."""
 
     def __init__(self, takes: Sequence[bytes], gives: Sequence[bytes] = ()) -> None:
         self.takes, self.gives = tuple(takes), tuple(gives)
@@ -214,7 +182,7 @@ class Function:
 
     @property
     def calls(self) -> set[str]:
-        """The names of what it calls."""
+        """Names of the functions that it calls."""
         return {piece for piece in self._pieces if isinstance(piece, str)}
 
     def write(self, *pieces: Piece | Whole | Number) -> None:
@@ -223,16 +191,16 @@ class Function:
             self._pieces.extend(piece.parts if isinstance(piece, Whole | Number) else (piece,))
 
     def local(self, kind: bytes) -> int:
-        """A new one."""
+        """Add a local, and return its index."""
         self._kinds.append(kind)
         return len(self._kinds) - 1
 
     def set(self, local: int, *value: Whole | Number) -> None:
-        """Of `value`, or of what lies on the stack."""
+        """Set a local to `value`, or to the top of the stack."""
         self.write(*value, b"\x21" + unsigned(local))
 
     def keep(self, value: Number) -> Number:
-        """The same number, computed here once."""
+        """Compute a number once, and store it in a local."""
         local = self.local(F64)
         self.set(local, value)
         return Number((local,))
@@ -243,14 +211,14 @@ class Function:
 
     @contextmanager
     def when(self, truth: Whole) -> Iterator[None]:
-        """What is written meanwhile is done where `truth` is not 0."""
+        """Execute the instructions of the ``with`` block if `truth` is not 0."""
         self.write(truth, IF)
         yield
         self.write(END)
 
     @contextmanager
     def counted(self, end: Whole) -> Iterator[Whole]:
-        """What is written meanwhile is done for each count from 0 to `end` - 1."""
+        """Execute the instructions of the ``with`` block for each count from 0 to `end` - 1."""
         count = self.local(I32)
         self.set(count, whole(0))
         self.write(b"\x02\x40\x03\x40", Whole((count,)) >= end, b"\x0d\x01")
@@ -259,13 +227,13 @@ class Function:
         self.write(b"\x0c\x00", END, END)
 
     def encoded(self, name: str, places: Mapping[str, int]) -> bytes:
-        """Its entry in the code section. Raises `EngineError` for one that is larger than browsers take."""
+        """Entry of the code section. Raises `EngineError` if it exceeds the limits of browsers."""
         runs = [(kind, len(list(run))) for kind, run in groupby(self._kinds[len(self.takes) :])]
         pieces = [_encoded(piece, places) for piece in self._pieces]
         body = b"".join([_vector([unsigned(count) + kind for kind, count in runs]), *pieces, END])
         for what, found, most in (("locals", len(self._kinds), MOST_LOCALS), ("bytes", len(body), MOST_BYTES)):
             if found > most:
-                raise EngineError(f"WebAssembly: {name} takes {found} {what}, expected at most {most} in one function")
+                raise EngineError(f"WebAssembly: {name} has {found} {what}, expected at most {most} in one function")
         return unsigned(len(body)) + body
 
 
@@ -276,9 +244,9 @@ def _encoded(piece: Piece, places: Mapping[str, int]) -> bytes:
 
 
 def module(functions: Mapping[str, Function], exported: Sequence[str], arities: Mapping[str, int], used: int) -> bytes:
-    """A module that exports functions, its memory, and as ``heap`` how many bytes of that it uses itself.
+    """A module that exports functions, its memory, and ``heap``, the number of bytes that it reserves.
 
-    `arities` says how many numbers each function of the host takes; those that are called are imported from ``env``.
+    `arities` has the numbers of arguments of the host's functions; those that are called are imported from ``env``.
     """
     reached, waiting = set[str](), [*exported]
     while waiting:
@@ -315,6 +283,6 @@ def _vector(items: Sequence[bytes]) -> bytes:
 
 
 def _text(text: str | bytes) -> bytes:
-    """A name, or a section's content: after its length."""
+    """A name, or a section's content, preceded by its length."""
     content = text.encode() if isinstance(text, str) else text
     return unsigned(len(content)) + content

@@ -40,7 +40,7 @@ Step = Callable[[Document], Document]
 
 @final
 @dataclass(frozen=True)
-class Asked:
+class Stating:
     """A document that still has its key ``reality``, and what was set after that, so that it can be asked for anew."""
 
     document: Document
@@ -77,7 +77,7 @@ class Experiment:
     start: Mapping[str, Any]
     overrides: tuple[str, ...] = ()
     swapped: tuple[str, ...] | None = None
-    asked: Asked | None = None
+    asked: Stating | None = None
 
     @property
     def solver(self) -> Solver:
@@ -220,15 +220,14 @@ class Experiment:
         real, others = split(values)
         overrides, faults = texts_of({**real, **others}), list[DmframeError]()
         steps = [[partial(_changed, values=part)] if part else [] for part in (real, others)]
-        document, asked = self.with_steps(steps[0], steps[1], faults)
+        document = self.with_steps(steps[0], steps[1], faults)
         raise_all(faults)
         mine = [f"baseline.{text}" if text.partition(".")[0] in (self.swapped or ()) else text for text in overrides]
-        made, overrides = experiment_of(document, like=self), (*self.overrides, *mine)
-        return replace(made, name=self.name, overrides=overrides, swapped=self.swapped, asked=asked)
+        return self.remade(document, mine)
 
     def with_steps(
         self, real: Sequence[Step], others: Sequence[Step], faults: list[DmframeError]
-    ) -> tuple[Document, Asked | None]:
+    ) -> tuple[Document, Stating | None]:
         """The document with values put in, those of ``reality`` first; blocks that it had put in go, as with ``--set``.
 
         Faults of the values are added to `faults`; one of the sets themselves is raised.
@@ -236,9 +235,16 @@ class Experiment:
         document, asked = self.document, self.asked
         if real:
             document = _after(asked.document if asked else document, real, faults)
-            asked = Asked(document, asked.later if asked else ())
+            asked = Stating(document, asked.later if asked else ())
             document = _after(_expanded(document, find_block), asked.later, faults)
         return _after(document, others, faults), _then(asked, *others)
+
+    def remade(self, changed: tuple[Document, Stating | None], overrides: Sequence[str]) -> Experiment:
+        """The graph of a changed document, see `with_steps`, with these overrides added to its own."""
+        document, asked = changed
+        made = experiment_of(document, like=self)
+        overrides = (*self.overrides, *overrides)
+        return replace(made, name=self.name, overrides=overrides, swapped=self.swapped, asked=asked)
 
     def with_duration(self, duration: float) -> Experiment:
         """The same graph, run for another time [s]."""
@@ -286,7 +292,7 @@ def load_experiment(source: str | Path, overrides: Sequence[str] = ()) -> Experi
         experiment_of(_overridden(_expanded(asked, find_block), others)),
         (partial(_overridden, overrides=others),),
     )
-    return replace(made, overrides=tuple(overrides), asked=Asked(asked, later) if KEY in asked.data else None)
+    return replace(made, overrides=tuple(overrides), asked=Stating(asked, later) if KEY in asked.data else None)
 
 
 def _tell_changes(path: Path) -> None:
@@ -328,7 +334,7 @@ def _after(document: Document, steps: Sequence[Step], faults: list[DmframeError]
     return document
 
 
-def _then(asked: Asked | None, *steps: Step) -> Asked | None:
+def _then(asked: Stating | None, *steps: Step) -> Stating | None:
     """What was asked of ``reality``, and other values set after it."""
     return replace(asked, later=(*asked.later, *steps)) if asked else None
 
@@ -347,7 +353,7 @@ def experiment_of(document: Document, find: Find = find_block, like: Experiment 
     Where its robot is asked for in the words of another, `like`, that one's is taken: a model takes longer to read than
     all the rest. Raises what `load_experiment` does.
     """
-    path, asked = Path(document.name), Asked(document) if KEY in document.data else None
+    path, asked = Path(document.name), Stating(document) if KEY in document.data else None
     document = _expanded(document, find)
     read = with_new_names(document, path.parent, find)
     raise_all(read.faults)
@@ -361,7 +367,7 @@ def _again(
     name: str,
     overrides: tuple[str, ...],
     swapped: tuple[str, ...] | None = None,
-    asked: Asked | None = None,
+    asked: Stating | None = None,
 ) -> Experiment:
     """One that was pickled."""
     return replace(experiment_of(document), name=name, overrides=overrides, swapped=swapped, asked=asked)

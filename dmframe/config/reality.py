@@ -3,7 +3,7 @@
 The key names a packaged set, or block types with their parameters; `like` takes a set as it is but for what is said
 beside it. Each type becomes a block of the graph, before anything else reads the document, so that all of it is seen in
 ``check``, in drawings, in the ``graph.yaml`` beside results. No wires are needed, since these blocks stand in for what
-they read (`dmframe.port.Port.instead_of`). A type that hands out all that a block of the plant does takes its place.
+they read (`dmframe.port.Output.instead_of`). A type that hands out all that a block of the plant does takes its place.
 """
 
 from __future__ import annotations
@@ -151,7 +151,7 @@ class _Work:
             self.left_out.append(f"{KEY} {name} is left out: the graph has it, {held}")
             return
         given = dict(node.value) if isinstance(node.value, dict) else {}
-        if not any(port.instead_of or port.told for port in kind.outputs):
+        if not any(port.instead_of or port.notice for port in kind.outputs):
             self._replace(name, kind, at, node, given)
             return
         signals = {port.name for other in self.kinds.values() for port in other.outputs}

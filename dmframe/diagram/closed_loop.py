@@ -168,9 +168,13 @@ class ClosedLoop:
         """What each sample draws anew, as one column."""
         return stack(noise.symbol for noise in self.noises)
 
+    @cached_property
+    def _ahead(self) -> tuple[SX, SX]:
+        return columns(self.ahead)
+
     def joined(self, expressions: Sequence[SX]) -> list[SX]:
         """Expressions with measured, commanded and future signals replaced by what they are."""
-        return _put(self.crossed(expressions), columns(self.ahead))
+        return _put(self.crossed(expressions), self._ahead)
 
     def crossed(self, expressions: Sequence[SX]) -> list[SX]:
         """The same with future signals left as leaves, as trajectories are."""

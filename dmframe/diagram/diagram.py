@@ -29,7 +29,7 @@ from dmframe.diagram.wiring import (
 )
 from dmframe.dimensions import unit_faults
 from dmframe.errors import DmframeError, MissingError, SizeError, UnitError, WiringError, raise_all
-from dmframe.port import Port
+from dmframe.port import Output
 
 
 @final
@@ -184,7 +184,7 @@ def _symbolic(robot: Any) -> Any:
 def declared_outputs(blocks: Mapping[str, AbstractBlock]) -> Outputs:
     """Outputs as far as the classes say; an optional one is taken for stated where no other block surely has it."""
     sure = {port.name for block in blocks.values() for port in block.outputs if not port.optional}
-    declared = dict[str, dict[str, Port]]()
+    declared = dict[str, dict[str, Output]]()
     for name, block in blocks.items():
         declared[name] = {port.name: port for port in block.outputs if not port.optional or port.name not in sure}
         sure |= declared[name].keys()

@@ -25,7 +25,8 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from dmframe.block.model import BlockModel, Recalled, same_expression, signals_of, stated_by, symbols_in
+from dmframe.block.model import BlockModel, Recalled, signals_of, stated_by, symbols_in
+from dmframe.block.steady import same_expression
 from dmframe.certificate import SX
 from dmframe.diagram.diagram import Diagram
 from dmframe.diagram.wiring import Derived, End, Wire

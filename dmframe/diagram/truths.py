@@ -4,6 +4,7 @@ A block's start and certificate may read true values by name: the outputs of oth
 certificates state. An author writes ``truth.K`` and means the robot that the block drives, not any robot of the
 diagram. So the owner is the one block that has the value; of several, the one that the reader's own wires lead to by
 the shortest way. Sources do not count as a way, since one clock or path may drive loops that are otherwise apart.
+What the nearest plant itself reads under that name goes before both: of two loads, the one that the robot carries.
 """
 
 from __future__ import annotations
@@ -12,18 +13,18 @@ from collections import defaultdict, deque
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import combinations
 
-from dmframe.block.model import same_expression
+from dmframe.block.steady import same_expression
 from dmframe.certificate import SX
 from dmframe.diagram.diagram import Diagram
 from dmframe.diagram.wiring import Wire, same_unit
 from dmframe.errors import BlockError
-from dmframe.port import Port, Side
+from dmframe.port import Input, Output, Side
 
 Stated = Mapping[str, Mapping[str, SX]]
 """True values that certificates state, by the block that states them and by name."""
 
 
-def owner_of(diagram: Diagram, reader: str, port: Port, stated: Stated) -> str | None:
+def owner_of(diagram: Diagram, reader: str, port: Input, stated: Stated) -> str | None:
     """The block whose value of that name `reader` gets; None where the diagram has none.
 
     A signal of the plant goes before all others: nobody knows the plant better.
@@ -39,6 +40,7 @@ def owner_of(diagram: Diagram, reader: str, port: Port, stated: Stated) -> str |
     if len(found) < 2:
         return found[0] if found else None
     ways = distances(diagram, reader)
+    found = [name for name in _read_by_plant(diagram, port.name, ways) if name in found] or found
     least = min((ways[name] for name in found if name in ways), default=None)
     near = [name for name in found if ways.get(name) == least]
     values = [value_of(diagram, name, port.name, stated) for name in near]
@@ -58,6 +60,17 @@ def value_of(diagram: Diagram, owner: str, name: str, stated: Stated) -> SX:
             return diagram.resolver.trajectory(owner, name, 0).symbol
         return diagram.resolver.output(owner, name)
     return stated[owner][name]
+
+
+def _read_by_plant(diagram: Diagram, name: str, ways: Mapping[str, int]) -> list[str]:
+    """Blocks whose output the nearest blocks of the plant read as their input of that name."""
+    reading = {
+        block: source.block
+        for (block, port), source in diagram.sources.items()
+        if port == name and isinstance(source, Wire) and block in ways and diagram.blocks[block].side is Side.PLANT
+    }
+    least = min((ways[block] for block in reading), default=0)
+    return [source for block, source in reading.items() if ways[block] == least]
 
 
 def distances(diagram: Diagram, start: str) -> dict[str, int]:
@@ -100,7 +113,7 @@ def conflicts(diagram: Diagram, stated: Stated) -> Iterator[str]:
                 )
 
 
-def _having(diagram: Diagram, reader: str, port: Port) -> list[str]:
+def _having(diagram: Diagram, reader: str, port: Input) -> list[str]:
     """Blocks other than the reader with an output of that name, in a unit that the reader can take."""
     return [
         name
@@ -109,7 +122,7 @@ def _having(diagram: Diagram, reader: str, port: Port) -> list[str]:
     ]
 
 
-def _fits(port: Port, outputs: Iterable[Port]) -> bool:
+def _fits(port: Input, outputs: Iterable[Output]) -> bool:
     return any(other.name == port.name and same_unit(other, port) for other in outputs)
 
 

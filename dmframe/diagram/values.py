@@ -7,19 +7,20 @@ from dataclasses import replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
-import casadi as ca
 import numpy as np
 
 from dmframe.block import AbstractBlock
-from dmframe.block.faults import told_by
-from dmframe.block.model import BlockModel, same_expressions, stated_by, with_starts
+from dmframe.block.faults import fault_context
+from dmframe.block.model import BlockModel, stated_by, with_starts
 from dmframe.block.names import type_name
+from dmframe.block.numberless import remade
 from dmframe.block.sizes import parameter_arrays
+from dmframe.block.steady import same_statement, stated_equations
 from dmframe.block.symmetric import unique
 from dmframe.diagram.closed_loop import Parameter
 from dmframe.diagram.diagram import Diagram
 from dmframe.diagram.resolve import Resolver
-from dmframe.diagram.view import view
+from dmframe.diagram.view import stated_start, view
 from dmframe.errors import DmframeError, NeedsDiagramError, ShapeError, UnknownNameError, ValueFault, raise_all
 from dmframe.gain import Prior
 from dmframe.parameter import specs
@@ -118,8 +119,8 @@ def _hold_symbolic(diagram: Diagram, blocks: Mapping[str, AbstractBlock], name: 
     fresh = [key for key in keys if f"{name}.{key}" not in seen and getattr(old, key) != getattr(new, key)]
     if not fresh:
         return
-    before, after = (_stated(diagram, name, block) for block in (old, new))
-    if before.keys() != after.keys() or not same_expressions(list(before.values()), list(after.values())):
+    before, after = (_stated(diagram, name, remade(block)) for block in (old, new))
+    if not same_statement(before, after):
         raise NeedsDiagramError(
             f"{name}: its equations or its start read {' or '.join(fresh)} as a number, so that other values need a "
             f"diagram of their own; take it as p.{fresh[0]}",
@@ -128,14 +129,12 @@ def _hold_symbolic(diagram: Diagram, blocks: Mapping[str, AbstractBlock], name: 
     seen |= {f"{name}.{key}" for key in fresh}
 
 
-def _stated(diagram: Diagram, name: str, block: AbstractBlock) -> dict[tuple[str, str], Any]:
+def _stated(diagram: Diagram, name: str, block: AbstractBlock) -> dict[str, Any]:
     """All that a block states of its motion and its start, on the diagram's symbols."""
     model, seen = diagram.models[name], view(diagram, name)
-    stated = stated_by(name, block, model.signals(), diagram.sizes)
-    with told_by(name, "start()"):
-        starts = block.composed_start(seen.u, seen.p, seen.truth)
-    parts = {"output": stated.outputs, "rate": stated.rates, "next": stated.next, "start": starts}
-    return {(kind, key): ca.densify(ca.SX(value)) for kind, part in parts.items() for key, value in part.items()}
+    with fault_context(name, "start()"):
+        starts = stated_start(block, seen)
+    return {**stated_equations(stated_by(name, block, model.signals(), diagram.sizes)), **starts}
 
 
 def _valued(parameter: Parameter, models: Mapping[str, BlockModel]) -> Parameter:

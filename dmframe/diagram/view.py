@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import casadi as ca
 
-from dmframe.block import Signals
+from dmframe.block import AbstractBlock, Signals
 from dmframe.certificate import SX
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.diagram import Diagram
 from dmframe.diagram.truths import Stated, owner_of, value_of
-from dmframe.port import Port
+from dmframe.port import Input
 
 
 @final
@@ -49,6 +49,12 @@ def view(diagram: Diagram, name: str, stated: Stated | None = None) -> View:
     return View(u, x, p, Signals(name, "truths that this diagram has", truth), owners)
 
 
+def stated_start(block: AbstractBlock, seen: View) -> dict[str, Any]:
+    """Where a block's states start, by the words for each, ``start of z``."""
+    said: Any = block.composed_start(seen.u, seen.p, seen.truth)
+    return {f"start of {name}": value for name, value in said.items()} if isinstance(said, Mapping) else {"start": said}
+
+
 def _settled(diagram: Diagram, expression: SX) -> SX:
     """With what is measured or commanded for this reader alone put in place: the loop was built without such leaves."""
     resolver, built = diagram.resolver, {leaf.name for leaf in diagram.loop.crossings}
@@ -72,7 +78,7 @@ def owners_of(diagram: Diagram, name: str, stated: Stated) -> dict[str, str]:
 
 
 def _truth(
-    diagram: Diagram, reader: str, port: Port, owners: Mapping[str, str], found: Mapping[str, SX], stated: Stated
+    diagram: Diagram, reader: str, port: Input, owners: Mapping[str, str], found: Mapping[str, SX], stated: Stated
 ) -> SX | None:
     if port.name in owners:
         return value_of(diagram, owners[port.name], port.name, stated)

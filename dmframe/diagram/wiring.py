@@ -10,7 +10,7 @@ from dmframe.block import AbstractBlock, type_name
 from dmframe.block.numberless import without_numbers
 from dmframe.block.sizes import Sizes
 from dmframe.errors import AccessError, DmframeError, ShapeError, UnitError, UnknownNameError, WiringError, nearest
-from dmframe.port import ANY, PERIOD, TIME, Access, Port, Side
+from dmframe.port import ANY, PERIOD, TIME, Access, Input, Output, Side
 from dmframe.units import compatible
 
 End = tuple[str, str]
@@ -68,7 +68,7 @@ class Zero:
 
 
 Source = Wire | Derived | Time | Period | Drawn | Ahead | Zero
-Outputs = Mapping[str, Mapping[str, Port]]
+Outputs = Mapping[str, Mapping[str, Output]]
 
 
 def wire_blocks(
@@ -97,7 +97,7 @@ def wire_blocks(
 
 
 def _as_the_plant(
-    block: AbstractBlock, port: Port, blocks: Mapping[str, AbstractBlock], chosen: Mapping[End, Source]
+    block: AbstractBlock, port: Input, blocks: Mapping[str, AbstractBlock], chosen: Mapping[End, Source]
 ) -> Source | None:
     """For an input that something stands in for: the command that the graph file wires to the plant's of that name."""
     if all(output.instead_of != port.name for output in block.outputs):
@@ -152,7 +152,7 @@ class Way:
 
 
 def ways(blocks: Mapping[str, AbstractBlock], outputs: Outputs, sources: Mapping[End, Source]) -> list[Way]:
-    """Each signal that has stand-ins (`Port.instead_of`), as wired."""
+    """Each signal that has stand-ins (`Output.instead_of`), as wired."""
     stands = _stand_ins(blocks, outputs, sources)
     found = list[Way]()
     for origin, chain in stands.items():
@@ -209,7 +209,7 @@ def _explicit(
 
 
 def _by_name(
-    name: str, port: Port, outputs: Outputs, blocks: Mapping[str, AbstractBlock], *, optional: bool
+    name: str, port: Input, outputs: Outputs, blocks: Mapping[str, AbstractBlock], *, optional: bool
 ) -> Source | DmframeError:
     if replace(port, optional=False) == TIME:
         return Time()
@@ -241,7 +241,7 @@ def _by_name(
     )
 
 
-def _remedy(name: str, port: Port, outputs: Outputs, blocks: Mapping[str, AbstractBlock]) -> str:
+def _remedy(name: str, port: Input, outputs: Outputs, blocks: Mapping[str, AbstractBlock]) -> str:
     """What may be wired to an input instead: what has its shape and unit, and is not hidden from it."""
     add, target = "add a block that has one", blocks[name].side  # which blocks have one, only the catalogue knows
     fitting = [
@@ -266,7 +266,7 @@ def unread(blocks: Mapping[str, AbstractBlock], outputs: Outputs, sources: Mappi
     found = list[Wire]()
     for name, block in blocks.items():
         moves = block.side is Side.PLANT and block.states
-        if moves or any(port.shown or port.told for port in block.outputs):
+        if moves or any(port.shown or port.notice for port in block.outputs):
             continue
         free = [wire for wire in (Wire(name, port) for port in outputs[name]) if wire not in taken]
         if block.side is Side.SOURCE or len(free) == len(outputs[name]):
@@ -326,13 +326,13 @@ def check_truths(blocks: Mapping[str, AbstractBlock], outputs: Outputs) -> list[
     return faults
 
 
-def same_unit(output: Port, reader: Port) -> bool:
+def same_unit(output: Output, reader: Input) -> bool:
     """True where the reader can take the output's numbers as they are."""
     return reader.unit == ANY or compatible(output.unit, reader.unit)
 
 
 def _access(
-    source: Wire, out: Port, origin: Side, end: End, target: Side, path: tuple[str, ...]
+    source: Wire, out: Output, origin: Side, end: End, target: Side, path: tuple[str, ...]
 ) -> DmframeError | None:
     reader, signal = f"{end[0]}.{end[1]}", f"{source.block}.{source.port}"
     if target is not Side.PLANT and origin is Side.PLANT and out.access is not Access.MEASURED:
@@ -350,7 +350,7 @@ def _access(
     return None
 
 
-def _shape(text: str, out: Port, into: Port, sizes: Sizes, path: tuple[str, ...]) -> DmframeError | None:
+def _shape(text: str, out: Output, into: Input, sizes: Sizes, path: tuple[str, ...]) -> DmframeError | None:
     try:
         found, expected = sizes.of(out.shape), sizes.of(into.shape)
     except KeyError:

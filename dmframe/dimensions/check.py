@@ -17,11 +17,11 @@ from dmframe.dimensions.declared import Declared, Leaf
 from dmframe.dimensions.dimension import BASES, Dimension, counted, product, spelled
 from dmframe.dimensions.limits import with_limits
 from dmframe.dimensions.rules import Contradiction, dimensions
-from dmframe.dimensions.stated import Item, items_of
+from dmframe.dimensions.stated import STORED, Item, items_of
 from dmframe.dimensions.words import expression
 from dmframe.errors import UnitError
 from dmframe.parameter import specs
-from dmframe.port import ANY, Port, State
+from dmframe.port import ANY, Signal, State
 from dmframe.program import CONST, INPUT, Program, by_code, read
 from dmframe.units import base_units
 
@@ -146,6 +146,15 @@ class Check:
                     return Disagreement(item, place, (), found)
         return None
 
+    @property
+    def storage(self) -> Dimension | None:
+        """The dimension of what the block stores; None where it stores nothing, or it is not known."""
+        if self._algebra.ignored == BASES or self.disagreement() is not None:
+            return None
+        stored = (item.expected[0] for item in self._items if item.what in STORED and item.expected)
+        known = [found for found in map(self._algebra.of, stored) if not found.unknowns]
+        return known[0] if known else None
+
     def times(self, dimension: Dimension) -> int:
         """The handle of a dimension, for `disagreement`."""
         return self._algebra.handle(dimension)
@@ -200,7 +209,7 @@ class Check:
 
 def _bare(block: AbstractBlock) -> bool:
     """Whether a block declares no units but those of time: its quantities are plain numbers then, time among them."""
-    items: list[Port | State] = [*block.inputs, *block.outputs, *block.states, *block.truth]
+    items: list[Signal | State] = [*block.inputs, *block.outputs, *block.states, *block.truth]
     units = {item.unit for item in items} | {spec.unit for spec in specs(type(block)).values()}
     return all(base_units(unit)[1].keys() <= {"s"} for unit in units - {ANY})
 

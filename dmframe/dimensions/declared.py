@@ -13,7 +13,7 @@ from dmframe.dimensions.algebra import ANYTHING, Algebra
 from dmframe.dimensions.dimension import declared
 from dmframe.dimensions.limits import LIMITS, Limited
 from dmframe.parameter import PAIRS, Spec, specs
-from dmframe.port import ANY, Port, State
+from dmframe.port import ANY, Signal, State
 from dmframe.robot.parameters import DynamicParameters
 
 _OF_JOINTS_AND_TASK: Final = ("n", "m")
@@ -73,11 +73,11 @@ class Declared:
         """The handle of a declared unit."""
         return self.algebra.handle(declared(unit))
 
-    def of_item(self, item: Port | State, rows: int, columns: int) -> list[int]:
+    def of_item(self, item: Signal | State, rows: int, columns: int) -> list[int]:
         """The dimensions of a port's or state's elements, column by column."""
         return [self._element(item.name, item.shape, item.unit, i, j) for j in range(columns) for i in range(rows)]
 
-    def add(self, item: Port | State, leaf: SX) -> None:
+    def add(self, item: Signal | State, leaf: SX) -> None:
         """Declare the symbols of a port or a state."""
         rows = leaf.shape[0]
 

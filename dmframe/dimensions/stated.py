@@ -9,7 +9,7 @@ from typing import Any, final
 import casadi as ca
 
 from dmframe.block.base import Signals
-from dmframe.block.faults import told_by
+from dmframe.block.faults import fault_context
 from dmframe.block.model import BlockModel, symbol
 from dmframe.block.sizes import Sizes
 from dmframe.certificate import (
@@ -20,10 +20,12 @@ from dmframe.certificate import (
     Driven,
     Inequality,
     LogDet,
-    SampledCertificate,
 )
 from dmframe.dimensions.declared import Declared
 from dmframe.errors import DmframeError
+
+STORED = ("the storage S", "the weight of a storage term")
+"""Items that have the unit of what a block stores."""
 
 
 @final
@@ -56,16 +58,15 @@ def items_of(model: BlockModel, sizes: Sizes, declared: Declared) -> list[Item]:
     u, x, p = model.signals()
     block = model.block
     try:
-        with told_by(model.name, "start()"):
+        with fault_context(model.name, "start()"):
             found += _starts(model, declared, block.composed_start(u, p, truth))
-        with told_by(model.name, "certificate()"):
+        with fault_context(model.name, "certificate()"):
             certificate = block.composed_certificate(u, x, p, truth)
-        with told_by(model.name, "conditions()"):
-            conditions = block.conditions(p, truth)
+        with fault_context(model.name, "conditions()"):
+            conditions = block.composed_conditions(p, truth)
         if isinstance(certificate, Certificate):
-            found += _certificate(certificate, declared)
-        elif isinstance(certificate, SampledCertificate):
-            found += _over_samples(certificate, declared)
+            sampled = any(state.sampled for state in block.states)
+            found += [*_certificate(certificate, declared, sampled), *_over_samples(certificate, declared)]
         for condition in conditions:
             found += _condition(condition, declared)
     except DmframeError:
@@ -114,11 +115,11 @@ def _starts(model: BlockModel, declared: Declared, starts: Mapping[str, Any]) ->
             yield Item(f"the start of {state.name}", expression, own, numbers=True)
 
 
-def _certificate(certificate: Certificate, declared: Declared) -> Iterator[Item]:
-    """All terms of S have one unit, and all of dS/dt that per second."""
+def _certificate(certificate: Certificate, declared: Declared, sampled: bool) -> Iterator[Item]:
+    """All terms of S have one unit, and all of dS/dt that per second; of a difference over a sample, the same."""
     algebra, second = declared.algebra, declared.unit("s")
     energy = algebra.unknown()
-    power = algebra.product(energy, second, -1)
+    power = energy if sampled else algebra.product(energy, second, -1)
     for stored in certificate.storage:
         if isinstance(stored, LogDet):  # the logarithm of a determinant ratio, not a ratio's logarithm
             matrix = ca.densify(ca.SX(stored.matrix - stored.true))
@@ -149,7 +150,7 @@ def _certificate(certificate: Certificate, declared: Declared) -> Iterator[Item]
 
 def _consumed(certificate: Certificate, declared: Declared) -> Iterator[Item]:
     """The dissipated vectors of which what is consumed is composed."""
-    terms = list(zip(certificate.pays, certificate.dissipation, strict=False))
+    terms = list(zip(certificate.dominates, certificate.dissipation, strict=False))
     if len(terms) < 2:
         return
     vectors = [ca.SX(coefficient) * ca.SX(term.pieces[0]) for coefficient, term in terms]
@@ -186,17 +187,9 @@ def _condition(condition: Condition, declared: Declared) -> Iterator[Item]:
             yield Item(f"the condition {condition.name}", matrix, (each,) * matrix.numel())
 
 
-def _over_samples(certificate: SampledCertificate, declared: Declared) -> Iterator[Item]:
-    """All terms of V have one unit; each row's answer and its goal have one."""
+def _over_samples(certificate: Certificate, declared: Declared) -> Iterator[Item]:
+    """Of steps all terms of V have one unit; each row's answer and its goal have one."""
     algebra, second = declared.algebra, declared.unit("s")
-    energy = algebra.unknown()
-    for terms, what in (
-        (certificate.storage, "the storage V"),
-        (certificate.decrease, "the decrease of V"),
-        (certificate.residual, "the residual of V"),
-    ):
-        for term in terms:
-            yield Item(what, ca.SX(term.value), (energy,))
     for steps in certificate.steps:
         error = ca.SX(steps.theta - steps.true)
         weighed = error * error / steps.gain
@@ -207,7 +200,7 @@ def _over_samples(certificate: SampledCertificate, declared: Declared) -> Iterat
                 part = slice(end - count, end)
                 yield Item("a row's prediction", ca.dot(h[part], steps.theta[part]) - y[j])
                 yield Item("a row's norm", steps.floor + ca.dot(h[part] * h[part], steps.gain[part]))
-    for relation in certificate.relations:
+    for relation in certificate.plant:
         moved = ca.SX(relation.momentum)
         own = tuple(algebra.unknown() for _ in range(moved.numel()))
         yield Item("the momentum of a relation", moved, own)

@@ -1,4 +1,4 @@
-"""The picture of a diagram, from the same object that runs."""
+"""Block diagrams of graphs, drawn from the diagram that runs."""
 
 from dmframe.drawing.drawing import Drawing, check_ending
 from dmframe.drawing.flowchart import mermaid

@@ -1,4 +1,4 @@
-"""A diagram's picture, as a person holds it."""
+"""Picture of a diagram, which can be shown and saved."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class Drawing:
     Parameters
     ----------
     diagram
-        What is drawn.
+        The diagram.
     title
-        What stands above it.
+        Title above the picture.
     """
 
     diagram: Wired
@@ -43,12 +43,12 @@ class Drawing:
         return mermaid(self.diagram, self.title)
 
     def save(self, path: str | Path) -> Path:
-        """Write it as SVG, PNG, PDF or Mermaid, by the ending of `path`.
+        """Write it as SVG, PNG, PDF or Mermaid, by the file name extension.
 
         Raises
         ------
         OutputError
-            Another ending, or a file that cannot be written.
+            The extension is another one, or the file cannot be written.
         """
         path = expanded(path)
         check_ending(path)
@@ -57,7 +57,7 @@ class Drawing:
         return path
 
     def __reduce__(self) -> Any:
-        """Pickled as its texts: expressions stay behind, and a copy knows the names of its blocks alone."""
+        """Pickle the texts and the names of the blocks, without expressions."""
         return _drawn, (self.title, self.svg, self.mermaid, tuple(self.diagram.blocks))
 
     def __repr__(self) -> str:
@@ -95,7 +95,7 @@ WRITERS: Final[dict[str, Callable[[Drawing, Path], None]]] = {
 
 
 def check_ending(path: Path) -> None:
-    """Raise `OutputError` for an ending that names no kind of picture."""
+    """Raise `OutputError` for an unknown file name extension."""
     if path.suffix.lower() not in WRITERS:
-        found = path.suffix or "no ending"
-        raise OutputError(f"{path}: expected a name that ends in {', '.join(WRITERS)}, found {found}")
+        found = path.suffix or "no extension"
+        raise OutputError(f"{path}: expected the extension {', '.join(WRITERS)}, found {found}")

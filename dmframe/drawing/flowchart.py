@@ -1,4 +1,4 @@
-"""A diagram as Mermaid text, for pages that draw it themselves."""
+"""A diagram as Mermaid text, for pages that render it."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from dmframe.port import Side
 
 
 def mermaid(diagram: Wired, title: str = "") -> str:
-    """A flowchart from left to right, controller and plant as subgraphs, a line for each wire.
+    """Flowchart from left to right, with controller and plant as subgraphs, and an edge for each wire.
 
-    A wire is labelled ``signal``, or ``output -> input`` where their names differ; an input that is derived from
-    another one is a dotted line of a box to itself.
+    A wire has the label ``signal``, or ``output -> input`` if their names differ. An input that is the derivative of
+    another one is a dotted edge from a box to itself.
     """
     net = netlist(diagram)
     ids = {name: f"b{index}_{re.sub(r'[^A-Za-z0-9_]', '_', name)}" for index, name in enumerate(net.boxes)}

@@ -1,7 +1,7 @@
-"""Where everything stands: boxes in columns, wires in the channels between them and in lanes above and below.
+"""Layout of a block diagram: boxes in columns, wires in the channels between them and in bypasses above and below.
 
-A wire to the next column runs through the channel between them; one that skips columns through a lane above all boxes;
-feedback through a lane below. So no wire crosses a box, and wires overlap nowhere.
+A wire to the next column runs through the channel between the columns; a wire that skips columns runs through a bypass
+above all boxes, feedback through a bypass below. No wire crosses a box, and wires do not overlap.
 """
 
 from __future__ import annotations
@@ -15,25 +15,25 @@ from dmframe.diagram.wiring import End
 from dmframe.drawing.netlist import Box, Netlist, Pin, columns
 from dmframe.port import Side
 
-PITCH, TRACK, LANE = 18.0, 10.0, 17.0
+PITCH, TRACK, BYPASS = 18.0, 10.0, 17.0
 GRID = PITCH / 2
 HEADER, STATE_LINE, GAP, MARGIN = 42.0, 13.0, 26.0, 16.0
 ARROW, MARK, WALL = 11.0, 40.0, 30.0
 CLEAR, COVERED = 4.0, 1000
-"""Stubs of two nets nearer than this would read as one; what that costs against a crossing."""
+"""Smallest distance of stubs of two nets, and the cost of a smaller one relative to a crossing."""
 LETTER = 0.57
-"""Width of a letter, of its size: that of a wide sans-serif font, so that no other overflows."""
+"""Width of a letter relative to its size, of a wide sans-serif font, so that other fonts fit."""
 
 
 def wide(text: str, size: float) -> float:
-    """About how wide a text is."""
+    """Approximate width of a text."""
     return LETTER * size * len(text)
 
 
 @final
 @dataclass
 class Placed:
-    """A box with its place; `inputs` and `outputs` hold the height of each pin above the box's top."""
+    """A box with its position; `inputs` and `outputs` are the distances of the pins from the box's top."""
 
     box: Box
     column: int
@@ -46,18 +46,18 @@ class Placed:
     y: float = 0.0
 
     def input_y(self, pin: str) -> float:
-        """The height of an input in the picture."""
+        """Vertical position of an input."""
         return self.y + self.inputs[pin]
 
     def output_y(self, port: str) -> float:
-        """The height of an output in the picture."""
+        """Vertical position of an output."""
         return self.y + self.outputs[port]
 
 
 @final
 @dataclass
 class Trunk:
-    """A net's vertical in one channel: the heights that it joins, with the stubs that meet it left and right."""
+    """Vertical segment of a net in one channel: the positions that it joins, with stubs on the left and the right."""
 
     net: End
     left: set[float] = field(default_factory=set)
@@ -66,21 +66,21 @@ class Trunk:
 
     @property
     def heights(self) -> set[float]:
-        """All heights that it joins."""
+        """All positions that it joins."""
         return self.left | self.right
 
 
 @final
 @dataclass(frozen=True)
 class Layout:
-    """A picture's geometry; `lanes` are (net, height) with the channels from which to which they run."""
+    """Geometry of a picture; `bypasses` are (height, first channel, last channel) by net and side."""
 
     net: Netlist
     placed: Mapping[str, Placed]
     channels: tuple[Mapping[End, Trunk], ...]
-    lanes: Mapping[tuple[End, str], tuple[float, int, int]]
+    bypasses: Mapping[tuple[End, str], tuple[float, int, int]]
     spans: tuple[tuple[float, float], ...]
-    """Left and right edge of each column."""
+    """Left and right edges of the columns."""
     wall: float | None
     width: float
     top: float
@@ -88,7 +88,7 @@ class Layout:
 
 
 def lay_out(net: Netlist) -> Layout:
-    """The geometry of a picture, the boxes' upper edge about y = 0."""
+    """Geometry of a picture, with the upper edge of the boxes near y = 0."""
     order = columns(net)
     column = {name: index for index, names in enumerate(order) for name in names}
     placed = {name: _sized(net, net.boxes[name], column) for names in order for name in names}
@@ -96,25 +96,25 @@ def lay_out(net: Netlist) -> Layout:
     _set_apart(net, order, placed)
     top = min((item.y for item in placed.values()), default=0.0)
     bottom = max((item.y + item.height for item in placed.values()), default=0.0)
-    lanes = _lanes(net, column, top, bottom)
-    channels = _trunks(net, placed, lanes, len(order))
+    bypasses = _bypasses(net, column, top, bottom)
+    channels = _trunks(net, placed, bypasses, len(order))
     first = next((i for i, names in enumerate(order) if net.boxes[names[0]].side is Side.PLANT), None)
-    wall_at = first if first else None  # no wall where there is nothing on its left
+    wall_at = first if first else None  # no wall without a controller
     spans, wall, width = _set_widths(order, placed, channels, wall_at)
-    heights = [height for height, _, _ in lanes.values()]
+    heights = [height for height, _, _ in bypasses.values()]
     return Layout(
-        net, placed, channels, lanes, spans, wall, width, min([top, *heights]), max([bottom, *heights])
+        net, placed, channels, bypasses, spans, wall, width, min([top, *heights]), max([bottom, *heights])
     )  # fmt: skip
 
 
 def route(column: Mapping[str, int], source: str, target: str) -> str:
-    """How a wire runs: ``direct`` to the next column, else by the ``top`` or the ``bottom`` lane."""
+    """Route of a wire: ``direct`` to the next column, else by the ``top`` or the ``bottom`` bypass."""
     step = column[target] - column[source]
     return "direct" if step == 1 else "top" if step > 1 else "bottom"
 
 
 def _sized(net: Netlist, box: Box, column: Mapping[str, int]) -> Placed:
-    """A box's size, and its pins in the order in which wires arrive: from above, from the left, from below."""
+    """Size of a box, with its pins in the order of their wires: from above, from the left, from below."""
     arrival = {"top": 0, "direct": 1, "bottom": 2}
     wired = sorted(
         (pin for pin in box.inputs if not pin.order), key=lambda pin: arrival[route(column, pin.source[0], box.name)]
@@ -144,7 +144,7 @@ def _sized(net: Netlist, box: Box, column: Mapping[str, int]) -> Placed:
 
 
 def _wrapped(states: tuple[str, ...], width: float) -> list[str]:
-    """States as lines of text."""
+    """Break states into lines."""
     lines = list[str]()
     for index, name in enumerate(states):
         word = name + ("," if index < len(states) - 1 else "")
@@ -156,7 +156,7 @@ def _wrapped(states: tuple[str, ...], width: float) -> list[str]:
 
 
 def _set_heights(net: Netlist, order: list[list[str]], placed: dict[str, Placed]) -> None:
-    """Boxes of a column below one another, as near as can be to where their direct wires are straight."""
+    """Place the boxes of each column so that direct wires are as straight as possible."""
     direct = [
         (source, target)
         for source, targets in net.nets.items()
@@ -169,7 +169,7 @@ def _set_heights(net: Netlist, order: list[list[str]], placed: dict[str, Placed]
             aims = [placed[s].output_y(port) - placed[t].inputs[pin] for (s, port), (t, pin) in direct if t == name]
             wishes[name] = median_low(aims) if aims else 0.0
         _stack(names, placed, wishes)
-    for names in reversed(order):  # boxes that nothing drives directly look to the right
+    for names in reversed(order):  # boxes without a direct input are aligned with their outputs
         wishes = {}
         for name in names:
             aims = [placed[t].input_y(pin) - placed[s].outputs[port] for (s, port), (t, pin) in direct if s == name]
@@ -179,21 +179,21 @@ def _set_heights(net: Netlist, order: list[list[str]], placed: dict[str, Placed]
 
 
 def _stack(names: list[str], placed: dict[str, Placed], wishes: Mapping[str, float]) -> None:
-    """Tops at the wishes, pushed apart where boxes would overlap, evenly up and down."""
+    """Place the tops at the wishes, and move overlapping boxes apart, evenly up and down."""
     below = float("-inf")
     for name in names:
         placed[name].y = max(wishes[name], below)
         below = placed[name].y + placed[name].height + GAP
     pushed = sum(placed[name].y - wishes[name] for name in names) / len(names)
     for name in names:
-        # on a grid, so that a wire is straight or has a step that one sees
+        # on a grid, so that a wire is straight or has a visible step
         placed[name].y = round((placed[name].y - pushed) / GRID) * GRID
 
 
-def _lanes(
+def _bypasses(
     net: Netlist, column: Mapping[str, int], top: float, bottom: float
 ) -> dict[tuple[End, str], tuple[float, int, int]]:
-    """A lane for each net that needs one, short ones next to the boxes; channel c lies left of column c."""
+    """Assign a bypass to each net that needs one, short ones next to the boxes; channel c is left of column c."""
     found = dict[tuple[End, str], tuple[int, int]]()
     for end, targets in net.nets.items():
         for way in ("top", "bottom"):
@@ -201,22 +201,22 @@ def _lanes(
             if ends:
                 reach = [column[end[0]] + 1, *ends]
                 found[end, way] = (min(reach), max(reach))
-    lanes = dict[tuple[End, str], tuple[float, int, int]]()
+    bypasses = dict[tuple[End, str], tuple[float, int, int]]()
     for way, sign, edge in (("top", -1.0, top), ("bottom", 1.0, bottom)):
         keys = [key for key in found if key[1] == way]
         keys.sort(key=lambda key: found[key][1] - found[key][0])
         for index, key in enumerate(keys):
-            lanes[key] = (edge + sign * (22.0 + LANE * index), *found[key])
-    return lanes
+            bypasses[key] = (edge + sign * (22.0 + BYPASS * index), *found[key])
+    return bypasses
 
 
 def _trunks(
     net: Netlist,
     placed: Mapping[str, Placed],
-    lanes: Mapping[tuple[End, str], tuple[float, int, int]],
+    bypasses: Mapping[tuple[End, str], tuple[float, int, int]],
     count: int,
 ) -> tuple[dict[End, Trunk], ...]:
-    """What each net must join in each channel; nets in the order of their tracks, from left to right."""
+    """Vertical segments of each net in each channel, in the order of their tracks from left to right."""
     channels: list[dict[End, Trunk]] = [{} for _ in range(count + 1)]
     for end, targets in net.nets.items():
         start = placed[end[0]].column + 1
@@ -224,7 +224,7 @@ def _trunks(
         for target, pin in targets:
             trunk = channels[placed[target].column].setdefault(end, Trunk(end))
             trunk.right.add(placed[target].input_y(pin))
-    for (end, _), (height, first, last) in lanes.items():
+    for (end, _), (height, first, last) in bypasses.items():
         for index in range(first, last + 1):
             if end in channels[index]:
                 if index > first:
@@ -235,7 +235,7 @@ def _trunks(
 
 
 def _tracked(channel: dict[End, Trunk]) -> dict[End, Trunk]:
-    """Tracks in an order with few crossings and no stubs on top of one another."""
+    """Order the tracks for few crossings and no overlapping stubs."""
     order = list[End]()
     for end in channel:
         choices = [[*order[:i], end, *order[i:]] for i in range(len(order) + 1)]
@@ -260,9 +260,9 @@ def _crossings(order: list[End], channel: Mapping[End, Trunk]) -> int:
 
 
 def _set_apart(net: Netlist, order: list[list[str]], placed: dict[str, Placed]) -> None:
-    """Shift a column a little where no order of tracks keeps the stubs on its left off one another."""
+    """Shift a column slightly if no order of tracks separates the stubs on its left."""
     for index in range(1, len(order)):
-        for shift in (0.0, GRID, -2 * GRID, 3 * GRID, -4 * GRID):  # one after another: both ways
+        for shift in (0.0, GRID, -2 * GRID, 3 * GRID, -4 * GRID):  # cumulative, in both directions
             for name in order[index]:
                 placed[name].y += shift
             channel = _trunks(net, placed, {}, len(order))[index]
@@ -276,7 +276,7 @@ def _set_widths(
     channels: tuple[dict[End, Trunk], ...],
     wall_at: int | None,
 ) -> tuple[tuple[tuple[float, float], ...], float | None, float]:
-    """Set every x, from left to right; return the columns' edges, the wall's x and the whole width."""
+    """Set all x from left to right; return the columns' edges, the wall's x and the total width."""
     x, wall, spans = MARGIN, None, list[tuple[float, float]]()
     for index, channel in enumerate(channels):
         sources = order[index - 1] if index else []
@@ -307,13 +307,13 @@ def _set_tracks(trunks: list[Trunk], x: float) -> float:
 
 
 def segments(layout: Layout) -> Iterator[tuple[End, tuple[float, float], tuple[float, float]]]:
-    """Every straight piece of every net, ``(net, from, to)``."""
+    """Straight segments of all nets, ``(net, from, to)``."""
     for index, channel in enumerate(layout.channels):
         for end, trunk in channel.items():
             if len(trunk.heights) > 1:
                 yield end, (trunk.x, min(trunk.heights)), (trunk.x, max(trunk.heights))
             yield from _stubs(layout, index, end, trunk)
-    for (end, _), (height, first, last) in layout.lanes.items():
+    for (end, _), (height, first, last) in layout.bypasses.items():
         yield end, (layout.channels[first][end].x, height), (layout.channels[last][end].x, height)
 
 

@@ -1,4 +1,4 @@
-"""A diagram reduced to what a picture shows: boxes, nets, and the order in which signals flow."""
+"""Netlist of a diagram for a picture: boxes, nets, and the order of signal flow."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ SWEEPS = 8
 @final
 @dataclass(frozen=True)
 class Pin:
-    """An input that something drives: by the net `source`, differentiated `order` times."""
+    """Input of a block, driven by the net `source`, differentiated `order` times."""
 
     name: str
     source: End
     order: int = 0
     root: str = ""
-    """The input of the same block that the net drives, of which this one is a derivative."""
+    """Input of the same block whose derivative this one is."""
 
 
 @final
@@ -35,50 +35,50 @@ class Box:
     kind: str
     side: Side
     states: tuple[str, ...]
-    """As they print."""
+    """Printed names."""
     inputs: tuple[Pin, ...]
     outputs: tuple[str, ...]
-    """Those that a wire leaves."""
+    """Wired outputs."""
 
 
 @final
 @dataclass(frozen=True)
 class Netlist:
-    """Boxes by name, and nets: what each wired output drives, ``(block, port) -> [(block, input), ...]``."""
+    """Boxes by name, and nets: wired output -> inputs, ``(block, port) -> [(block, input), ...]``."""
 
     boxes: Mapping[str, Box]
     nets: Mapping[End, tuple[End, ...]]
 
 
 class Stated(Protocol):
-    """What has states, by name."""
+    """Object with named states."""
 
     @property
     def states(self) -> Iterable[str]:
-        """Their names."""
+        """Names of the states."""
 
 
 class Wired(Protocol):
-    """Blocks with what drives each input: a `Diagram`, or less."""
+    """Blocks with their wires: a `Diagram`, or a part of one."""
 
     @property
     def blocks(self) -> Mapping[str, AbstractBlock]:
-        """The blocks by name."""
+        """Blocks by name."""
 
     @property
     def sources(self) -> Mapping[End, Source]:
-        """What drives each input."""
+        """Source of each input."""
 
     @property
     def models(self) -> Mapping[str, Stated]:
-        """The states of each block."""
+        """States of each block."""
 
     def type_of(self, name: str) -> str:
-        """The type of a block."""
+        """Type of a block."""
 
 
 def netlist(diagram: Wired) -> Netlist:
-    """Wires without time, without inputs left at zero, and with derived inputs as marks on what drives them."""
+    """Netlist without time and unconnected inputs; derived inputs are pins of the net that they differentiate."""
     nets, inputs = dict[End, list[End]](), dict[str, list[Pin]]()
     for (name, port), source in diagram.sources.items():
         match source:
@@ -105,7 +105,7 @@ def netlist(diagram: Wired) -> Netlist:
 
 
 def _derived(diagram: Wired, name: str, port: str) -> Pin | None:
-    """The pin of a derived input, traced back through derivatives of derivatives to a wire."""
+    """Pin of a derived input, traced through repeated derivatives to a wire."""
     order, root = 0, port
     while isinstance(source := diagram.sources[name, root], Derived):
         order, root = order + 1, source.of
@@ -113,9 +113,9 @@ def _derived(diagram: Wired, name: str, port: str) -> Pin | None:
 
 
 def columns(net: Netlist) -> list[list[str]]:
-    """Boxes in columns from left to right, the plant's after the controller's; in each from top to bottom.
+    """Boxes in columns from left to right, controller before plant; in each column from top to bottom.
 
-    Column by longest path, feedback left out; order by the barycentre of the neighbours.
+    Columns follow the longest path without feedback; the order within a column the barycentre of the neighbours.
     """
     left = [name for name, box in net.boxes.items() if box.side is not Side.PLANT]
     right = [name for name, box in net.boxes.items() if box.side is Side.PLANT]
@@ -132,7 +132,7 @@ def columns(net: Netlist) -> list[list[str]]:
 
 
 def _ranks(net: Netlist, group: Sequence[str]) -> dict[str, int]:
-    """Longest path within a group; then each box as near to what it drives as it can be."""
+    """Longest path within a group; then move each box as near to its targets as possible."""
     onward = {name: dict.fromkeys(t for e, ts in net.nets.items() if e[0] == name for t, _ in ts) for name in group}
     forward = {name: [t for t in onward[name] if t in onward and t != name] for name in group}
     order = _without_feedback(group, forward)
@@ -147,7 +147,7 @@ def _ranks(net: Netlist, group: Sequence[str]) -> dict[str, int]:
 
 
 def _without_feedback(group: Sequence[str], forward: dict[str, list[str]]) -> list[str]:
-    """Drop, in place, the edges that close a loop; return the names in an order of signal flow."""
+    """Remove edges that close a loop, in place; return the names in topological order."""
     done, opened, finished = set[str](), list[str](), list[str]()
 
     def visit(name: str) -> None:

@@ -1,4 +1,4 @@
-"""A diagram as a self-contained SVG picture, as a control engineer would draw it."""
+"""SVG picture of a diagram, in the usual layout of control engineering."""
 
 from __future__ import annotations
 
@@ -33,11 +33,10 @@ _CONTROLLER, _PLANT = "controller", "robot and servo"
 
 
 def svg(diagram: Wired, title: str = "") -> str:
-    """The picture of a diagram.
+    """SVG of a diagram.
 
-    From left to right sources, controller and plant, with the wall between them that the closed architecture is;
-    what is commanded goes forward across it, what is measured comes back below. An input that is a derivative of
-    another one is marked d/dt.
+    From left to right: sources, controller, the boundary of the closed architecture, and plant. Commands cross the
+    boundary forward; measurements return below. An input that is the derivative of another one is marked d/dt.
     """
     layout = lay_out(netlist(diagram))
     shift = _HEAD - layout.top
@@ -64,7 +63,7 @@ def svg(diagram: Wired, title: str = "") -> str:
 
 
 def _ground(layout: Layout, width: float, height: float) -> Iterator[str]:
-    """What stands behind: the plant's side, and the wall with its words."""
+    """Background: the plant's region, and the boundary with its labels."""
     if layout.wall is None:
         return
     x, top, bottom = layout.wall, 34.0, height - 10
@@ -76,7 +75,7 @@ def _ground(layout: Layout, width: float, height: float) -> Iterator[str]:
 
 
 def _wires(layout: Layout, diagram: Wired) -> Iterator[str]:
-    """Every net as one group, with arrows where it arrives and dots where it branches."""
+    """Nets as groups, with arrows at inputs and dots at branches."""
     pieces = dict[End, list[tuple[tuple[float, float], tuple[float, float]]]]()
     for end, begin, finish in segments(layout):
         pieces.setdefault(end, []).append((begin, finish))
@@ -96,7 +95,7 @@ def _wires(layout: Layout, diagram: Wired) -> Iterator[str]:
 
 
 def _branches(lines: list[tuple[tuple[float, float], tuple[float, float]]]) -> list[tuple[float, float]]:
-    """Points at which three or four pieces of one net meet."""
+    """Points where three or four segments of a net meet."""
     ways = Counter[tuple[float, float]]()
     points = {point for line in lines for point in line}
     for x, y in points:
@@ -125,7 +124,7 @@ def _box(item: Placed) -> Iterator[str]:
 
 
 def _marks(item: Placed) -> Iterator[str]:
-    """d/dt in front of each derived input, fed from the wire that it differentiates."""
+    """d/dt in front of each derived input, connected to the wire that it differentiates."""
     for pin in item.box.inputs:
         if not pin.order:
             continue
@@ -144,22 +143,22 @@ def _raised(number: int) -> str:
 
 
 def _crossings(layout: Layout) -> Iterator[str]:
-    """Arrows where signals cross the wall, and what they are."""
+    """Arrows where signals cross the boundary."""
     if layout.wall is None:
         return
     for _, (x, y), (end, other) in segments(layout):
         if y == other and min(x, end) < layout.wall < max(x, end):
-            # only a lane below carries signals back
-            back = any(height == y and key[1] == "bottom" for key, (height, _, _) in layout.lanes.items())
+            # only lower bypasses carry feedback
+            back = any(height == y and key[1] == "bottom" for key, (height, _, _) in layout.bypasses.items())
             yield _arrow(layout.wall + (-14 if back else 14), y, -1 if back else 1)
 
 
 def _labels(layout: Layout) -> Iterator[str]:
-    """Signal names: on each wire as it leaves its box, and on the lanes."""
+    """Signal names at outputs, and on bypasses."""
     for item in layout.placed.values():
         for port in item.outputs:
             yield _text(item.x + item.width + 5, item.output_y(port) - 4, unicode_name(port), "label")
-    for (end, way), (height, first, last) in layout.lanes.items():
+    for (end, way), (height, first, last) in layout.bypasses.items():
         source = layout.placed[end[0]].column
         under = {source + 1 if way == "top" else source}
         if layout.wall is not None:
@@ -170,8 +169,8 @@ def _labels(layout: Layout) -> Iterator[str]:
 
 
 def _last_before(layout: Layout, index: int) -> bool:
-    """True for the column just left of the wall."""
-    assert layout.wall is not None  # the caller looked
+    """True for the column left of the boundary."""
+    assert layout.wall is not None
     after = layout.spans[index + 1][0] if index + 1 < len(layout.spans) else float("inf")
     return layout.spans[index][1] < layout.wall < after
 

@@ -1,6 +1,6 @@
-"""The picture of a diagram as PNG or PDF: its SVG, element by element, drawn by matplotlib.
+"""PNG and PDF of a diagram: matplotlib draws the elements of its SVG.
 
-It reads what `dmframe.drawing.picture` writes, and no other SVG.
+It supports only the SVG of `dmframe.drawing.picture`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 _INCH: Final = 96.0
-"""Pixels of CSS."""
+"""CSS pixels per inch."""
 
 _SPACE: Final = "{http://www.w3.org/2000/svg}"
 _DARK: Final = "#111111"
@@ -33,12 +33,12 @@ _TEXTS: Final[dict[str, dict[str, Any]]] = {
     "small": {"fontsize": 9.5, "ha": "center"},
 }
 _NARROW: Final = 0.92
-"""Boxes are as wide as Helvetica needs; matplotlib has its wider DejaVu Sans everywhere."""
+"""Font scaling: boxes fit Helvetica, and matplotlib's DejaVu Sans is wider."""
 _ANCHORS: Final = {"end": "right", "middle": "center"}
 
 
 def printed(svg: str, kind: str, dpi: float = 200) -> bytes:
-    """The picture as ``png`` or ``pdf``."""
+    """Picture as ``png`` or ``pdf``."""
     from dmframe.plotting import new_figure, styled
 
     root = ET.fromstring(svg)
@@ -52,13 +52,13 @@ def printed(svg: str, kind: str, dpi: float = 200) -> bytes:
         axes.set_ylim(high, 0)
         for place, (element, shift) in enumerate(_elements(root, 0.0)):
             _draw(axes, element, shift, place)
-        held = io.BytesIO()
-        figure.savefig(held, format=kind, dpi=dpi, metadata={"CreationDate": None} if kind == "pdf" else None)
-    return held.getvalue()
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format=kind, dpi=dpi, metadata={"CreationDate": None} if kind == "pdf" else None)
+    return buffer.getvalue()
 
 
 def _elements(element: Any, shift: float) -> Iterator[tuple[Any, float]]:
-    """What is drawn, from the back to the front, and how far down it is moved."""
+    """Elements from the back to the front, with their vertical shift."""
     moved = re.match(r"translate\(0 ([-\d.]+)\)", element.get("transform", ""))
     shift += float(moved[1]) if moved else 0.0
     for child in element:
@@ -106,7 +106,7 @@ def _rectangle(axes: Any, element: Any, shift: float, order: int) -> None:
 
 
 def _length(axes: Any, element: Any, key: str) -> float:
-    """A length; 100% is that of the picture."""
+    """A length; 100% is the size of the picture."""
     text = element.get(key, "0")
     if text.endswith("%"):
         return float(axes.get_xlim()[1] if key == "width" else axes.get_ylim()[0])
@@ -114,7 +114,7 @@ def _length(axes: Any, element: Any, key: str) -> float:
 
 
 def _path(axes: Any, element: Any, shift: float, order: int) -> None:
-    """Straight pieces: ``M x y L x y`` again and again, or an arrow's head ``M x y l x y v y z``."""
+    """Straight segments, repeated ``M x y L x y``, or an arrow head ``M x y l x y v y z``."""
     text = element.get("d")
     arrow = re.fullmatch(r"M(\S+) (\S+)l(\S+) (\S+)v(\S+)z", text)
     if arrow:

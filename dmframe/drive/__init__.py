@@ -1,4 +1,4 @@
-"""A graph's controller on a robot: limits, rehearsal, the drive itself, and its record played again."""
+"""Control of a robot by a graph's controller: limits, rehearsal, drive, and replay of its record."""
 
 from dmframe.drive.drive import driven
 from dmframe.drive.limits import load_limits, own_limits

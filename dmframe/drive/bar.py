@@ -1,9 +1,9 @@
-"""What a controller must reach by itself in a rehearsal, however small the change that a condition makes.
+"""Error bounds of a rehearsal.
 
-A tolerance that the graph states, and that a robot which holds still does not meet; without one, at most half the
-error of a robot that holds still, and no larger an error than the kinematic inverse of J under the same condition. So
-it is in the last quarter of a run. In the second and the third the error is at most half of what holding still makes
-of the path, or within the tolerance.
+In the last quarter of a run, the error must be within the graph's tolerance, which a stationary robot must not meet.
+Without a tolerance, it must be at most half the error of a stationary robot, and not larger than the error of the
+kinematic inverse of J under the same condition. In the second and third quarter, it must be at most half the largest
+error of a stationary robot, or within the tolerance.
 """
 
 from __future__ import annotations
@@ -16,28 +16,28 @@ import numpy as np
 from dmframe.units import plain
 
 STILL_SHARE: Final = 0.5
-"""Of the error of holding still: a controller that leaves more than that does not follow. A rule of thumb."""
+"""Largest error of a controller as a fraction of a stationary robot's error; a rule of thumb."""
 RESOLUTION: Final = 1e-5
-"""Differences of errors below it mean nothing: arms tell their joints and tools no better [m, rad]."""
+"""Measurement resolution of arms, below which differences of errors are ignored [m, rad]."""
 
 
 @final
 @dataclass(frozen=True)
 class Measured:
-    """The errors of one run, root mean square.
+    """RMS errors of one run.
 
     Parameters
     ----------
     signal, unit
-        Of the error.
+        Name and unit of the error.
     second, third, last
-        In quarters of the run.
+        Error in these quarters of the run.
     still
-        In the last quarter, of a robot that stays at its start.
+        Error of a stationary robot in the last quarter.
     stopped
-        Why it did not come to its end; empty where it did.
+        Reason of an early end; empty if the run was completed.
     moved
-        In the quarter in which holding still errs most, the first left out.
+        Largest error of a stationary robot in a quarter, without the first.
     """
 
     signal: str
@@ -51,28 +51,28 @@ class Measured:
 
     @property
     def follows(self) -> bool:
-        """True where it came to its end with at most half the error of holding still."""
+        """True if the run was completed with at most half the error of a stationary robot."""
         return not self.stopped and self.last <= STILL_SHARE * self.still
 
     @property
     def farthest(self) -> float:
-        """What holding still errs by where it errs most."""
+        """Largest error of a stationary robot."""
         return max(self.still, self.moved)
 
 
 @final
 @dataclass(frozen=True)
 class Bar:
-    """What the errors are compared with.
+    """Reference values of the errors.
 
     Parameters
     ----------
     tolerance
-        Of the graph, in the unit of its error; None without one.
+        Tolerance of the graph, in the unit of its error; None without one.
     rival
-        What the rival is called; empty where there is no fair one.
+        Name of the reference controller; empty if none is applicable.
     lacking
-        Why there is none.
+        Why none is applicable.
     """
 
     tolerance: float | None = None
@@ -80,20 +80,20 @@ class Bar:
     lacking: str = ""
 
     def above(self, run: Measured, rival: Measured | None, *, ideal: bool) -> str:
-        """Why an error is too large; empty where it is not.
+        """Reason for which an error is too large; empty if it is not.
 
-        The rival's margin is how much its own error changes from the third quarter to the last, `RESOLUTION` at least.
+        The margin to the rival is the change of its error from the third quarter to the last, at least `RESOLUTION`.
         """
         return self._in_the_last(run, rival, ideal=ideal) or self._before(run)
 
     def _before(self, run: Measured) -> str:
-        """In the second and the third quarter: a controller that follows in the end alone does not follow."""
+        """Check the second and third quarter."""
         most = max(STILL_SHARE * run.farthest, self.tolerance or 0.0)
         for name, error in (("second", run.second), ("third", run.third)):
             if not error <= most:
                 return (
-                    f"the error in the {name} quarter is {plain(error, run.unit)}, and a robot that holds still errs "
-                    f"by {plain(run.farthest, run.unit)} where it errs most"
+                    f"the error in the {name} quarter is {plain(error, run.unit)}; the largest error of a stationary "
+                    f"robot is {plain(run.farthest, run.unit)}"
                 )
         return ""
 
@@ -103,40 +103,40 @@ class Bar:
                 return f"the tolerance is {plain(self.tolerance, run.unit)}"
             if run.farthest <= self.tolerance:
                 return (
-                    f"a robot that holds still errs by {plain(run.farthest, run.unit)} at most, which is within the "
-                    f"tolerance of {plain(self.tolerance, run.unit)}: state a smaller one, or a start off the goal"
+                    f"the error of a stationary robot, at most {plain(run.farthest, run.unit)}, is within the "
+                    f"tolerance of {plain(self.tolerance, run.unit)}: set a smaller one, or a start off the goal"
                 )
             return ""
         if not run.follows:
-            return f"a robot that holds still errs by {plain(run.still, run.unit)}; at most half of that is required"
+            return f"the error of a stationary robot is {plain(run.still, run.unit)}; at most half of it is allowed"
         if rival is None:
-            return f"no rival is fair ({self.lacking}): state a tolerance in the graph" if ideal else ""
+            return f"no rival is applicable ({self.lacking}): set a tolerance in the graph" if ideal else ""
         if not rival.follows:
-            return f"the {self.rival} does not follow either: state a tolerance in the graph" if ideal else ""
+            return f"the {self.rival} does not follow either: set a tolerance in the graph" if ideal else ""
         margin = max(abs(rival.last - rival.third), RESOLUTION)
         if run.last > rival.last + margin:
-            return f"the {self.rival} errs by {plain(rival.last, run.unit)}"
+            return f"the error of the {self.rival} is {plain(rival.last, run.unit)}"
         return ""
 
 
-def quarters(shares: np.ndarray, error: np.ndarray, still: np.ndarray) -> tuple[float, float, float, float]:
-    """Second, third and last quarter of an error, and the last of holding still; 0 where no instant is in one.
+def quarters(times: np.ndarray, error: np.ndarray, still: np.ndarray) -> tuple[float, float, float, float]:
+    """RMS error in the second, third and last quarter, and a stationary robot's in the last; 0 without an instant.
 
     Parameters
     ----------
-    shares
-        (N,) times by the whole duration.
+    times
+        (N,) times relative to the duration.
     error, still
-        (N,) Euclidean norms.
+        (N,) norms of the error, and of a stationary robot's error.
     """
-    parts = [(shares >= k / 4) & (shares < (k + 1) / 4 if k < 3 else True) for k in (1, 2, 3)]
+    parts = [(times >= k / 4) & (times < (k + 1) / 4 if k < 3 else True) for k in (1, 2, 3)]
     found = [_rms(error[part]) for part in parts]
     return found[0], found[1], found[2], _rms(still[parts[2]])
 
 
-def farthest(shares: np.ndarray, still: np.ndarray) -> float:
-    """The largest of what `quarters` would say of holding still in the second, the third and the last."""
-    return max(quarters(shares, still, still)[:3])
+def farthest(times: np.ndarray, still: np.ndarray) -> float:
+    """Largest RMS error of a stationary robot in the second, third and last quarter."""
+    return max(quarters(times, still, still)[:3])
 
 
 def _rms(values: np.ndarray) -> float:

@@ -1,4 +1,4 @@
-"""One graph on one robot."""
+"""Drive of one robot by one graph."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from dmframe.simulate.engine import Choice
 from dmframe.simulate.start import start_state
 
 RAMP: Final = 1.0
-"""For how long a real robot's first motion gathers speed, where nobody says otherwise [s]."""
+"""Default time in which a real robot's first motion accelerates to full speed [s]."""
 
 
 def steered_controller(experiment: Experiment, diagram: Diagram, engine: Choice = "auto") -> Steered:
-    """A graph's controller, ready for samples of a robot. Raises `DmframeError` for one that no robot can take."""
+    """Controller of a graph on a robot's samples. Raises `DmframeError` if no robot can execute it."""
     return Steered(diagram, Controller(diagram, clock_of(experiment), start=experiment.start, engine=engine))
 
 
@@ -48,60 +48,59 @@ def driven(
     shadow: bool = False,
     rehearsed: bool = True,
     engine: Choice = "auto",
-    asked: Callable[[], str] = lambda: "",
+    stop_requested: Callable[[], str] = lambda: "",
     record: Path | None = None,
 ) -> Recording:
-    """Drive a robot with a graph's controller, and return what was recorded.
+    """Drive a robot with a graph's controller, and return the recording.
 
     Parameters
     ----------
     robot
-        ``sim``, ``sim:2``: the graph's own, two samples late, ``ur:HOST``, or ``ur_rtde:HOST``.
+        ``sim`` for the graph's own robot, ``sim:2`` for a delay of two samples, ``ur:HOST``, or ``ur_rtde:HOST``.
     until
-        Time of the reference [s]; the graph's duration without it.
+        Reference time of the end [s]; the graph's duration by default.
     limits
-        Without them, those of the robot's model.
+        Limits of the gate; those of the robot's model by default.
     ramp
-        For how long the first motion gathers speed [s]; none for a simulated robot, else a second.
+        Time in which the first motion accelerates [s]; by default 0 for a simulated robot, else 1 s.
     patience
-        How long to wait for a sample of a real robot [s]; its driver's own without it.
+        Timeout of a real robot's sample [s]; the driver's default without it.
     payload
-        What the rehearsal must have tried at the tool [kg]; what a rehearsal tries by itself without it.
+        Payload of the required rehearsal [kg]; the default payload of a rehearsal without it.
     rehearsed
-        Require a passed rehearsal of exactly what is driven before a real robot moves.
-    asked
-        Called at each sample: what asks for a stop; empty for nothing.
+        Require a passed rehearsal of exactly this graph before a real robot moves.
+    stop_requested
+        Called at each sample; returns the source of a stop request, or an empty text.
     record
-        A file to which samples are written while the robot moves, so that memory stays bounded; the signals of a long
-        drive are thinned out then. Without it they are held in memory.
+        File to which samples are written during the drive, so that memory stays bounded; the recording of a long drive
+        is then decimated. Without it, samples are stored in memory.
 
     Raises
     ------
     DriveError
-        The graph cannot drive a robot, or a real one is not to be driven by it.
+        The graph cannot drive a robot, or it must not drive this one.
     LostError
-        Nobody answers at the beginning, or not one sample came.
+        The robot does not answer at the beginning, or sends no sample.
     """
     kind, rest = kind_of(robot)
     duration = experiment.file.duration if until is None else until
-    held = limits or own_limits(diagram.robot)
+    limits = limits or own_limits(diagram.robot)
     if kind.real and not shadow:
-        _check_acceleration(held)
-    steered = steered_controller(experiment, diagram, engine)  # all is compiled before the loop
-    if kind.real and not shadow and rehearsed:  # of the controller that drives, not of files that may be others by now
-        parts = identity(experiment, steered, held, usual_payload(diagram) if payload is None else payload)
+        _check_acceleration(limits)
+    steered = steered_controller(experiment, diagram, engine)  # compile before the loop
+    if kind.real and not shadow and rehearsed:  # identity of the loaded controller: files may have changed since
+        parts = identity(experiment, steered, limits, usual_payload(diagram) if payload is None else payload)
         if why := refusal(experiment.name, parts, duration):
             raise DriveError(f"{experiment.name}: {why}")
     with SYMBOLIC:
         start = _start(experiment, diagram)
-    driver = kind.make(
-        rest, experiment, diagram, Options(duration, engine, max(held.deceleration, held.halt), patience)
-    )
+    options = Options(duration, engine, max(limits.deceleration, limits.halt), patience)
+    driver = kind.make(rest, experiment, diagram, options)
     plan = Plan(duration, start, RAMP * kind.real if ramp is None else ramp, shadow)
-    gate = Gate(held, driver.period)
+    gate = Gate(limits, driver.period)
     about: dict[str, Any] = {"graph": experiment.name, "field_hash": diagram.fingerprint, "command": steered.label}
     about |= {"engine": steered.controller.engine, "drive": drive_data(robot, plan, gate)}
-    found = drive(steered, driver, gate, plan, asked, None if record is None else Spool(record, about))
+    found = drive(steered, driver, gate, plan, stop_requested, None if record is None else Spool(record, about))
     recording = recording_of(
         diagram,
         steered,
@@ -120,13 +119,13 @@ def driven(
 def _check_acceleration(limits: Limits) -> None:
     if limits.acceleration is None or not np.isfinite(limits.acceleration).all():
         raise DriveError(
-            "expected limits with an acceleration for a real robot, which its model does not state: --limits FILE with "
+            "expected an acceleration limit for a real robot, which its model does not have: --limits FILE with "
             "acceleration: 4 rad/s^2"
         )
 
 
 def _start(experiment: Experiment, diagram: Diagram) -> np.ndarray | None:
-    """Where the graph's robot begins: the state q of the plant."""
+    """Initial joint angles of the graph's plant."""
     column, first = start_state(diagram, experiment.start), 0
     own = {variable.label for variable in diagram.loop.plant}
     for variable in diagram.loop.variables:

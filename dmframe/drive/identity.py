@@ -1,8 +1,8 @@
-"""What a rehearsal is valid for: everything that can alter a command, in named parts, so that a change has a name.
+"""Identity of a rehearsal: everything that can change a command, in named parts.
 
-The parts are the resolved graph, the sources of its blocks, the robot's model, the limits, the payload that was tried,
-the engine with its compiler, dmframe itself, the numeric libraries, and the closed loop that follows from all of them.
-The closed loop is taken from the diagram and the controller that drive: a file may have changed since it was read.
+The parts are the resolved graph, the sources of its blocks, the robot's model, the limits, the payload, the engine with
+its compiler, dmframe itself, the numeric libraries, and the resulting closed loop. The closed loop is that of the
+loaded diagram and controller, because a file may have changed since it was read.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ from dmframe.seal import digest
 from dmframe.version import version as own_version
 
 Identity = Mapping[str, Mapping[str, str]]
-"""By part, by item: a value or a digest."""
+"""Part -> item -> value or digest."""
 
 LOOP: Final = "closed loop"
-"""The part that follows from the others; it is named where none of them changed."""
+"""The part that results from the others; reported only if none of them changed."""
 _LIBRARIES: Final = ("casadi", "numpy", "scipy")
 
 
 def identity(experiment: Experiment, steered: Steered, limits: Limits, payload: float) -> Identity:
-    """All parts. It takes some 0.1 s, most of it for the expressions of the controller.
+    """Compute all parts, in about 0.1 s.
 
     Parameters
     ----------
     payload
-        The mass at the tool that a rehearsal tried [kg].
+        Mass at the tool in the rehearsal [kg].
     """
     files, libraries = _sources(experiment)
     return {
@@ -66,7 +66,7 @@ def identity(experiment: Experiment, steered: Steered, limits: Limits, payload: 
 
 
 def differences(then: Identity, now: Identity) -> list[str]:
-    """What is another, in words, one entry an item."""
+    """Descriptions of all items that differ."""
     found, names = list[str](), [name for name in now if name != LOOP]
     for part in [*names, LOOP]:
         before, after = then.get(part, {}), now[part]
@@ -79,16 +79,16 @@ def differences(then: Identity, now: Identity) -> list[str]:
 
 
 def key_of(parts: Identity) -> str:
-    """One digest of all parts."""
+    """Digest of all parts."""
     lines = [f"{part}\0{item}\0{value}" for part, items in parts.items() for item, value in items.items()]
     return digest(encoded("\n".join(lines)))
 
 
 def _values(before: str | None, after: str | None) -> str:
-    """Both values where a person can read them."""
+    """Both values, if they are short."""
     if before is None or after is None:
         return " is new" if before is None else " is gone"
-    if max(len(before), len(after)) > 40:  # digests and long lists
+    if max(len(before), len(after)) > 40:  # a digest or a long list
         return ""
     return f" was {before}, is {after}"
 
@@ -102,7 +102,7 @@ def _flat(value: Any, path: str = "") -> Iterator[tuple[str, str]]:
 
 
 def _model(experiment: Experiment) -> dict[str, str]:
-    """Of the robot's file; meshes alter drawings alone."""
+    """Digest of the robot's URDF; meshes do not change commands."""
     source = robot_source(experiment)
     return {} if source is None else {source.urdf.name: digest(source.urdf.read_bytes())}
 
@@ -123,7 +123,7 @@ def _installed(name: str) -> str:
 
 @functools.cache
 def _framework() -> str:
-    """Digest of dmframe's own Python files: a version that is being worked on has one number and many sources."""
+    """Digest of dmframe's Python files, which a development version does not identify."""
     folder, found = Path(__file__).parents[1], hashlib.sha256()
     for path in sorted(folder.rglob("*.py")):
         found.update(encoded(str(path.relative_to(folder))) + b"\0" + hashlib.sha256(path.read_bytes()).digest())
@@ -131,7 +131,7 @@ def _framework() -> str:
 
 
 def _loop(steered: Steered) -> dict[str, str]:
-    """Of the diagram and the controller that are about to be used."""
+    """Digests of the loaded diagram and controller."""
     controller = steered.controller
     diagram = controller.diagram
     begin, _ = start_function(diagram, controller.given)
@@ -153,9 +153,9 @@ def _digest(function: Any) -> str:
 
 
 def _sources(experiment: Experiment) -> tuple[dict[str, str], set[str]]:
-    """Digests of the files that define the blocks and of what they import from beside them; names of libraries.
+    """Digests of the blocks' source files and of the local modules that they import; names of imported libraries.
 
-    What a block's code reads otherwise, such as a table of numbers, shows in the closed loop.
+    Other data that a block reads, such as a table of numbers, changes the part `LOOP`.
     """
     classes = {each for block in experiment.blocks.values() for each in type(block).__mro__}
     todo = sorted({each.__module__ for each in classes if each.__module__ in sys.modules})
@@ -170,7 +170,7 @@ def _sources(experiment: Experiment) -> tuple[dict[str, str], set[str]]:
             libraries.add(top)
             continue
         content = file.read_bytes() if file.suffix == ".py" and file.is_file() else b""
-        # of a user's file what was run, which is not what lies there by now
+        # for a user's file the source that was executed; the file may have changed
         loaded = loaded_digest(sys.modules.get(name))
         files[file.name if loaded else name] = loaded or digest(content)
         todo += _imported(name, content)
@@ -178,7 +178,7 @@ def _sources(experiment: Experiment) -> tuple[dict[str, str], set[str]]:
 
 
 def _file(name: str) -> Path | None:
-    """Where a module lies; one that is not loaded yet is looked for, and not run."""
+    """File of a module, which is not imported."""
     found = getattr(sys.modules.get(name), "__file__", None)
     if name not in sys.modules and "." not in name:
         with suppress(ImportError, ValueError):
@@ -192,7 +192,7 @@ def _is_library(path: Path) -> bool:
 
 
 def _imported(name: str, content: bytes) -> Iterator[str]:
-    """The modules that a source names in its imports."""
+    """Modules that a source imports."""
     try:
         tree = ast.parse(content)
     except (SyntaxError, ValueError):

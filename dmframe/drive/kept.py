@@ -1,4 +1,4 @@
-"""Rehearsals that were passed, kept by a digest of all that can alter a command; see `dmframe.drive.identity`."""
+"""Storage of passed rehearsals, by the digest of their identity; see `dmframe.drive.identity`."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ if TYPE_CHECKING:
     from dmframe.drive.rehearse import Rehearsal
 
 SHOWN: Final = 3
-"""So many changes since a rehearsal are named; of others their number."""
+"""Number of changes since a rehearsal that a message names."""
 
 
 def keep(rehearsal: Rehearsal) -> bool:
-    """Note a rehearsal that was passed in full, or forget one that was not passed; True where it is noted.
+    """Store a complete passed rehearsal, or delete the record of a failed one; True if it is stored.
 
-    One that was cut short, or that left conditions out, is neither.
+    A shortened rehearsal, or one with other conditions, is neither stored nor deletes a record.
 
     Raises
     ------
     OutputError
-        The folder where the platform keeps such notes cannot be written.
+        The state folder of the platform cannot be written.
     """
     if rehearsal.identity is None or (rehearsal.passed and not rehearsal.whole):
         return False
@@ -50,14 +50,14 @@ def keep(rehearsal: Rehearsal) -> bool:
 
 
 def refusal(name: str, now: Identity, until: float) -> str:
-    """Why no kept rehearsal is valid for what is about to be driven; empty where one is.
+    """Reason for which no stored rehearsal is valid for a drive; empty if one is.
 
     Parameters
     ----------
     now
-        Of what drives.
+        Identity of the drive.
     until
-        How long it is to be driven [s].
+        Duration of the drive [s].
     """
     try:
         folder = _folder()
@@ -65,46 +65,46 @@ def refusal(name: str, now: Identity, until: float) -> str:
         return error.text
     place = folder / f"{key_of(now)}.json"
     again = "run dmframe rehearse with the same graph, --set and --limits"
-    held = _read(place)
-    if held is None:
-        expected = f"expected a graph whose rehearsal was passed, found none of exactly this graph; {again}"
+    record = _read(place)
+    if record is None:
+        expected = f"expected a passed rehearsal of exactly this graph, found none; {again}"
         if place.is_file():
-            return f"{expected}: {place} is damaged or was edited, and does not count"
+            return f"{expected}: {place} is damaged or was edited"
         return f"{expected}{_changed(folder, name, now)}"
-    if held["identity"] != {part: dict(items) for part, items in now.items()}:
-        return f"expected a rehearsal of exactly this graph, found one of another under its name; {again}"
-    if until > held["until"]:
+    if record["identity"] != {part: dict(items) for part, items in now.items()}:
+        return f"expected a rehearsal of exactly this graph, found another one under its name; {again}"
+    if until > record["until"]:
         return (
-            f"expected a drive of {plain(held['until'], 's')} at most, as the rehearsed graph's, found "
+            f"expected a drive of at most {plain(record['until'], 's')}, the duration of the rehearsed graph, found "
             f"{plain(until, 's')}; rehearse the graph with that duration"
         )
     return ""
 
 
 def _changed(folder: Path, name: str, now: Identity) -> str:
-    """What is another since the rehearsal of this graph that is nearest."""
+    """Changes since the stored rehearsal of this graph with the fewest differences."""
     nearest: tuple[str, list[str]] | None = None
     for path in folder.glob("*.json"):
-        held = _read(path)
-        if held is not None and held["graph"] == name:
-            found = differences(held["identity"], now)
+        record = _read(path)
+        if record is not None and record["graph"] == name:
+            found = differences(record["identity"], now)
             if nearest is None or len(found) < len(nearest[1]):
-                nearest = held["time"], found
+                nearest = record["time"], found
     if nearest is None or not nearest[1]:
         return ""
     time, found = nearest
     more = f"; and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
-    return f". Since its rehearsal of {time} this has changed: {'; '.join(found[:SHOWN])}{more}"
+    return f". Changes since its rehearsal of {time}: {'; '.join(found[:SHOWN])}{more}"
 
 
 def _read(path: Path) -> dict[str, Any] | None:
-    """A note that is whole and says that its rehearsal was passed."""
+    """Read the record of a passed rehearsal; None if it is damaged."""
     try:
-        held = opened(path.read_bytes())
+        record = opened(path.read_bytes())
     except (OSError, BrokenSeal):
         return None
-    known = all(key in held for key in ("graph", "time", "until", "identity"))
-    return held if known and held.get("passed") is True else None
+    known = all(key in record for key in ("graph", "time", "until", "identity"))
+    return record if known and record.get("passed") is True else None
 
 
 def _folder() -> Path:
@@ -113,5 +113,5 @@ def _folder() -> Path:
     except RuntimeError:  # a user without a home
         folder = Path("~")
     if not folder.is_absolute():
-        raise OutputError("rehearsals: expected a user with a home, where they are kept, found none")
+        raise OutputError("rehearsals: expected a home folder, in which they are stored, found none")
     return folder / "rehearsals"

@@ -1,4 +1,4 @@
-"""A robot's limits, from its model and from a file of the user's, which may only narrow them."""
+"""Limits of a robot, from its model and from the user's file, which may only tighten them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from dmframe.units import plain, to_unit
 
 LIMITS: Final = Kind("limits", "dmframe-limits: 1")
 BRAKING: Final = (0.1, 1000.0)
-"""What a stop may be told [rad/s^2]."""
+"""Range of the deceleration of a stop [rad/s^2]."""
 
 
 def _read(value: Any, unit: str) -> float:
@@ -42,7 +42,7 @@ def _number(unit: str) -> BeforeValidator:
 
 
 def _braking(value: Any) -> float:
-    """Of a stop, which must come to an end: from 6.3 rad/s after a minute at most."""
+    """Deceleration of a stop, which must end: within about a minute from 6.3 rad/s."""
     number = _read(value, "rad/s^2")
     if not BRAKING[0] <= number <= BRAKING[1]:
         least, most = (plain(end, "rad/s^2") for end in BRAKING)
@@ -58,7 +58,7 @@ def _count(value: Any) -> int:
 
 @final
 class LimitsFile(Section):
-    """The keys of a file of limits."""
+    """Keys of a limits file."""
 
     version: Annotated[Literal[1], BeforeValidator(checked_version)] = Field(alias="dmframe-limits")
     speed: Any = Field(None, description="of commands [rad/s]: one number, or by joint")
@@ -66,7 +66,7 @@ class LimitsFile(Section):
     position: dict[str, Any] = Field({}, description="of joints [rad], {joint: [least, most]}")
     box: dict[str, Any] = Field({}, description="of the tool's coordinates [m], {x: [least, most]}")
     deceleration: Annotated[float, BeforeValidator(_braking)] = Field(
-        2.0, description="at the end, of a stop that was asked for, and before joints' limits"
+        2.0, description="at the end, after a stop request, and before joint limits"
     )
     halt: Annotated[float, BeforeValidator(_braking)] = Field(20.0, description="of a stop after a fault")
     deviation: Annotated[float, _number("rad")] = Field(0.2, description="between measured and target angles")
@@ -77,31 +77,31 @@ KEYS: Final = tuple(item.alias or name for name, item in LimitsFile.model_fields
 
 
 def own_limits(robot: Any) -> Limits:
-    """Those that a robot's model states.
+    """Limits of a robot's model.
 
     Raises
     ------
     DriveError
-        There is no robot, or a joint that slides.
+        There is no robot, or it has a prismatic joint.
     """
     if robot is None:
-        raise DriveError("expected a graph with a robot, whose limits commands are held to, found none")
+        raise DriveError("expected a graph with a robot, whose limits apply to commands, found none")
     sliding = [joint.name for joint in robot.joints if joint.kind != "revolute"]
     if sliding:
-        raise DriveError(f"{sliding[0]}: expected joints that turn, found one that slides")
+        raise DriveError(f"{sliding[0]}: expected revolute joints, found a prismatic one")
     lower, upper = (np.array([float(getattr(joint, key)) for joint in robot.joints]) for key in ("lower", "upper"))
-    # a file that states no speed may say 0 as well
+    # some files without a speed limit have 0
     speed = np.array([joint.velocity if joint.velocity > 0 else math.inf for joint in robot.joints])
     return Limits([joint.name for joint in robot.joints], lower, upper, speed)
 
 
 def load_limits(path: str | Path, robot: Any) -> Limits:
-    """A robot's limits with those of a file.
+    """Limits of a robot, tightened by those of a file.
 
     Raises
     ------
     DmframeError
-        All faults of the file at once, each with its line and column.
+        All faults of the file, each with its line and column.
     """
     own, document = own_limits(robot), read_file(path, LIMITS)
     faults = list[DmframeError]()
@@ -116,7 +116,7 @@ def load_limits(path: str | Path, robot: Any) -> Limits:
         raise_all(_once(faults))
     except DmframeError as error:
         raise placed(error, document, KEYS) from None
-    assert file is not None  # a file that is not valid left a fault
+    assert file is not None  # an invalid file has faults
     given = {key: getattr(file, key) for key in ("deceleration", "halt", "deviation", "lost")}
     return replace(made, **given)
 
@@ -127,13 +127,13 @@ def _once(faults: list[DmframeError]) -> list[DmframeError]:
 
 @final
 class _Reader:
-    """Reads what is said by joint or by axis; faults are noted, so that all can be told."""
+    """Reader of values by joint or by axis; it collects all faults."""
 
     def __init__(self, data: Mapping[str, Any], own: Limits, robot: Any, faults: list[DmframeError]) -> None:
         self.data, self.own, self.axes, self.faults = data, own, robot.axes, faults
 
     def limits(self) -> Limits:
-        """The robot's own, narrowed."""
+        """Limits of the robot, tightened."""
         own, joints = self.own, self.own.joints
         speed = self._by_joint("speed", "rad/s", own.speed)
         acceleration = self._by_joint("acceleration", "rad/s^2", None)
@@ -143,7 +143,7 @@ class _Reader:
             if pair[0] < lower[k] or pair[1] > upper[k]:
                 self._note(
                     ("position", name),
-                    f"expected angles within the robot's own {plain(lower[k], 'rad')} to {plain(upper[k], 'rad')}, "
+                    f"expected angles within the robot's {plain(lower[k], 'rad')} to {plain(upper[k], 'rad')}, "
                     f"found {plain(pair[0], 'rad')} to {plain(pair[1], 'rad')}",
                 )
             lower[k], upper[k] = pair
@@ -169,7 +169,7 @@ class _Reader:
                 continue
             k, number = joints.index(name), self._positive(value, unit, (key, name))
             if number is not None and number > found[k]:
-                text = f"expected at most {plain(found[k], unit)}, the robot's own, found {plain(number, unit)}"
+                text = f"expected at most {plain(found[k], unit)}, the robot's limit, found {plain(number, unit)}"
                 self._note((key, name), text)
             elif number is not None:
                 found[k] = number
@@ -192,12 +192,11 @@ class _Reader:
             if name not in known:
                 self.faults.append(UnknownNameError(f"{key}.{name}", kind, name, known, path=path))
             elif not isinstance(value, list) or len(value) != 2:
-                self._note(path, f"expected the least and the most, [0.1, 0.8], found {shown(value)}")
+                self._note(path, f"expected the minimum and the maximum, [0.1, 0.8], found {shown(value)}")
             else:
-                numbers = [self._quantity(item, unit, (*path, k)) for k, item in enumerate(value)]
-                least, most = numbers
+                least, most = (self._quantity(item, unit, (*path, k)) for k, item in enumerate(value))
                 if least is not None and most is not None and least >= most:
-                    self._note(path, f"expected the least first, found {shown(value)}")
+                    self._note(path, f"expected the minimum first, found {shown(value)}")
                 elif least is not None and most is not None:
                     found.append((name, (least, most)))
         return found

@@ -1,4 +1,4 @@
-"""The record of a drive or a run, read back: what was measured and commanded, and whether it is what was written."""
+"""Reader of the record of a drive or a run, with a check of its digests."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ SIGNALS: Final = "signals.nc"
 @final
 @dataclass(frozen=True, eq=False)
 class Log:
-    """A record.
+    """Record of a drive or a run.
 
     Parameters
     ----------
     values
-        Rows of numbers by label.
+        Label -> rows of numbers.
     drive
-        How the robot was driven; empty for a simulation, and for a record of an earlier version.
+        Options of the drive; empty for a simulation, and for a record of an earlier version.
     engine
-        What computed the commands then; empty where the record does not say.
+        Engine that computed the commands; empty if unknown.
     signals
-        The labels of all that the record holds.
+        Labels of all signals of the record.
     notices
-        Why the record may not be what was written.
+        Why the record could not be checked against its digests.
     """
 
     values: Mapping[str, np.ndarray]
@@ -46,7 +46,7 @@ class Log:
 
 
 def read_log(path: Path, needed: Sequence[str], known: Sequence[str], fields: Mapping[str, str]) -> Log:
-    """Read the `needed` signals, and the `known` ones that are there.
+    """Read the `needed` signals, and those of the `known` ones that the record has.
 
     Parameters
     ----------
@@ -56,11 +56,11 @@ def read_log(path: Path, needed: Sequence[str], known: Sequence[str], fields: Ma
     Raises
     ------
     MissingError
-        There is no such file, it lacks what is needed, or a file of its folder is not what was written.
+        There is no such file, it lacks a needed signal, or a file of its folder was changed.
     """
     file = path / SIGNALS if path.is_dir() else path
     samples = file if file.suffix == ".bin" else file.with_name(SAMPLES)
-    if samples.is_file():  # of a long drive, or of one that did not come to its end
+    if samples.is_file():  # a long drive, or one that was not completed
         return _from_samples(samples, needed, fields)
     try:
         content = file.read_bytes()
@@ -71,19 +71,19 @@ def read_log(path: Path, needed: Sequence[str], known: Sequence[str], fields: Ma
 
 
 def _from_samples(file: Path, needed: Sequence[str], fields: Mapping[str, str]) -> Log:
-    """The record as it was written while the robot moved."""
+    """Read the samples that were written during a drive."""
     notices = _checked(file)
     try:
         head, columns = read_samples(file)
         own, drive, engine = str(head["command"]), dict(head["drive"]), str(head["engine"])
         time, sent, command = columns["reference"][:, 0], columns["sent"], columns["command"]
-        beside = {f"robot.{name}": columns[name] for name in ("time", "scale", "missed")}
+        extra = {f"robot.{name}": columns[name] for name in ("time", "scale", "missed")}
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        text = f"expected a record as dmframe writes it, found another file, or a damaged one: {error}"
+        text = f"expected a record of dmframe, found another file, or a damaged one: {error}"
         raise MissingError(text, location=str(file)) from None
     values = {label: columns[name] for label, name in fields.items() if name in columns}
     values |= {name.partition(":")[2]: rows for name, rows in columns.items() if name.startswith("state:")}
-    values |= {"time": time, own: command, "robot.sent": sent, **beside}
+    values |= {"time": time, own: command, "robot.sent": sent, **extra}
     if lacking := [name for name in needed if name not in values]:
         text = f"expected a record with {lacking[0]}, which this controller needs, found none"
         raise MissingError(text, location=str(file))
@@ -91,18 +91,18 @@ def _from_samples(file: Path, needed: Sequence[str], fields: Mapping[str, str]) 
 
 
 def _checked(file: Path) -> tuple[str, ...]:
-    """Notices about a file's seal. Raises `MissingError` where a digest is another."""
+    """Check a file's seal, and return notices. Raises `MissingError` if a digest does not match."""
     folder = folder_of(file)
     if folder is None:
-        return (f"{file} has no {SEAL}: it is incomplete, or older; nothing shows whether it is what was written",)
+        return (f"{file} has no {SEAL}: it is incomplete or older, and cannot be checked for changes",)
     if broken := faults(folder):
         more = f"; and {len(broken) - 1} more" if len(broken) > 1 else ""
-        raise MissingError(f"expected the files as they were written: {broken[0]}{more}", location=str(folder))
+        raise MissingError(f"expected unchanged files: {broken[0]}{more}", location=str(folder))
     seal = seal_of(folder)
-    assert seal is not None  # it was there a moment ago, and whole
+    assert seal is not None  # `faults` has read it
     if file.resolve().relative_to(folder.resolve()).as_posix() not in seal.files:
-        return (f"{file} is not among the files of {SEAL}: nothing shows whether it is what was written",)
-    return () if seal.complete else (f"{folder} is incomplete: what wrote it was stopped before its last file",)
+        return (f"{file} is not among the files of {SEAL}, and cannot be checked for changes",)
+    return () if seal.complete else (f"{folder} is incomplete: its writer was stopped before the last file",)
 
 
 def _parsed(content: bytes, file: Path, needed: Sequence[str], known: Sequence[str], notices: tuple[str, ...]) -> Log:
@@ -121,5 +121,5 @@ def _parsed(content: bytes, file: Path, needed: Sequence[str], known: Sequence[s
             return Log(values, dict(drive), engine, there, notices)
     except MissingError:
         raise
-    except Exception:  # h5netcdf raises what it likes of a file that is none of its own
-        raise MissingError("expected a record as dmframe writes it, found another file", location=str(file)) from None
+    except Exception:  # h5netcdf raises various exceptions for other files
+        raise MissingError("expected a record of dmframe, found another file", location=str(file)) from None

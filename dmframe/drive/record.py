@@ -1,4 +1,4 @@
-"""A drive as a recording: the same signals, files and figures as of a simulation."""
+"""Conversion of a drive to a recording, with the same signals, files and figures as of a simulation."""
 
 from __future__ import annotations
 
@@ -13,20 +13,18 @@ from dmframe.diagram.closed_loop import Signal, stack
 from dmframe.port import Side
 from dmframe.runtime.driving import Driven, Plan
 from dmframe.runtime.gate import Gate
-from dmframe.runtime.journal import SHOWN, Journal
-from dmframe.runtime.signals import TOLD
+from dmframe.runtime.journal import Journal
+from dmframe.runtime.signals import FIELDS
 from dmframe.runtime.steered import Steered
 from dmframe.simulate import Recording, Solver
-from dmframe.simulate.run import Beside, moving_outputs
+from dmframe.simulate.run import ExtraSignal, moving_outputs
 from dmframe.units import plain
 
 MOST_BYTES: Final = 48 * 2**20
-"""What the signals of a drive may take in memory, where all samples lie in a file."""
+"""Memory for the signals of a drive whose samples are in a file."""
 CHUNK: Final = 4096
 """Rows whose signals are computed together."""
-THINNED: Final = (
-    "signals and figures hold one of {every} samples; samples.bin holds all {count}, and is what replay compares"
-)
+THINNED: Final = "signals and figures have one of {every} samples; samples.bin has all {count}, which replay compares"
 
 
 def recording_of(
@@ -40,15 +38,15 @@ def recording_of(
     solver: Solver,
     thinned: bool = False,
 ) -> Recording | None:
-    """What was recorded; None where not one sample was.
+    """Recording of a drive; None without a sample.
 
-    Time is the controller's own; the robot's stands beside it. Hidden signals, such as its torques, a robot does not
-    tell, and they are not there. Signals of the controller that are not states are computed from what it was given.
+    Time is the controller's; the robot's time is an additional signal. Signals of the robot that are not measured, such
+    as torques, are missing. Outputs of the controller are computed from its states and measurements.
 
     Parameters
     ----------
     thinned
-        Of a long drive take one of so many samples that the signals fit into `MOST_BYTES`.
+        Decimate the samples of a long drive so that the signals fit into `MOST_BYTES`.
     """
     journal = driven.journal
     if not len(journal):
@@ -56,7 +54,7 @@ def recording_of(
     every = _every(diagram, journal) if thinned else 1
     found = journal.parts(every)
     states = {label: found[f"state:{label}"] for label in steered.controller.states}
-    shown = {name: found[name] for name in SHOWN if journal.columns.widths[name]}
+    shown = {name: found[name] for name in FIELDS if journal.columns.widths[name]}
     measured = {label: shown[name] for label, name in steered.fields.items()}
     commands = {steered.label: found["command"]}
     time, scale, missed, answer, age = (
@@ -64,19 +62,19 @@ def recording_of(
     )
     period = steered.controller.clock * (1 + missed) * scale
     known = plain_signals(diagram)
-    told = {label: shown[name] for label, name in known.items() if label not in measured and name in shown}
+    others = {label: shown[name] for label, name in known.items() if label not in measured and name in shown}
     seen = _velocities_scaled(measured, steered, scale)
-    outputs = {**_computed(diagram, states, seen, time, period), **told, **measured, **commands}
+    outputs = {**_computed(diagram, states, seen, time, period), **others, **measured, **commands}
     hidden = {variable.label for variable in diagram.loop.controller if not variable.recorded}
-    beside = {
-        "robot.time": Beside(found["time"], "", "s", "time of the robot's clock"),
-        "robot.scale": Beside(scale[:, None], "", "", "how fast the controller's time ran by it"),
-        "robot.missed": Beside(missed[:, None], "", "", "samples lost before this one"),
-        "robot.sent": Beside(found["sent"], "n", "rad/s", "what the gate let through"),
-        "robot.answer": Beside(answer[:, None], "", "s", "from the sample to the command, on this computer"),
+    extra = {
+        "robot.time": ExtraSignal(found["time"], "", "s", "time of the robot's clock"),
+        "robot.scale": ExtraSignal(scale[:, None], "", "", "rate of the controller's time relative to the robot's"),
+        "robot.missed": ExtraSignal(missed[:, None], "", "", "samples lost before this one"),
+        "robot.sent": ExtraSignal(found["sent"], "n", "rad/s", "command after the gate"),
+        "robot.answer": ExtraSignal(answer[:, None], "", "s", "from the sample to the command, on this computer"),
     }
     if np.isfinite(age).all():
-        beside["robot.age"] = Beside(age[:, None], "", "s", "age of the command last taken")
+        extra["robot.age"] = ExtraSignal(age[:, None], "", "s", "age of the last command that the robot received")
     more = (THINNED.format(every=every, count=len(journal)),) if every > 1 else ()
     return Recording(
         diagram=diagram,
@@ -90,14 +88,14 @@ def recording_of(
         interrupted=driven.stop is not None,
         wall_time=driven.wall_time,
         engine=steered.controller.engine,
-        notices=(*_notices(driven, robot, plan.shadow, answer, missed, beside), *more),
-        beside=beside,
+        notices=(*_notices(driven, robot, plan.shadow, answer, missed, extra), *more),
+        beside=extra,
         drive={**drive_data(robot, plan, gate), "every": every},
     )
 
 
 def drive_data(robot: str, plan: Plan, gate: Gate) -> dict[str, Any]:
-    """How a robot is driven, as JSON can hold it; with it a replay asks the same gate again."""
+    """Options of a drive as JSON data, from which a replay reconstructs the gate."""
     return {
         "robot": robot,
         "shadow": plan.shadow,
@@ -113,24 +111,24 @@ def _every(diagram: Diagram, journal: Journal) -> int:
 
 
 def _velocities_scaled(measured: dict[str, np.ndarray], steered: Steered, scale: np.ndarray) -> dict[str, np.ndarray]:
-    """What the controller was given; nan where it waited, so that what would follow from it is nan, too."""
-    share = np.where(scale > 0, scale, np.nan)[:, None]
-    return {label: rows if steered.fields[label] != "dq" else rows / share for label, rows in measured.items()}
+    """Measurements in the controller's time; NaN while it waited, so that results are NaN, too."""
+    rate = np.where(scale > 0, scale, np.nan)[:, None]
+    return {label: rows if steered.fields[label] != "dq" else rows / rate for label, rows in measured.items()}
 
 
 def plain_signals(diagram: Diagram) -> dict[str, str]:
-    """By label the field of a sample that the robot's own signal is, also where an encoder stands between."""
+    """Label of each signal of the robot -> field of a sample, also if the controller reads it through an encoder."""
     return {
         signal.label: signal.name
         for signal in diagram.loop.outputs
-        if signal.name in TOLD and diagram.blocks[signal.block].side is Side.PLANT
+        if signal.name in FIELDS and diagram.blocks[signal.block].side is Side.PLANT
     }
 
 
 def _computed(
     diagram: Diagram, states: dict[str, np.ndarray], measured: dict[str, np.ndarray], time: Any, period: Any
 ) -> dict[str, np.ndarray]:
-    """Outputs of the controller and of trajectories, row by row."""
+    """Outputs of the controller and of trajectories, by rows."""
     loop = diagram.loop
     plant = stack(variable.symbol for variable in loop.plant)
     with SYMBOLIC:
@@ -155,7 +153,7 @@ def _computed(
 
 
 def _mapped(f: Any, z: Any, given: Any, time: Any, period: Any, p: np.ndarray, part: slice) -> np.ndarray:
-    """Rows of a function, of some instants."""
+    """Evaluate a function at some instants."""
     count = part.stop - part.start
     whole = np.repeat(p[:, None], count, axis=1)
     return np.asarray(f.map(count)(z[:, part], given[:, part], time[None, part], period[None, part], whole).full().T)
@@ -172,20 +170,20 @@ def _without(own: list[Signal], loop: Any, plant: Any) -> tuple[list[Signal], An
 
 
 def _notices(
-    driven: Driven, robot: str, shadow: bool, answer: np.ndarray, missed: np.ndarray, beside: dict[str, Beside]
+    driven: Driven, robot: str, shadow: bool, answer: np.ndarray, missed: np.ndarray, extra: dict[str, ExtraSignal]
 ) -> tuple[str, ...]:
-    found = [f"robot: {robot}, in shadow: nothing was sent" if shadow else f"robot: {robot}"]
+    found = [f"robot: {robot}, shadow drive: no command was sent" if shadow else f"robot: {robot}"]
     taken = answer[np.isfinite(answer)]
     if taken.size:
         half, most, worst = (plain(float(value), "s") for value in np.percentile(taken, [50, 99, 100]))
-        found.append(f"a command took {half} to compute and send; of a hundred one took {most}, the longest {worst}")
-    if "robot.age" in beside and not shadow:
-        ages = beside["robot.age"].values
+        found.append(f"time to compute and send a command: median {half}, 99th percentile {most}, maximum {worst}")
+    if "robot.age" in extra and not shadow:
+        ages = extra["robot.age"].values
         half, worst = (plain(float(value), "s") for value in np.percentile(ages, [50, 100]))
-        found.append(f"measured latency: the robot acted on commands {half} old, {worst} at most")
+        found.append(f"measured latency of commands: median {half}, maximum {worst}")
     if missed.any():
         found.append(f"{int(missed.sum())} of {int(missed.sum()) + missed.size} samples were lost")
-    found += [f"the gate cut {count} commands by {rule}" for rule, count in driven.cuts.items()]
+    found += [f"the gate limited {count} commands by {rule}" for rule, count in driven.cuts.items()]
     if driven.stop is not None:
         found.append(f"the robot was stopped: {driven.stop}")
     return tuple(found)

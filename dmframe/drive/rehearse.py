@@ -1,4 +1,4 @@
-"""A rehearsal: whether a controller bears what a real robot does to it, tried in simulation."""
+"""Rehearsal: simulation of a controller with the non-idealities of a real robot."""
 
 from __future__ import annotations
 
@@ -29,27 +29,27 @@ from dmframe.units import plain
 
 IDEAL: Final = "the ideal robot"
 LONGEST: Final = 40.0
-"""What is rehearsed of a longer graph, where nobody says otherwise [s]."""
+"""Default duration of a rehearsal of a longer graph [s]."""
 WORSE: Final = 3.0
-"""A condition is borne where its error is at most so many times that without it, or below `SMALL`."""
+"""Largest error under a condition, as a multiple of the ideal robot's error, unless it is below `SMALL`."""
 SMALL: Final = {"m": 2e-3, "rad": 2e-3}
 GROWS: Final = 2.0
-"""And where its error has grown at most so many times as much as that one, from the second quarter to the last."""
+"""Largest growth of the error from the second quarter to the last, as a multiple of the ideal robot's growth."""
 NEEDED: Final = 2
-"""Samples of delay that a controller must bear: makers' controllers answer 10 to 35 ms late, and cables do, too."""
+"""Required robustness to delay [samples]: robot controllers have a latency of 10 to 35 ms."""
 
 
 @final
 @dataclass(frozen=True)
 class Condition:
-    """What is changed of the ideal robot.
+    """Change of the ideal robot.
 
     Parameters
     ----------
     options
-        As of `SimulatedRobot`.
+        Options of `SimulatedRobot`.
     needed
-        Whether it must be borne.
+        True if the controller must pass under this condition.
     """
 
     about: str
@@ -60,17 +60,17 @@ class Condition:
 @final
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a condition.
+    """Result under a condition.
 
     Parameters
     ----------
     error
-        Root mean square in the last quarter; None where it did not come to its end.
+        RMS error in the last quarter; None if the run was stopped.
     why
-        Why it is not borne; empty where it is.
+        Reason of a failure; empty if the controller passed.
     rival, still
-        The error of the kinematic inverse of J under this condition, and of a robot that holds still; None where there
-        is no fair rival, or it did not come to its end.
+        Errors of the kinematic inverse of J under this condition, and of a stationary robot; None if no rival is
+        applicable, or its run was stopped.
     """
 
     condition: Condition
@@ -83,31 +83,31 @@ class Outcome:
 @final
 @dataclass(frozen=True, repr=False)
 class Rehearsal:
-    """A table and a sentence.
+    """Result of a rehearsal: a table and a sentence.
 
     Parameters
     ----------
     unit
-        Of the errors.
+        Unit of the errors.
     seconds
-        How long each run was [s].
-    asked
-        How long it must be to decide anything [s].
+        Duration of each run [s].
+    required
+        Duration that a valid rehearsal needs [s].
     until
-        How long the graph is to be driven [s]; of a long one the first `LONGEST` are rehearsed.
+        Duration of the graph [s]; of a long graph, the first `LONGEST` are rehearsed.
     identity
-        What it is valid for; None where conditions were chosen by the caller, so that it is valid for no drive.
+        Identity for which the rehearsal is valid; None if the caller chose the conditions: valid for no drive.
     field_hash
-        `Diagram.fingerprint` of the diagram that was driven.
+        `Diagram.fingerprint` of the diagram.
     bar
-        What the errors were compared with.
+        Reference values of the errors.
     """
 
     name: str
     signal: str
     unit: str
     seconds: float
-    asked: float
+    required: float
     outcomes: Sequence[Outcome]
     until: float = 0.0
     identity: Identity | None = None
@@ -116,33 +116,33 @@ class Rehearsal:
 
     @property
     def whole(self) -> bool:
-        """True where no run was cut short."""
-        return self.seconds >= self.asked
+        """True if the runs are long enough."""
+        return self.seconds >= self.required
 
     @property
     def passed(self) -> bool:
-        """True where everything that must be borne is."""
+        """True if the controller passed under all needed conditions."""
         return not any(item.why for item in self.outcomes if item.condition.needed)
 
     @property
     def sentence(self) -> str:
-        """Whether this controller may meet a robot."""
+        """Conclusion: whether this controller may drive a robot."""
         failed = [item for item in self.outcomes if item.why and item.condition.needed]
         if not failed and not self.whole:
-            runs, short = plain(self.asked, "s"), plain(self.seconds, "s")
-            return f"{self.name} bears what it must for {short}; runs of {runs} decide whether it may meet a robot."
+            runs, short = plain(self.required, "s"), plain(self.seconds, "s")
+            return f"{self.name} passes for {short}; a rehearsal with runs of {runs} is required to drive a robot."
         if not failed:
             return (
-                f"{self.name} may meet a robot, as far as a simulation can tell: it was tried on no hardware, and the "
-                "gate is not a safety function."
+                f"{self.name} passes the rehearsal and may drive a robot. It was not tested on hardware, and the gate "
+                "is not a safety function."
             )
         first, why = failed[0].condition, failed[0].why
-        told = f"it does not bear {first.about} ({why})" if first.options else f"on {IDEAL}, {why}"
-        return f"{self.name} may not meet a robot: {told}."
+        reason = f"it fails with {first.about} ({why})" if first.options else f"on {IDEAL}, {why}"
+        return f"{self.name} may not drive a robot: {reason}."
 
     @property
     def summary(self) -> dict[str, Any]:
-        """Plain data."""
+        """JSON data."""
         return {
             "graph": self.name,
             "field_hash": self.field_hash,
@@ -176,26 +176,26 @@ class Rehearsal:
             (
                 item.condition.about,
                 *("-" if value is None else plain(value, self.unit) for value in (item.error, item.rival)),
-                "yes" if not item.why else "NO" if item.condition.needed else "no, not asked for",
+                "yes" if not item.why else "NO" if item.condition.needed else "no, not required",
                 item.why,
             )
             for item in self.outcomes
         ]
-        head = (f"{self.name}, {plain(self.seconds, 's')}", f"|{self.signal}| RMS, last quarter", "rival", "borne", "")
+        head = (f"{self.name}, {plain(self.seconds, 's')}", f"|{self.signal}| RMS, last quarter", "rival", "passed", "")
         table = columns([head, *rows], indent="", right=(1, 2))
         return "\n".join([table, *self._notes(), self.sentence])
 
     def _notes(self) -> Iterator[str]:
         still = self.outcomes[0].still if self.outcomes else None
         rival = self.bar.rival or f"none ({self.bar.lacking})"
-        held = f"; holding still: {plain(still, self.unit)}" if still is not None else ""
-        yield f"rival: {rival}{held}"
+        stationary = f"; stationary robot: {plain(still, self.unit)}" if still is not None else ""
+        yield f"rival: {rival}{stationary}"
         if self.bar.tolerance is not None:
             yield f"tolerance of the graph: {plain(self.bar.tolerance, self.unit)}"
 
 
 def conditions(clock: float, duration: float, payload: float) -> list[Condition]:
-    """What is tried, the ideal robot first."""
+    """Conditions of a rehearsal, the ideal robot first."""
     most = plain(clock / 4, "s")
     found = [Condition(f"nothing, {IDEAL}", {})]
     for delay in (1, 2, 3):
@@ -206,12 +206,12 @@ def conditions(clock: float, duration: float, payload: float) -> list[Condition]
         Condition(f"a jitter of {most}", {"jitter": clock / 4}),
         Condition("1 % of samples lost", {"lost": 0.01}),
         Condition("10 % of samples lost", {"lost": 0.1}, needed=False),
-        Condition("half of its speed, from the middle on", {"scaling": 0.5, "slowed_from": duration / 2}),
-        Condition("a tenth of its speed, from the middle on", {"scaling": 0.1, "slowed_from": duration / 2}),
+        Condition("half of its speed, second half", {"scaling": 0.5, "slowed_from": duration / 2}),
+        Condition("a tenth of its speed, second half", {"scaling": 0.1, "slowed_from": duration / 2}),
         Condition("a sample of delay, a jitter, 1 % lost", {"delay": 1, "jitter": clock / 4, "lost": 0.01}),
     ]
     if payload:
-        found.insert(-1, Condition(f"a payload of {plain(payload, 'kg')} that it is not told", {"payload": payload}))
+        found.insert(-1, Condition(f"an unmodelled payload of {plain(payload, 'kg')}", {"payload": payload}))
     return found
 
 
@@ -223,42 +223,45 @@ def rehearsed(
     payload: float | None = None,
     limits: Limits | None = None,
     engine: Choice = "auto",
-    tell: Callable[[str], None] = lambda _: None,
+    report: Callable[[str], None] = lambda _: None,
     tried: Sequence[Condition] | None = None,
 ) -> Rehearsal:
-    """Drive a graph's own robot as it is, then late, with jitter, loaded, slowed down.
+    """Drive a graph's robot in simulation: ideal, then with delay, jitter, a payload, and speed scaling.
 
     Parameters
     ----------
     seconds
-        Of each run; the graph's duration, 40 s at most, without it.
+        Duration of each run; by default the graph's, at most 40 s.
     payload
-        A point mass at the tool [kg]; a twentieth of what moves without it.
+        Point mass at the tool [kg]; by default a twentieth of the moving mass.
     limits
-        Of the gate, which is the one of a drive.
+        Limits of the gate, as for a drive.
+    report
+        Called with the description of each condition before its run.
     tried
-        Instead of `conditions`.
+        Conditions to use instead of `conditions`.
 
     Raises
     ------
     DmframeError
-        The graph drives no robot, or follows no path.
+        The graph cannot drive a robot, or does not follow a path.
     """
-    asked = min(experiment.file.duration, LONGEST)
-    duration = asked if seconds is None else seconds
-    clock, held = clock_of(experiment), limits or own_limits(diagram.robot)
+    required = min(experiment.file.duration, LONGEST)
+    duration = required if seconds is None else seconds
+    clock, limits = clock_of(experiment), limits or own_limits(diagram.robot)
     load = usual_payload(diagram) if payload is None else payload
     given = tried if tried is not None else conditions(clock, duration, load)
-    # before the runs: a file that changes meanwhile is not what they rehearse
-    parts = identity(experiment, steered_controller(experiment, diagram, engine), held, load) if tried is None else None
+    parts = None
+    if tried is None:  # before the runs, since a file may change meanwhile
+        parts = identity(experiment, steered_controller(experiment, diagram, engine), limits, load)
     law, lacking = law_of(experiment, diagram)
-    trial = _Trial(experiment, diagram, duration, held, engine, law)
+    trial = _Trial(experiment, diagram, duration, limits, engine, law)
     outcomes, ideal, bar = list[Outcome](), None, Bar(lacking=lacking)
     signal = unit = ""
     for condition in given:
-        tell(condition.about)
+        report(condition.about)
         found, rival = trial.measured(condition.options), trial.rival(condition.options)
-        if ideal is None:  # the first one
+        if ideal is None:  # the first condition
             ideal, signal, unit = found, found.signal, found.unit
             stated = tolerance_in(unit, experiment.file, experiment.document)
             bar = Bar(stated, str(law) if law is not None else "", lacking)
@@ -267,11 +270,11 @@ def rehearsed(
         outcomes.append(Outcome(condition, error, why, other, found.still))
     until = experiment.file.duration
     field = diagram.fingerprint
-    return Rehearsal(experiment.name, signal, unit, duration, asked, outcomes, until, parts, field, bar)
+    return Rehearsal(experiment.name, signal, unit, duration, required, outcomes, until, parts, field, bar)
 
 
 def _why(run: Measured, ideal: Measured) -> str:
-    """Why a condition is not borne; empty where it is."""
+    """Reason of a failure relative to the ideal robot; empty if there is none."""
     if run.stopped:
         return run.stopped
     small = SMALL.get(run.unit, 0.0)
@@ -287,7 +290,7 @@ def _why(run: Measured, ideal: Measured) -> str:
 @final
 @dataclass(frozen=True)
 class _Trial:
-    """Drives a graph's own robot under a condition, with the graph's controller and with a rival."""
+    """Simulated drives under a condition, with the graph's controller and with its rival."""
 
     experiment: Experiment
     diagram: Diagram
@@ -297,7 +300,7 @@ class _Trial:
     law: Law | None
 
     def measured(self, options: dict[str, Any]) -> Measured:
-        """The errors of the graph's controller."""
+        """Errors of the graph's controller."""
         steered = steered_controller(self.experiment, self.diagram, self.engine)
         found, robot, gate = self._driven(steered, options)
         plan = Plan(self.duration)
@@ -306,24 +309,21 @@ class _Trial:
         )
         error = tracking_error(recording) if recording is not None else None
         if recording is None or error is None:
-            raise DriveError(
-                f"{self.experiment.name}: expected a graph that follows a path, so that its error can be told"
-            )
-        still = recording[error.actual][0] - recording[error.desired]
-        shares, still = recording.time / self.duration, euclidean(still)
+            raise DriveError(f"{self.experiment.name}: expected a graph that follows a path")
+        times = recording.time / self.duration
+        still = euclidean(recording[error.actual][0] - recording[error.desired])
         stopped = _stopped(found, float(recording.time[-1]))
-        parts = quarters(shares, error.norm, still)
-        return Measured(error.signal, error.unit, *parts, stopped, farthest(shares, still))
+        parts = quarters(times, error.norm, still)
+        return Measured(error.signal, error.unit, *parts, stopped, farthest(times, still))
 
     def rival(self, options: dict[str, Any]) -> Measured | None:
-        """Those of the rival; None where there is no fair one."""
+        """Errors of the rival; None if none is applicable."""
         if self.law is None:
             return None
         robot = self.diagram.robot
         found, _, _ = self._driven(Rival(self.law, robot.n, clock_of(self.experiment)), options)
         journal, name = found.journal, "q" if self.law.shown is None else "x"
-        times = np.array(journal.reference)
-        shown = np.array([getattr(sample, name) for sample in journal.samples])
+        times, shown = journal["reference"], journal[name]
         wanted = np.array([self.law.goal(t)[0].full().ravel() for t in times])
         parts = quarters(times / self.duration, euclidean(shown - wanted), euclidean(shown[0] - wanted))
         return Measured("", "", *parts, _stopped(found, float(times[-1])))

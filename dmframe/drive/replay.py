@@ -1,7 +1,7 @@
-"""A record played again: the commands are computed anew from what was measured then, and compared bit by bit.
+"""Replay of a record: recomputes the commands from the recorded measurements, and compares them bit by bit.
 
-What the controller commands, what the gate lets through and the recorded states of the controller are computed; the
-measurements are the input, and all other signals of the record are not looked at.
+Compared are the controller's command, the command after the gate, and the recorded states of the controller. Other
+signals of the record are ignored.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from dmframe.simulate.engine import Choice
 from dmframe.units import plain
 
 APART: Final = 0.4
-"""How far from a whole number of periods samples may be apart, in periods."""
+"""Tolerance for the time between samples as a whole number of periods [periods]."""
 MOST_MISSED: Final = 2**31
-"""Samples that can be lost in a row; a record with more of them is damaged."""
+"""Lost samples in a row above which a record is damaged."""
 SENT: Final = "robot.sent"
 _USUAL: Final = {"robot.scale": 1.0, "robot.missed": 0.0}
-"""Of a record without them, a simulation's."""
+"""Values for a simulation's record, which lacks these signals."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """A signal as it was recorded and as it is computed now, (N, n) each; rows of nan where none is computed."""
+    """Recorded and recomputed values of a signal, (N, n) each; rows of NaN where none is computed."""
 
     then: np.ndarray
     now: np.ndarray
@@ -46,18 +46,18 @@ class Compared:
 
     @property
     def rows(self) -> np.ndarray:
-        """Those that have other bits."""
+        """Rows that differ in any bit."""
         then, now = (np.ascontiguousarray(part, dtype=float).view(np.int64) for part in (self.then, self.now))
         return np.flatnonzero(np.any(then != now, axis=1))
 
     @property
     def largest(self) -> float:
-        """The largest difference."""
+        """Largest difference."""
         return float(np.nanmax(self.apart, initial=0.0))
 
     @property
     def apart(self) -> np.ndarray:
-        """How far the numbers are apart; nan for two infinite ones."""
+        """Absolute differences; NaN for two infinite numbers."""
         with np.errstate(invalid="ignore", over="ignore"):
             return np.asarray(np.abs(self.now - self.then))
 
@@ -65,22 +65,22 @@ class Compared:
 @final
 @dataclass(frozen=True, repr=False, eq=False)
 class Replay:
-    """What was commanded then, and what is now.
+    """Comparison of recorded and recomputed signals.
 
     Parameters
     ----------
     label
-        Of the controller's command, the velocities of the joints.
+        Label of the controller's command, the joint velocities.
     time
-        (N,) of the controller [s].
+        (N,) time of the controller [s].
     compared
-        By label: the command, what the gate let through, and the controller's states.
+        Label -> comparison, for the command, the command after the gate, and the controller's states.
     refused
-        Samples that the controller refuses now.
+        Number of samples that the controller refuses.
     engines
-        What computed the record, and what computes now.
+        Engine of the record, and of the replay.
     notices
-        What keeps the comparison from being whole.
+        Why the comparison is incomplete.
     """
 
     name: str
@@ -95,28 +95,28 @@ class Replay:
 
     @property
     def then(self) -> np.ndarray:
-        """(N, n) the recorded command [rad/s]."""
+        """(N, n) recorded command [rad/s]."""
         return self.compared[self.label].then
 
     @property
     def now(self) -> np.ndarray:
-        """(N, n) the command as it is computed now [rad/s]; rows of nan where a sample is refused."""
+        """(N, n) recomputed command [rad/s]; rows of NaN for refused samples."""
         return self.compared[self.label].now
 
     @property
     def identical(self) -> bool:
-        """True for the same bits of all that is compared."""
+        """True if all compared signals are equal bit by bit."""
         return self.differs is None
 
     @property
     def differs(self) -> int | None:
-        """The first row with another number; None where there is none."""
+        """First row that differs; None if there is none."""
         rows = [int(item.rows[0]) for item in self.compared.values() if item.rows.size]
         return min(rows, default=None)
 
     @property
     def summary(self) -> dict[str, Any]:
-        """Plain data; ``largest_difference`` is that of the command."""
+        """JSON data; ``largest_difference`` is that of the command."""
         first = self.differs
         return {
             "graph": self.name,
@@ -145,100 +145,93 @@ class Replay:
         engine = f" by the {self.engines[1]} engine" if self.engines[1] else ""
         other = f" (the record: {self.engines[0]})" if self.engines[0] not in ("", self.engines[1]) else ""
         what = [*commands, *([f"{states} state{'s' * (states > 1)} of the controller"] if states else [])]
-        told = (
-            f"{self.name}: {listed(what)} of {len(self.time)} samples of {self.log}, computed again{engine}{other}: "
-            f"{'identical, bit by bit' if self.identical else 'different'}"
-        )
         lines = [
-            told,
-            *(line for label, item in self.compared.items() if item.rows.size for line in self._lines(label)),
+            f"{self.name}: {listed(what)} of {len(self.time)} samples of {self.log}, recomputed{engine}{other}: "
+            f"{'identical, bit by bit' if self.identical else 'different'}"
         ]
+        lines += [line for label, item in self.compared.items() if item.rows.size for line in self._lines(label)]
         if self.refused:
-            lines.append(f"  {self.refused} samples are refused now")
+            lines.append(f"  {self.refused} samples are refused")
         return "\n".join([*lines, *(f"{self.name}: notice: {notice}" for notice in self.notices)])
 
     def _lines(self, label: str) -> list[str]:
-        """Where a signal is another first, and where most."""
+        """First and largest difference of a signal."""
         item = self.compared[label]
         first, apart = int(item.rows[0]), item.apart
         names = self.joints if apart.shape[1] == len(self.joints) else tuple(map(str, range(1, apart.shape[1] + 1)))
         place = int(np.argmax(item.then[first] != item.now[first]))
         row, most = np.unravel_index(int(np.nanargmax(apart)), apart.shape) if np.isfinite(apart).any() else (first, 0)
         return [
-            f"  {label}: first at t = {plain(float(self.time[first]), 's')}, {names[place]}: "
-            f"{item.then[first, place]:.9g} then, {item.now[first, place]:.9g} now [{item.unit or '1'}]",
-            f"  {label}: most at t = {plain(float(self.time[row]), 's')}, {names[most]}: "
-            f"{plain(float(apart[row, most]), item.unit)} apart",
+            f"  {label}: first difference at t = {plain(float(self.time[first]), 's')}, {names[place]}: "
+            f"recorded {item.then[first, place]:.9g}, recomputed {item.now[first, place]:.9g} [{item.unit or '1'}]",
+            f"  {label}: largest difference at t = {plain(float(self.time[row]), 's')}, {names[most]}: "
+            f"{plain(float(apart[row, most]), item.unit)}",
         ]
 
 
 def replayed(experiment: Experiment, diagram: Diagram, log: str | Path, *, engine: Choice = "auto") -> Replay:
-    """Feed a controller with what a record has of measurements, as then, and its commands to the gate.
+    """Recompute the commands of a record from its measurements, through the same gate.
 
     Parameters
     ----------
     log
-        The folder of a drive or of a run, or its ``signals.nc``. Of a run it must hold every tick.
+        Folder of a drive or of a run, or its ``signals.nc``. A run must have every sample.
 
     Raises
     ------
     MissingError
-        There is no such file, it or a file of its folder is not what was written, or it lacks what this controller
-        measures, or samples.
+        There is no such file, a file of its folder was changed, or a measurement or a sample is missing.
     """
     steered = steered_controller(experiment, diagram, engine)
     own, states = plain_signals(diagram), {item.label: item for item in diagram.loop.controller}
     known = ["robot.time", SENT, *_USUAL, *own, *states]
     fields = {**own, **steered.fields}
-    held = read_log(Path(log), [*steered.fields, steered.label], known, fields)
-    notices = list(held.notices)
+    record = read_log(Path(log), [*steered.fields, steered.label], known, fields)
+    notices = list(record.notices)
     expected = {**steered.controller.measured, steered.label: steered.command}
-    count = held.values["time"].size
-    _check_sizes(held.values, expected, count, str(log))
-    kept = [label for label in states if label in held.values]
-    if lost := [label for label, item in states.items() if item.recorded and label not in held.values]:
+    count = record.values["time"].size
+    _check_sizes(record.values, expected, count, str(log))
+    kept = [label for label in states if label in record.values]
+    if lost := [label for label, item in states.items() if item.recorded and label not in record.values]:
         notices.append(f"{listed(lost)} {'are' if len(lost) > 1 else 'is'} not compared: not in the record")
-    now, refused, notice = _computed(steered, held, fields, kept, str(log))
+    now, refused, notice = _computed(steered, record, fields, kept, str(log))
     units = {steered.label: "rad/s", SENT: "rad/s", **{label: item.unit for label, item in states.items()}}
     compared = {
-        label: Compared(_rows(held.values[label], rows.shape, label, str(log)), rows, units[label])
+        label: Compared(_rows(record.values[label], rows.shape, label, str(log)), rows, units[label])
         for label, rows in now.items()
     }
-    joints = (
-        tuple(diagram.robot.joint_names)
-        if diagram.robot is not None
-        else tuple(map(str, range(1, steered.command.size + 1)))
-    )
+    n = steered.command.size
+    joints = tuple(map(str, range(1, n + 1)) if diagram.robot is None else diagram.robot.joint_names)
     return Replay(
         experiment.name,
         str(log),
         steered.label,
         joints,
-        held.values["time"].ravel(),
+        record.values["time"].ravel(),
         compared,
         refused,
-        (held.engine, steered.controller.engine),
+        (record.engine, steered.controller.engine),
         (*notices, *notice),
     )
 
 
 def _computed(
-    steered: Steered, held: Log, fields: Mapping[str, str], states: list[str], log: str
+    steered: Steered, record: Log, fields: Mapping[str, str], states: list[str], log: str
 ) -> tuple[dict[str, np.ndarray], int, tuple[str, ...]]:
-    """Commands, what the gate lets through, and states; how many samples are refused; and notices."""
-    time = held.values["time"].ravel()
+    """Recompute commands, commands after the gate, and states; with the number of refused samples, and notices."""
+    time = record.values["time"].ravel()
     count, n = time.size, steered.command.size
-    scale, missed = (held.values.get(label, np.full(count, usual)).ravel() for label, usual in _USUAL.items())
-    since = held.values.get("robot.time", time).ravel()
+    scale, missed = (record.values.get(label, np.full(count, usual)).ravel() for label, usual in _USUAL.items())
+    since = record.values.get("robot.time", time).ravel()
     _check_whole(since, missed, steered.controller.clock, log)
-    gate, ramp, notice = _gate(held, n, log)
+    gate, ramp, notice = _gate(record, n, log)
     now = {steered.label: np.full((count, n), np.nan)}
     if gate is not None:
         now[SENT] = np.full((count, n), np.nan)
     now |= {label: np.full((count, steered.controller.states[label].size), np.nan) for label in states}
     sent, refused = np.zeros(n), 0
     for k in range(count):
-        sample = _sample(held.values, fields, n, k, int(missed[k]))
+        sample = _sample(record.values, fields, n, k, int(missed[k]))
         if k == 0:
             steered.begin(sample, float(time[0]))
         for label in states:
@@ -256,51 +249,49 @@ def _computed(
     return now, refused, notice
 
 
-def _gate(held: Log, n: int, log: str) -> tuple[Gate | None, float, tuple[str, ...]]:
-    """The gate of then and how long it gathered speed; no gate for a simulation, and with a notice for a drive whose
-    limits, or what was sent, are not recorded.
-    """
-    if SENT not in held.values:
-        return None, 0.0, (f"{SENT} is not compared: the record does not hold it",) if held.drive else ()
-    if not held.drive:
-        return None, 0.0, (f"{SENT} is not compared: the record does not hold the limits of its drive",)
+def _gate(record: Log, n: int, log: str) -> tuple[Gate | None, float, tuple[str, ...]]:
+    """Gate of the record, ramp time, and notices; no gate for a simulation, or without recorded limits or commands."""
+    if SENT not in record.values:
+        return None, 0.0, (f"{SENT} is not compared: not in the record",) if record.drive else ()
+    if not record.drive:
+        return None, 0.0, (f"{SENT} is not compared: the limits of the drive are not in the record",)
     try:
-        limits, period = Limits.of(held.drive["limits"]), float(held.drive["period"])
-        ramp = float(held.drive.get("ramp", 0))
+        limits, period = Limits.of(record.drive["limits"]), float(record.drive["period"])
+        ramp = float(record.drive.get("ramp", 0))
     except (KeyError, TypeError, ValueError) as error:
         raise MissingError(f"expected the limits of the drive in the record: {error}", location=log) from None
-    if limits.speed.shape != (n,) or held.values[SENT].shape[1:] != (n,):
+    if limits.speed.shape != (n,) or record.values[SENT].shape[1:] != (n,):
         raise MissingError(f"{SENT}: expected {n} joints, as this controller has; the record has others", location=log)
     return Gate(limits, period), ramp, ()
 
 
-def _check_sizes(held: Mapping[str, np.ndarray], expected: Mapping[str, np.ndarray], count: int, log: str) -> None:
-    """A record of another robot may have the same names."""
+def _check_sizes(values: Mapping[str, np.ndarray], expected: Mapping[str, np.ndarray], count: int, log: str) -> None:
+    """Check shapes: a record of another robot may have the same names."""
     if not count:
         raise MissingError("expected a record with samples, found none", location=log)
-    for label, values in expected.items():
-        if held[label].shape != (count, values.size):
-            found = " x ".join(map(str, held[label].shape))
+    for label, own in expected.items():
+        if values[label].shape != (count, own.size):
+            found = " x ".join(map(str, values[label].shape))
             raise MissingError(
-                f"{label}: expected {count} x {values.size} numbers, as this controller has, found {found}; it is a "
-                "record of another robot",
+                f"{label}: expected {count} x {own.size} numbers, as this controller has, found {found}; the record "
+                "is of another robot",
                 location=log,
             )
 
 
 def _rows(values: np.ndarray, shape: tuple[int, ...], label: str, log: str) -> np.ndarray:
-    """A recorded signal row by row, a matrix column by column, as a controller has its states."""
+    """Flatten a recorded signal to rows, matrices in column-major order as in a controller's states."""
     flat = values.reshape(len(values), -1) if values.ndim < 3 else values.swapaxes(1, 2).reshape(len(values), -1)
     if flat.shape != shape:
         raise MissingError(
-            f"{label}: expected {shape[1]} numbers a sample, found {flat.shape[1]}; it is a record of another graph",
+            f"{label}: expected {shape[1]} numbers a sample, found {flat.shape[1]}; the record is of another graph",
             location=log,
         )
     return np.ascontiguousarray(flat, dtype=float)
 
 
 def _check_whole(time: np.ndarray, missed: np.ndarray, clock: float, log: str) -> None:
-    """Between two samples each state goes on: without one of them the next commands are others, and say nothing."""
+    """Check that no sample is missing: states advance with each sample."""
     if (wrong := np.flatnonzero(~((missed >= 0) & (missed < MOST_MISSED) & (missed == np.floor(missed))))).size:
         k = int(wrong[0])
         raise MissingError(f"expected a count of lost samples, found {missed[k]:g} in sample {k + 1}", location=log)
@@ -310,19 +301,13 @@ def _check_whole(time: np.ndarray, missed: np.ndarray, clock: float, log: str) -
         k = int(odd[0])
         raise MissingError(
             f"expected a sample each {plain(clock, 's')}, the graph's clock, found {plain(float(steps[k]), 's')} "
-            f"after t = {plain(float(time[k]), 's')}; it is of another clock, or a run that log.every has thinned out",
+            f"after t = {plain(float(time[k]), 's')}; the record has another clock, or log.every has decimated it",
             location=log,
         )
 
 
-def _sample(held: Mapping[str, np.ndarray], fields: Mapping[str, str], n: int, k: int, missed: int) -> Sample:
-    """What the robot showed: what the controller measures goes before what the robot tells beside it."""
-    told = {name: held[label][k] for label, name in fields.items() if label in held}
-    return Sample(
-        float(held["time"][k]),
-        told.get("q", np.zeros(n)),
-        told.get("dq", np.zeros(n)),
-        told.get("q_c"),
-        told.get("x"),
-        missed=missed,
-    )
+def _sample(values: Mapping[str, np.ndarray], fields: Mapping[str, str], n: int, k: int, missed: int) -> Sample:
+    """Sample of the record; the controller's measurements, last in `fields`, precede the robot's other signals."""
+    rows = {"q": np.zeros(n), "dq": np.zeros(n)}
+    rows |= {name: values[label][k] for label, name in fields.items() if label in values}
+    return Sample(float(values["time"][k]), rows["q"], rows["dq"], rows.get("q_c"), rows.get("x"), missed=missed)

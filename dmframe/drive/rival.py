@@ -1,10 +1,10 @@
-r"""The kinematic inverse of J: the controller that a rehearsed one must not be worse than.
+r"""Kinematic inverse of J: the reference controller ("rival") of a rehearsal.
 
-It knows the robot's kinematics and the path, and nothing of servo, masses and friction:
+It uses the robot's kinematics and the path, without a model of servo, masses and friction:
 
-.. math:: \dot q_c = J^+ (\dot x_d - \gamma (x - x_d)), \quad \text{at the joints } \dot q_d - \gamma (q - q_d)
+.. math:: \dot q_c = J^+ (\dot x_d - \gamma (x - x_d)), \quad \text{in joint space } \dot q_d - \gamma (q - q_d)
 
-Its gain is that with which the rehearsed graph answers to its own goal; 1/s where that is less or cannot be seen.
+Its gain is the sensitivity of the rehearsed graph's velocity command to its goal, at least 1/s.
 """
 
 from __future__ import annotations
@@ -22,30 +22,30 @@ from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Followed
 from dmframe.port import Side
 from dmframe.results.metrics import goal_of, turn_of
-from dmframe.robot.symbolic import SymbolicRobot
+from dmframe.robot.symbolic import kinematics
 from dmframe.runtime.robot import Sample
 from dmframe.simulate.start import start_state
 from dmframe.units import plain
 
 LEAST_GAIN: Final = 1.0
-"""Of the rival [1/s]."""
+"""Smallest gain of the rival [1/s]."""
 MOST_SHARE: Final = 0.1
-"""And at most this share of the error goes in a sample."""
+"""Largest fraction of the error that it removes in a sample, which limits the gain."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Law:
-    """What a rival computes.
+    """Control law of a rival.
 
     Parameters
     ----------
     goal
-        t -> s_d, its rate.
+        t -> s_d and its rate.
     shown
-        q -> x, J; None at the joints.
+        q -> x, J; None in joint space.
     gain
-        [1/s].
+        Gain gamma [1/s].
     """
 
     goal: Any
@@ -59,10 +59,7 @@ class Law:
 
 @final
 class Rival:
-    """A `Law` in the place of a graph's controller, as `dmframe.runtime.driving.drive` runs one.
-
-    Its time runs with the robot's scaling, as that of a `Steered`; it has no states. A step takes some 0.1 ms.
-    """
+    """Replaces the `Steered` controller of `dmframe.runtime.driving.drive` by a `Law`, which has no states."""
 
     def __init__(self, law: Law, n: int, clock: float) -> None:
         self.law, self.command = law, np.zeros(n)
@@ -70,10 +67,10 @@ class Rival:
         self.lacking: tuple[str, ...] = ()
 
     def begin(self, sample: Sample, t: float = 0.0) -> None:
-        """It has nothing to begin with."""
+        """See `Steered`."""
 
     def step(self, sample: Sample, t: float, scale: float) -> bool:
-        """Its command at its own time is then in `command`; False where it is not finite."""
+        """See `Steered`."""
         law = self.law
         wanted, rate = (part.full().ravel() for part in law.goal(t))
         if law.shown is None:
@@ -87,39 +84,31 @@ class Rival:
 
 
 def law_of(experiment: Experiment, diagram: Diagram) -> tuple[Law | None, str]:
-    """The rival of a graph; None, and why, where there is no fair one."""
+    """Rival of a graph; None and the reason if none is applicable."""
     loop, goal, robot = diagram.loop, goal_of(diagram.loop), diagram.robot
     if goal is None or robot is None:
-        return None, "the graph follows no path of a robot"
+        return None, "the graph does not follow a path of a robot"
     name, clock = goal.actual.split(".", 1)[1], experiment.file.clock
     if turn_of(loop) is not None:
-        return None, "the task has an orientation, too"
+        return None, "the task includes an orientation"
     sizes = {"x": len(robot.axes), "q": robot.n}
     if name not in sizes or goal.wanted.numel() != sizes[name]:
-        return None, f"it takes no goal for {name}"
+        return None, f"it does not support a goal for {name}"
     with SYMBOLIC:
         wanted = loop.on_path(goal.wanted)
         if set(map(str, ca.symvar(wanted))) - set(map(str, ca.symvar(ca.veccat(loop.time, loop.p)))):
-            return None, f"{goal.desired} does not depend on time alone"
+            return None, f"{goal.desired} is not a function of time only"
         at = ca.Function("goal", [loop.time, loop.p], [wanted, ca.jacobian(wanted, loop.time)])
         gain = max(LEAST_GAIN, min(_answer(experiment, diagram, goal, name), MOST_SHARE / (clock or 1.0)))
-        shown = _kinematics(robot) if name == "x" else None
+        shown = kinematics(robot) if name == "x" else None
     p = loop.p_values
     return Law(lambda t: at(t, p), shown, gain), ""
 
 
-def _kinematics(robot: Any) -> Any:
-    symbolic, q = SymbolicRobot(robot), ca.SX.sym("q", robot.n)
-    symbols = ca.veccat(*(constant.symbol for constant in symbolic.constants))
-    values = ca.veccat(*map(ca.DM, symbolic.values().values()))
-    found = ca.substitute([symbolic.position(q), symbolic.jacobian(q)], [symbols], [values])
-    return ca.Function("kinematics", [q], found)
-
-
 def _answer(experiment: Experiment, diagram: Diagram, goal: Followed, name: str) -> float:
-    """How much the first velocity of joints that the graph makes of its goal changes with the goal, at the start [1/s].
+    """Mean sensitivity of the graph's first joint velocity signal to its goal, at the start [1/s]; 0 without one.
 
-    At the task it is seen in the task: the mean of the diagonal of J times the change. 0 where nothing is seen.
+    For a goal in task space, it is the mean of the diagonal of J times the sensitivity.
     """
     loop, robot = diagram.loop, diagram.robot
     if not goal.wanted.is_valid_input():
@@ -138,7 +127,7 @@ def _answer(experiment: Experiment, diagram: Diagram, goal: Followed, name: str)
         )
         values, at = (part.full() for part in found(0, state, loop.p_values, experiment.file.clock or 0))
         if name == "x":
-            values = _kinematics(robot)(at)[1].full() @ values
+            values = kinematics(robot)(at)[1].full() @ values
         mean = float(np.trace(values)) / len(values)
         return abs(mean) if np.isfinite(mean) else 0.0
     return 0.0

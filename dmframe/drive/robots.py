@@ -1,4 +1,4 @@
-"""The robots that can be driven, by what is typed: ``sim``, ``sim:2``, ``ur:192.168.0.2``."""
+"""Drivers by the name that a user types: ``sim``, ``sim:2``, ``ur:192.168.0.2``."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
 
-import casadi as ca
 import numpy as np
 
 from dmframe.block.model import SYMBOLIC
 from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DriveError, UnknownNameError, ValueFault
-from dmframe.robot.symbolic import SymbolicRobot
+from dmframe.robot.symbolic import tool_position
 from dmframe.runtime import xarm
 from dmframe.runtime.robot import Robot
 from dmframe.runtime.simulated import SimulatedRobot, loaded
@@ -28,16 +27,16 @@ MOST_DELAY: Final = 100
 @final
 @dataclass(frozen=True)
 class Options:
-    """What a drive tells its driver.
+    """Options of a driver.
 
     Parameters
     ----------
     duration
-        How long it is to be [s].
+        Duration of the drive [s].
     halt
-        With which the robot stops by itself where nothing is heard [rad/s^2].
+        Deceleration of the robot when commands stop [rad/s^2].
     patience
-        How long to wait for a sample [s]; None for the driver's own.
+        Timeout of a sample [s]; None for the driver's default.
     """
 
     duration: float
@@ -49,14 +48,14 @@ class Options:
 @final
 @dataclass(frozen=True)
 class Kind:
-    """A kind of driver.
+    """Kind of driver.
 
     Parameters
     ----------
     real
-        It moves something: limits and a rehearsal are asked for.
+        True for hardware, which requires limits and a rehearsal.
     make
-        From what stands after the colon, the graph and what the drive is to be.
+        Creates the driver from the text after the colon, the graph and the options.
     """
 
     real: bool
@@ -66,13 +65,13 @@ class Kind:
 def simulated_robot(
     experiment: Experiment, diagram: Diagram, duration: float, engine: Choice = "auto", **options: Any
 ) -> SimulatedRobot:
-    """The graph's own robot; options as of `SimulatedRobot`."""
+    """Simulated robot of the graph; options as in `SimulatedRobot`."""
     own = {key: experiment.settings[key] for key in ("start", "solver", "seed", "jitter")}
     return SimulatedRobot(diagram, clock_of(experiment), duration=duration, engine=engine, **{**own, **options})
 
 
 def clock_of(experiment: Experiment) -> float:
-    """The sampling period [s]. Raises `DriveError` in continuous time."""
+    """Sampling period [s]. Raises `DriveError` in continuous time."""
     clock = experiment.file.clock
     if clock is None:
         raise DriveError(
@@ -82,7 +81,7 @@ def clock_of(experiment: Experiment) -> float:
 
 
 def usual_payload(diagram: Diagram) -> float:
-    """A twentieth of the masses that move, in a round number [kg]; 0 for a robot without any."""
+    """A twentieth of the moving mass, rounded to one digit [kg]; 0 for a robot without masses."""
     try:
         _ = loaded(diagram.loop, 1.0)
     except DriveError:
@@ -94,7 +93,7 @@ def usual_payload(diagram: Diagram) -> float:
 def _simulated(text: str, experiment: Experiment, diagram: Diagram, options: Options) -> Robot:
     if text and not (text.isascii() and text.isdigit() and int(text) <= MOST_DELAY):
         raise ValueFault(
-            f"--robot sim:{text}: expected how many samples late commands act, sim:2, at most {MOST_DELAY}"
+            f"--robot sim:{text}: expected a delay of commands in samples, such as sim:2, at most {MOST_DELAY}"
         )
     return simulated_robot(experiment, diagram, options.duration, options.engine, delay=int(text or 0))
 
@@ -108,7 +107,7 @@ def _by_ur_rtde(text: str, experiment: Experiment, diagram: Diagram, options: Op
 
 
 def _arm(kind: str, text: str, experiment: Experiment, diagram: Diagram) -> tuple[Any, ...]:
-    """What every driver of a UR takes: address, period, joints, kinematics, and where joints are held."""
+    """Arguments of both UR drivers: address, period, joints, kinematics, and angles of held joints."""
     if not text:
         raise ValueFault(f"--robot {kind}: expected the address of an arm, {kind}:192.168.0.2")
     robot = diagram.robot
@@ -121,8 +120,8 @@ def _xarm(text: str, experiment: Experiment, diagram: Diagram, options: Options)
         raise ValueFault("--robot xarm: expected the address of an arm, xarm:192.168.1.2")
     robot = diagram.robot
     _check_joints(robot, xarm.JOINTS, "--robot xarm: expected the joints of an xArm, joint1 to joint7,")
-    held = _holds(experiment)
-    return xarm.XArm(text, clock_of(experiment), robot.joint_names, _tool(robot), held, patience=options.patience)
+    hold = _holds(experiment)
+    return xarm.XArm(text, clock_of(experiment), robot.joint_names, _tool(robot), hold, patience=options.patience)
 
 
 def _check_joints(robot: Any, known: Sequence[str], expected: str) -> None:
@@ -132,18 +131,15 @@ def _check_joints(robot: Any, known: Sequence[str], expected: str) -> None:
 
 
 def _holds(experiment: Experiment) -> dict[str, float]:
-    """Where the graph holds joints [rad]."""
+    """Angles of the joints that the graph holds [rad]."""
     section = experiment.file.robot
     return dict(section.hold) if section is not None else {}
 
 
 def _tool(robot: Any) -> Callable[[np.ndarray], np.ndarray]:
-    """Q -> where the graph has the tool."""
+    """Tool position as a function of q, with the graph's lengths."""
     with SYMBOLIC:
-        symbolic, q = SymbolicRobot(robot), ca.SX.sym("q", robot.n)
-        symbols = ca.veccat(*(constant.symbol for constant in symbolic.constants))
-        (x,) = ca.substitute([symbolic.position(q)], [symbols], [ca.veccat(*map(ca.DM, symbolic.values().values()))])
-        found = ca.Function("tool", [q], [x])
+        found = tool_position(robot)
     return lambda q: np.asarray(found(q)).ravel()
 
 
@@ -153,11 +149,11 @@ KINDS: Final[dict[str, Kind]] = {
     "ur_rtde": Kind(real=True, make=_by_ur_rtde),
     "xarm": Kind(real=True, make=_xarm),
 }
-"""By what stands before the colon."""
+"""Kind of driver by the text before the colon."""
 
 
 def kind_of(name: str) -> tuple[Kind, str]:
-    """The kind of driver, and what stands after the colon. Raises `UnknownNameError`."""
+    """Kind of driver, and the text after the colon. Raises `UnknownNameError`."""
     word, _, rest = name.partition(":")
     if word not in KINDS:
         raise UnknownNameError(f"--robot {name}", "kind of robot", word, KINDS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dmframe.exact.evaluation import Evaluation
 from dmframe.exact.identity import Witness, ZeroTest, sign_choices, zero_test
 from dmframe.exact.linear import Echelon, NoRationalError, null_space, rank, rational_reconstruction, reduced_echelon
 from dmframe.exact.primes import MERSENNE_127, is_prime, random_prime
@@ -12,6 +13,7 @@ __all__ = [
     "MERSENNE_127",
     "Bound",
     "Echelon",
+    "Evaluation",
     "NoRationalError",
     "Tape",
     "Trial",

@@ -13,6 +13,7 @@ from typing import final
 import casadi as ca
 
 from dmframe.errors import ShapeError, UnknownNameError, ValueFault
+from dmframe.exact.evaluation import Evaluation
 from dmframe.exact.primes import is_prime, random_prime
 from dmframe.exact.tape import Bound, Tape
 from dmframe.exact.trial import Trial, ZeroDivision
@@ -175,11 +176,12 @@ def sign_choices(tape: Tape, point: Sequence[Sequence[int]], trial: Trial) -> It
     Where a sign is 0, its argument is, and |x| may be read as 0 or as x: an element that vanishes in one of these
     readings is given as zero.
     """
+    evaluation = Evaluation(tape, point, trial)
+    outputs = evaluation.outputs
     while True:
-        outputs = tape.evaluate(point, trial)
         if trial.on_a_jump and any(map(any, outputs)):
             trial.zero_is_its_own_size = True
-            others = tape.evaluate(point, trial)
+            others = evaluation.signed_anew()
             trial.zero_is_its_own_size = False
             outputs = [
                 [a and b and a for a, b in zip(one, other, strict=True)]
@@ -188,3 +190,4 @@ def sign_choices(tape: Tape, point: Sequence[Sequence[int]], trial: Trial) -> It
         yield outputs
         if not trial.next_signs():
             return
+        outputs = evaluation.signed_anew()

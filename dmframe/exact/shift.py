@@ -45,12 +45,12 @@ class _Frozen(Trial):
 
     def size(self, value: int) -> int:
         """Of an absolute value nothing is known, but that it is even: no argument bounds it."""
-        return self.opaque(f"fabs of {min(value, self.prime - value)}")
+        return self.opaque("fabs", (min(value, self.prime - value),))
 
-    def opaque(self, key: str) -> int:
-        if key.split(" ", 1)[0] not in BOUNDED:
-            return super().opaque(key)
-        return (self._told_before() or self._tell((super().opaque(key), 0)))[0]
+    def opaque(self, name: str, arguments: tuple[int, ...]) -> int:
+        if name not in BOUNDED:
+            return super().opaque(name, arguments)
+        return (self._told_before() or self._tell((super().opaque(name, arguments), 0)))[0]
 
     def _told_before(self) -> tuple[int, int] | None:
         if self._next is None:

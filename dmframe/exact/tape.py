@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Final, NamedTuple, final
@@ -133,52 +133,65 @@ class Tape:
         expected = [size for _, size in self.inputs]
         if found != expected:
             raise ValueFault(f"exact test of {self.name}: expected inputs of {expected} numbers, found {found}")
-        outputs = self.program.dense(self._run(inputs, trial), 0)
-        return [[value % trial.prime for value in matrix] for matrix in outputs]
+        return self.outputs_of(self._run(inputs, trial), trial)
+
+    def outputs_of(self, values: Sequence[int], trial: Trial) -> list[list[int]]:
+        """The outputs' residues of the numbers of all instructions."""
+        return [[value % trial.prime for value in matrix] for matrix in self.program.dense(values, 0)]
 
     def _run(self, inputs: Sequence[Sequence[int]], trial: Trial) -> list[int]:
+        values = [0] * len(self.nodes)
+        self.compute(enumerate(self.nodes), values, inputs, trial)
+        return values
+
+    def compute(
+        self, places: Iterable[tuple[int, Node]], values: list[int], inputs: Sequence[Sequence[int]], trial: Trial
+    ) -> None:
+        """Enter the numbers of some instructions, each with its place and in order; they are not reduced.
+
+        Raises `ZeroDivision` where a denominator vanishes.
+        """
         # Sums stay unreduced until a product reduces them: that halves the time of a trial.
         p = trial.prime
         given, numbers = self.program.elements(inputs), self.numbers
-        values: list[int] = []
-        append = values.append
-        for code, a, b, constant, _ in self.nodes:
+        for k, (code, a, b, constant, _) in places:
             if code == _MUL:
-                append(values[a] * values[b] % p)
+                values[k] = values[a] * values[b] % p
             elif code == _ADD:
-                append(values[a] + values[b])
+                values[k] = values[a] + values[b]
             elif code == _SUB:
-                append(values[a] - values[b])
+                values[k] = values[a] - values[b]
             elif code == _SQ:
-                append(values[a] * values[a] % p)
+                values[k] = values[a] * values[a] % p
             elif code == _INPUT:
-                append(given[a][b])
+                values[k] = given[a][b]
             elif code == _NEG:
-                append(-values[a])
+                values[k] = -values[a]
             elif code == _TWICE:
-                append(2 * values[a])
+                values[k] = 2 * values[a]
             elif code == _CONST:
-                append(trial.residue(numbers[constant]))
+                values[k] = trial.residue(numbers[constant])
             elif code == _DIV:
-                append(values[a] * trial.inverse(values[b]) % p)
+                values[k] = values[a] * trial.inverse(values[b]) % p
             elif code == _INV:
-                append(trial.inverse(values[a]))
+                values[k] = trial.inverse(values[a])
             elif code == _COS:
-                append(trial.cos_sin(values[a] % p)[0])
+                values[k] = trial.cos_sin(values[a] % p)[0]
             elif code == _SIN:
-                append(trial.cos_sin(values[a] % p)[1])
+                values[k] = trial.cos_sin(values[a] % p)[1]
             elif code == _SIGN:
-                append(trial.sign(values[a] % p))
+                values[k] = trial.sign(values[a] % p)
             elif code == _FABS:
-                append(trial.size(values[a] % p))
+                values[k] = trial.size(values[a] % p)
             elif code in POWERS and b in self._whole:
                 exponent = self._whole[b]
-                append(pow(values[a], exponent, p) if exponent >= 0 else pow(trial.inverse(values[a]), -exponent, p))
+                values[k] = (
+                    pow(values[a], exponent, p) if exponent >= 0 else pow(trial.inverse(values[a]), -exponent, p)
+                )
             else:
                 operation = OPERATIONS[code]
-                at = ", ".join(str(values[operand] % p) for operand in (a, b)[: operation.arity])
-                append(trial.opaque(f"{operation.name} of {at}"))
-        return values
+                at = (values[a] % p, values[b] % p) if operation.arity == 2 else (values[a] % p,)
+                values[k] = trial.opaque(operation.name, at)
 
     def degrees(self, fixed: Mapping[int, Sequence[Fraction | None]] | None = None) -> Bound:
         """Bounds on the outputs' degrees in their free symbols; `fixed` gives inputs, or elements, known values.

@@ -39,7 +39,7 @@ class Trial:
     def __init__(self, prime: int, rng: random.Random, functions: Mapping[str, Sequence[int]] | None = None) -> None:
         self.prime = prime
         self.rng = rng
-        self._values: dict[str, int] = {}
+        self._values: dict[tuple[str, tuple[int, ...]], int] = {}
         self._circle: dict[int, tuple[int, int]] = {}
         self._signs: dict[int, int] = {}
         self._script: list[int] = []
@@ -54,7 +54,7 @@ class Trial:
             elif kind == SIGN:
                 self._signs[int(argument)] = values[0]
             else:
-                self._values[name] = values[0]
+                self._values[kind, tuple(map(int, argument.split(", ")))] = values[0]
 
     @property
     def functions(self) -> dict[str, tuple[int, ...]]:
@@ -64,7 +64,8 @@ class Trial:
         """
         chosen: dict[str, tuple[int, ...]] = {f"{CIRCLE} of {key}": pair for key, pair in self._circle.items()}
         chosen |= {f"{SIGN} of {key}": (value,) for key, value in self._signs.items()}
-        return chosen | {name: (value,) for name, value in self._values.items()}
+        named = {f"{name} of {', '.join(map(str, at))}": (value,) for (name, at), value in self._values.items()}
+        return chosen | named
 
     def random(self) -> int:
         """A residue, each equally likely."""
@@ -122,7 +123,7 @@ class Trial:
         if key not in self._signs:
             place = len(self._signs)
             if place >= SIGN_LIMIT:
-                self._signs[key] = self.opaque(f"free sign of {key}")
+                self._signs[key] = self.opaque("free sign", (key,))
             else:
                 if place == len(self._script):
                     self._script.append(1)
@@ -145,8 +146,10 @@ class Trial:
             self._jumping.discard(last)
         return False
 
-    def opaque(self, key: str) -> int:
-        """The free value of a function at reduced arguments; `key` names both, ``"tanh of 5"``."""
-        if key not in self._values:
-            self._values[key] = self.random()
-        return self._values[key]
+    def opaque(self, name: str, arguments: tuple[int, ...]) -> int:
+        """The free value of a function at reduced arguments."""
+        key = (name, arguments)
+        value = self._values.get(key)
+        if value is None:
+            value = self._values[key] = self.random()
+        return value

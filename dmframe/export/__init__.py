@@ -1,4 +1,4 @@
-"""A graph's controller for other programs: as C, for ROS 2, or with its robot as FMUs."""
+"""Export of a graph's controller: as C, as a ROS 2 package, or with its robot as FMUs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A controller as C99: a source, a header, and a test that compares any compiler's result with the simulation."""
+"""Export of a controller as C99: source, header, and a test that compares the compiled code with a simulation."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from dmframe.export.program import Member, Program, program_of
 from dmframe.export.replay import Computed, computed_by_c, first_sample, kept, samples_as_c, samples_of, sizes_as_c
 from dmframe.files import encoded, expanded, write_bytes, writing
 from dmframe.results.folder import provenance
-from dmframe.results.place import held
+from dmframe.results.place import locked
 from dmframe.results.resolved import resolved_text
 from dmframe.units import plain
 from dmframe.version import version
 
 
 def header(program: Program) -> str:
-    """What a caller includes."""
+    """Header file of the controller."""
     name = program.name
     guard = f"{name.upper()}_H"
     tool = (
@@ -43,9 +43,9 @@ def header(program: Program) -> str:
         upper=name.upper(),
         about=about(program),
         period=repr(program.period),
-        measured=_struct(f"{name}_measured", program.measured, "What the robot shows at a sample."),
-        commanded=_struct(f"{name}_commanded", program.commanded, "What it is told, until the next."),
-        path=_struct(f"{name}_path", program.path, "Where it is to go, as the law asks for it."),
+        measured=_struct(f"{name}_measured", program.measured, "Measurements of the robot at a sample."),
+        commanded=_struct(f"{name}_commanded", program.commanded, "Commands until the next sample."),
+        path=_struct(f"{name}_path", program.path, "Desired path, as the law reads it."),
         parameters=_struct(f"{name}_parameters", program.parameters, "Gains and other numbers of the controller."),
         p=max(1, sum(member.size for member in program.parameters)),
         c=max(1, constants),
@@ -56,7 +56,7 @@ def header(program: Program) -> str:
 
 
 def source(program: Program) -> str:
-    """The controller itself."""
+    """Source file of the controller."""
     functions, _ = functions_of(program)
     sizes = {
         "Z": sum(member.size for member in program.states),
@@ -94,9 +94,9 @@ def source(program: Program) -> str:
 _HEADER: Final = """\
 /* {about}
 
-   Fill a {name}_measured, call {name}_reset once and then {name}_step at each sample, every {period} s; send what is in
-   {name}_commanded. A call returns 1, or 0 for a sample that is not finite or leads to what is not: then nothing has
-   changed, and the robot should be stopped. Radians, metres, newtons, seconds; joints in the order of the robot. */
+   Fill a {name}_measured, call {name}_reset once and then {name}_step at each sample, every {period} s; send the
+   {name}_commanded. A call returns 1, or 0 if the sample or a result is not finite: then nothing has changed, and the
+   robot should be stopped. Radians, metres, newtons, seconds; joints in the order of the robot. */
 #ifndef {guard}
 #define {guard}
 
@@ -114,10 +114,10 @@ extern "C" {{
 
 {parameters}
 
-/* As the graph has them. */
+/* Values of the graph. */
 extern const {name}_parameters {name}_defaults;
 
-/* Where states lie in {name}_controller.state. */
+/* Indices of the states in {name}_controller.state. */
 {places}
 
 typedef struct {{
@@ -129,20 +129,20 @@ typedef struct {{
 
 void {name}_init({name}_controller *self, const {name}_parameters *parameters);
 
-/* States start from what is measured at time t. */
+/* Initialise the states from the measurements at time t. */
 int {name}_reset({name}_controller *self, const {name}_measured *measured, double t);
 
-/* What is commanded from time t on, until the next sample. */
+/* Compute the commands from time t until the next sample. */
 int {name}_step({name}_controller *self, const {name}_measured *measured, double t, {name}_commanded *commanded);
 
-/* The same where the next sample is T s away: one was lost, or the robot is slowed down and its time with it. */
+/* The same if the next sample is T s later: after a lost sample, or with time scaling. */
 int {name}_step_for({name}_controller *self, const {name}_measured *measured, double t, double T,
   {name}_commanded *commanded);
 
-/* Where the graph's own path is at time t. */
+/* The graph's path at time t. */
 void {name}_path_at(const {name}_controller *self, double t, double T, {name}_path *path);
 
-/* The same as {name}_step_for, on a path of yours instead of the graph's. */
+/* The same as {name}_step_for, with your path instead of the graph's. */
 int {name}_step_on({name}_controller *self, const {name}_measured *measured, const {name}_path *path, double t,
   double T, {name}_commanded *commanded);
 {tool}
@@ -152,15 +152,15 @@ int {name}_step_on({name}_controller *self, const {name}_measured *measured, con
 #endif
 """
 _TOOL: Final = """
-/* Where the tool is [m], with the lengths of the robot's model: q has {n} numbers, x has {m}. */
+/* Tool position [m] with the lengths of the robot's model: q has {n} numbers, x has {m}. */
 void {name}_tool(const double *q, double *x);
 """
 
 
 def functions_of(program: Program, *, free: bool = True) -> tuple[list[Any], int]:
-    """The functions as C has them, what follows from parameters alone computed once, and how many numbers that is.
+    """Functions of the C source, with constants that depend only on parameters hoisted; and the number of constants.
 
-    `free`: the path is an argument, and there is the tool's place; else they are what an FMU needs.
+    With `free`, the path is an argument, and the tool's position is included; else they are those of an FMU.
     """
     z, measured, t, T, p = (ca.SX.sym(word, program.control.numel_in(k)) for k, word in enumerate(_ARGUMENTS))
     bodies: dict[str, tuple[list[Any], list[Any]]] = {"start": ([measured, t, T], [program.start(measured, t, T, p)])}
@@ -182,30 +182,30 @@ _HEAD: Final = re.compile(r"^static .*\((.*)\) \{$", re.MULTILINE)
 
 
 def spelled(function: Any) -> str:
-    """A function as C that no compiler complains of."""
+    """C of a function without compiler warnings."""
     return _HEAD.sub(_unused, written(function, ONE))
 
 
 def _unused(head: re.Match[str]) -> str:
-    """A function's head, with its arguments mentioned: not each reads all."""
+    """A function's head, with uses of its arguments, some of which may be unused."""
     names = [argument.split("*")[1] for argument in head.group(1).split(", ")]
     return "\n".join([head.group(), f"  {' '.join(f'(void){name};' for name in names)}"])
 
 
 def about(program: Program) -> str:
-    """What a file is, in a line."""
+    """Description of a file in one line."""
     title = f": {program.title}" if program.title else ""
     return commented(f"{program.name}{title}. Written by dmframe {version()} from model {program.model}.")
 
 
 def commented(text: str) -> str:
-    """A text as a comment of C, C++, CMake or XML may hold it: one line that ends no comment and begins none."""
+    """A text in one line that neither ends nor begins a comment of C, C++, CMake or XML."""
     line = "".join(letter if letter.isprintable() else " " for letter in " ".join(text.split()))
     return line.replace("*/", "* /").replace("/*", "/ *").replace("--", "- - ").replace("\\", "/")
 
 
 def c_text(text: str) -> str:
-    """A string of C, its UTF-8 byte by byte: what is no plain letter or sign is written in octal."""
+    """C string literal of a text in UTF-8, with other characters than letters and signs in octal."""
     plain = set(b" !#$%&'()*+,-./:;<=>@[]^_`{|}~") | set(range(48, 58)) | set(range(65, 91)) | set(range(97, 123))
     return '"' + "".join(chr(byte) if byte in plain else f"\\{byte:03o}" for byte in text.encode()) + '"'
 
@@ -218,7 +218,7 @@ def _struct(name: str, members: Sequence[Member], about: str) -> str:
 
 
 def unit_of(unit: str) -> str:
-    """A unit, 1 for none."""
+    """A unit, or 1."""
     return unit or "1"
 
 
@@ -238,16 +238,16 @@ def own_file(name: str) -> str:
 def export_c(experiment: Experiment, diagram: Diagram, folder: str | Path) -> list[Path]:
     """Write a graph's controller as C99 into a new folder, with an example and a test; returns the files.
 
-    ``NAME.c`` and ``NAME.h`` are the controller; ``replay.c`` compares what any compiler makes of them with the first
-    samples of a simulation, each from equal states, bit by bit where it keeps to the order of operations;
-    ``example.c`` shows the loop, ``CMakeLists.txt`` builds all.
+    ``NAME.c`` and ``NAME.h`` are the controller; ``replay.c`` compares the compiled code with the first samples of a
+    simulation, each from equal states, bit by bit if the compiler keeps the order of operations; ``example.c`` shows
+    the loop, ``CMakeLists.txt`` builds all.
 
     Raises
     ------
     EngineError
-        The graph has no sampled controller that can stand alone.
+        The graph has no sampled controller that can be separated from the plant.
     OutputError
-        The folder is there already, or cannot be written.
+        The folder exists already, or cannot be written.
     """
     place = new_folder(folder)
     program = program_of(experiment, diagram)
@@ -255,22 +255,19 @@ def export_c(experiment: Experiment, diagram: Diagram, folder: str | Path) -> li
 
 
 def new_folder(folder: str | Path) -> Path:
-    """A path where nothing is. Raises `OutputError`."""
+    """A path that does not exist. Raises `OutputError`."""
     place = expanded(folder)
     if place.exists():
-        raise OutputError(f"{place}: is there already; name a new folder")
+        raise OutputError(f"{place}: exists already; choose a new folder")
     return place
 
 
 def write_all(place: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
-    """Files by their paths below a folder, all or none: half a controller would look like one.
-
-    The folder is locked meanwhile, as that of a run is. Raises `OutputError`.
-    """
+    """Write files by their paths below a folder, all or none, with the folder locked. Raises `OutputError`."""
     files, done = [place / name for name in contents], list[Path]()
-    with held(place):
-        if there := [file for file in files if file.exists()]:  # another export has come first
-            raise OutputError(f"{there[0]}: is there already; name a new folder")
+    with locked(place):
+        if there := [file for file in files if file.exists()]:  # another export was first
+            raise OutputError(f"{there[0]}: exists already; choose a new folder")
         made = sorted({file.parent for file in files if not file.parent.exists()}, reverse=True)
         try:
             with writing(place, "folder"):
@@ -306,7 +303,7 @@ def files_of(experiment: Experiment, diagram: Diagram, program: Program) -> dict
 
 
 def origin(experiment: Experiment, model: str) -> dict[str, str]:
-    """The files that say from what others were made; `model` is the hash of the closed loop."""
+    """Provenance files; `model` is the hash of the closed loop."""
     text = resolved_text(experiment)
     made = provenance(experiment, text, field_hash=model)
     return {"graph.yaml": text, "provenance.json": json.dumps(made, indent=2) + "\n"}
@@ -318,16 +315,15 @@ def _called(name: str, program: Program) -> str:
 
 
 def _readme(program: Program, samples: int, computed: Computed | None) -> str:
-    """What is in the folder, and what it was not tried on."""
-    names = ", ".join(program.untold)
-    untold = f"\n{names}: nothing measured tells where these start; they begin as in the simulation.\n" if names else ""
+    names = ", ".join(program.unmeasured)
+    start = f"\n{names}: not determined by measurements; they start as in the simulation.\n" if names else ""
     switched = () if computed is None else computed.switched
     return _README.format(
         name=program.name,
         period=plain(program.period, "s"),
-        untold=untold,
+        start=start,
         samples=samples,
-        exactly="to the last bit" if computed else "to rounding: no compiler worked where it was written",
+        exactly="bit by bit" if computed else "to rounding, since no compiler worked at the export",
         switched="".join(f"\nRounding decides a switch at {words}.\n" for words in switched),
         version=version(),
     )
@@ -336,21 +332,21 @@ def _readme(program: Program, samples: int, computed: Computed | None) -> str:
 _README: Final = """\
 # {name} as C
 
-The controller of `graph.yaml`, sampled every {period}, without the robot and its servo: C99, no memory asked for,
-nothing of the C library but arithmetic. `{name}.h` says what goes in and out, with units; `example.c` shows the loop.
+The controller of `graph.yaml`, sampled every {period}, without the robot and its servo: C99, without memory allocation,
+with only arithmetic of the C library. `{name}.h` describes inputs and outputs, with units; `example.c` shows the loop.
 
 ```sh
 cmake -B build && cmake --build build && ctest --test-dir build
 ```
 
-or `cc -std=c99 -O2 -ffp-contract=off -fno-tree-vectorize {name}.c replay.c -lm -o replay && ./replay`. It
-compares what your compiler makes of the source with {samples} samples of a simulation, {exactly}. Each sample begins
-from the state of the simulation, so that a law that amplifies rounding is judged sample by sample.
-{switched}{untold}
-Time comes from the robot's clock, not from a count of loops: the path is a function of it. What is measured must be of
-one frame, the robot's base; for a robot that does not tell where its tool is there is `{name}_tool`. A call that
-returns 0 has computed nothing: stop the robot then.
+or `cc -std=c99 -O2 -ffp-contract=off -fno-tree-vectorize {name}.c replay.c -lm -o replay && ./replay`. The test
+compares the compiled code with {samples} samples of a simulation, {exactly}. Each sample starts from the state of the
+simulation, so that a law that amplifies rounding is checked sample by sample.
+{switched}{start}
+Use the time of the robot's clock, not a count of loops: the path is a function of it. All measurements must be in the
+frame of the robot's base; `{name}_tool` computes the tool position for a robot that does not measure it. Stop the robot
+if a call returns 0; it has computed nothing.
 
-It was tried in simulation, on no robot. Nothing in it limits joints, forces or the workspace, and it is not a safety
-function. Written by dmframe {version}; `provenance.json` says from what.
+Tested in simulation only. The code does not limit joints, forces or the workspace, and is not a safety function.
+Written by dmframe {version}; see `provenance.json`.
 """

@@ -1,12 +1,12 @@
-"""The exported C compared with the interpreter, each sample from equal states.
+"""Comparison of the exported C with the interpreter, each sample from equal states.
 
-A replay of a whole trajectory cannot judge a compiler: a law that switches, or a least-squares estimate that is badly
-conditioned, turns the last digit of one sample into the leading digits of a later one. Here the interpreter is
-evaluated at the states, measurements and times of the C, so that a difference is that of one sample.
+A comparison of whole trajectories cannot check a compiler: a law that switches, or an ill-conditioned least-squares
+estimate, amplifies the last digit of one sample to the leading digits of a later one. The interpreter is therefore
+evaluated at the states, measurements and times of the C, so that a difference is due to one sample.
 
-Close to a switch one sample may still have two right answers: sines of two libraries differ in the last digit, and a
-comparison that this digit decides goes either way. The C's number is then accepted if, and only if, the interpreter
-reaches it when its inputs move by some units in the last place; the sample and what the switch decides are reported.
+Near a switch both results of a sample may be right: sines of two libraries differ in the last digit, which may decide a
+comparison. The C's number is then accepted if the interpreter yields it after a perturbation of its inputs by some
+units in the last place; the sample and the affected signals are reported.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ if TYPE_CHECKING:
     from dmframe.export.replay import Samples
 
 NEAR: Final = 1e-9
-"""Relative to one plus a number: how far the C's may be from an interpreter's, whose sines are another library's."""
+"""Tolerance relative to 1 + |number|, since the sines of two libraries differ."""
 
 TRIALS: Final = 64
-"""Times that the inputs of a sample are moved, where its numbers differ."""
+"""Number of perturbations of the inputs of a sample whose numbers differ."""
 
 UNITS: Final = 4
-"""In the last place, by which each input is moved at most."""
+"""Largest perturbation of an input [units in the last place]."""
 
 CONDITION: Final = 100.0
-"""Times what most of these moves change: so much may rounding inside of a sample change, more than at its inputs."""
+"""Allowed effect of rounding within a sample, as a multiple of that of most perturbations."""
 
 Numbers = Sequence[np.ndarray]
 
@@ -43,19 +43,19 @@ Numbers = Sequence[np.ndarray]
 def compared(
     diagram: Diagram, program: Program, samples: Samples, taken: int, compiler: str
 ) -> tuple[Samples, tuple[str, ...]]:
-    """The samples that the C has taken, and words for each at which rounding decides a switch.
+    """Accepted samples of the C, and a description of each sample at which rounding decides a switch.
 
     Parameters
     ----------
     samples
-        As the C computed them in a row.
+        Samples that the C computed.
     taken
-        How many it took; negative where it refused its start.
+        Number of accepted samples; negative if the C refused its start.
 
     Raises
     ------
     EngineError
-        A number of the C is not the interpreter's, begun from the same state.
+        A number of the C differs from the interpreter's from the same state.
     """
     control, p = control_function(diagram), diagram.loop.p_values
     names, period = _labels((*program.states, *program.commanded)), program.period
@@ -67,10 +67,10 @@ def compared(
         return _flat([program.start(*inputs, period, [n for item in program.parameters for n in item.value])])
 
     def refuse(where: str, what: str) -> EngineError:
-        return EngineError(f"{program.name}: {where}: {what}; name another compiler by $CC")
+        return EngineError(f"{program.name}: {where}: {what}; set another compiler by $CC")
 
     if taken < 0:
-        raise refuse("at the start", f"the program that {compiler} makes refuses it, and the interpreter does not")
+        raise refuse("at the start", f"the code compiled by {compiler} refuses it, but the interpreter does not")
     switched = list[str]()
     for k in range(-1, taken):
         at = max(k, 0)
@@ -82,7 +82,7 @@ def compared(
         differing, expected, agrees = judged(step if k >= 0 else start, inputs, found)
         if not agrees:
             worst = int(differing[0])
-            text = f"{names[worst]} is {found[worst]!r} in the program that {compiler} makes"
+            text = f"{names[worst]} is {found[worst]!r} in the code compiled by {compiler}"
             raise refuse(where, f"{text}, {expected[worst]!r} in the interpreter")
         if differing.size:
             switched.append(f"{where}: {', '.join(dict.fromkeys(_whole(names[place]) for place in differing))}")
@@ -90,17 +90,17 @@ def compared(
         inputs = [samples.states[taken], samples.measured[taken], samples.times[taken : taken + 1]]
         if taken == 0 or np.isfinite(step(inputs)).all():
             where = f"sample {taken} ({samples.times[taken]:g} s), from the same state"
-            raise refuse(where, f"the program that {compiler} makes refuses it, and the interpreter does not")
+            raise refuse(where, f"the code compiled by {compiler} refuses it, but the interpreter does not")
     return samples.first(taken), tuple(switched)
 
 
 def judged(
     step: Callable[[Numbers], np.ndarray], inputs: Numbers, found: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Which of the numbers found differ from those of a step, these, and whether rounding explains it.
+    """Indices of numbers that differ from those of a step, the expected numbers, and True if rounding explains it.
 
-    Rounding explains a number that the step gives when its inputs move by a few units in the last place. How far most
-    of these moves change a number is the rounding that a step has without any switch.
+    Rounding explains a number that the step yields for inputs perturbed by a few units in the last place. The effect of
+    most of these perturbations is the rounding error of a step without a switch.
     """
     expected = step(inputs)
     gap = NEAR * (1 + np.abs(expected))
@@ -110,7 +110,7 @@ def judged(
             return differing, expected, True
         rng = np.random.default_rng(0)
         moved = np.array([step([_moved(values, rng) for values in inputs]) for _ in range(TRIALS)])
-        # a quarter of the moves at least stay on one side of a switch; a median might be the jump itself
+        # at least a quarter of the perturbations stay on one side of a switch; a median might be the jump itself
         gap = gap + CONDITION * np.quantile(np.abs(moved - expected), 0.25, axis=0)
         reached = np.min(np.abs(moved - found), axis=0) <= gap
     return differing, expected, bool(np.all(reached[differing]))

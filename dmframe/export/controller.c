@@ -1,8 +1,8 @@
-/* A controller between samples: commands follow from what is measured when a step begins. */
+/* FMU of a controller: commands follow from the measurements at the beginning of a step. */
 
 static double *dm_states(dm_kept *k) { return k->v + DM_INPUTS + DM_OUTPUTS + DM_P; }
 
-/* States start from what is measured first. */
+/* Initialise the states from the first measurements. */
 static int dm_begin(dm_kept *k, double t) {
   const double T = DM_PERIOD;
   double state[DM_Z + 1];

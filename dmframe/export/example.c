@@ -1,9 +1,9 @@
-/* How a loop calls the controller. Replace the robot: DM_FILE_measured is filled from yours, DM_FILE_commanded sent to it. */
+/* Example of a control loop. Replace the robot: fill DM_FILE_measured from yours, and send DM_FILE_commanded to it. */
 #include <stdio.h>
 
 #include "DM_FILE.h"
 
-/* A robot that stands still wherever it is told to move: the place of yours. */
+/* Stationary robot; replace it by yours. */
 static void read_robot(DM_FILE_measured *measured) { *measured = (DM_FILE_measured){DM_STILL}; }
 
 static void command_robot(const DM_FILE_commanded *commanded) {
@@ -21,7 +21,7 @@ int main(void) {
   read_robot(&measured);
   if (!DM_FILE_reset(&controller, &measured, 0.0)) return 1; /* a number was not finite: do not move */
   for (int k = 0; k < 5; k++) {
-    /* wait for the robot's next sample here; the time is the robot's, not a count of loops */
+    /* wait for the robot's next sample here; use the robot's time, not a count of loops */
     read_robot(&measured);
     if (!DM_FILE_step(&controller, &measured, k * DM_PERIOD, &commanded)) return 1; /* stop the robot */
     command_robot(&commanded);

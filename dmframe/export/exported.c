@@ -1,7 +1,7 @@
-/* Over the functions that the graph's equations became, the controller as others call it. No memory is asked for, nothing
-   is read or written but what is handed over, and a call's way depends on no number but those of its switches. */
+/* Interface of the controller, over the functions of the graph's equations. No memory is allocated, only the arguments are
+   read and written, and the control flow depends only on the graph's switches. */
 
-/* Samples that are not finite must be seen; with -ffast-math compilers take it that there are none. */
+/* Numbers that are not finite must be detected; with -ffast-math compilers assume that there are none. */
 #if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__ > 0) || defined(_M_FP_FAST)
 #error "compile without -ffast-math and -ffinite-math-only"
 #endif

@@ -1,4 +1,4 @@
-/* FMI 2.0 for co-simulation; names and types are the standard's. */
+/* FMI 2.0 for co-simulation, with the names and types of the standard. */
 
 typedef void (*dm_logger)(void *environment, const char *name, int status, const char *category, const char *text, ...);
 typedef struct {
@@ -9,7 +9,7 @@ typedef struct {
   void *environment;
 } dm_callbacks;
 
-static void dm_tell(const dm_instance *it, const char *text) {
+static void dm_log(const dm_instance *it, const char *text) {
   dm_logger logger;
   memcpy(&logger, &it->logger, sizeof logger);
   if (logger != NULL) logger(it->environment, it->name == NULL ? "" : it->name, DM_ERROR, "logStatusError", "%s", text);
@@ -19,8 +19,6 @@ DM_API const char *fmi2GetTypesPlatform(void) { return "default"; }
 DM_API const char *fmi2GetVersion(void) { return "2.0"; }
 
 DM_API int fmi2SetDebugLogging(void *c, int on, size_t count, const char *const categories[]) {
-  (void)count;
-  (void)categories;
   ((dm_instance *)c)->logging = on;
   return DM_OK;
 }
@@ -28,8 +26,6 @@ DM_API int fmi2SetDebugLogging(void *c, int on, size_t count, const char *const 
 DM_API void *fmi2Instantiate(const char *name, int type, const char *token, const char *resources,
                              const dm_callbacks *callbacks, int visible, int logging) {
   void *logger = NULL;
-  (void)resources;
-  (void)visible;
   if (type != 1 || name == NULL || token == NULL) return NULL;
   if (callbacks != NULL) memcpy(&logger, &callbacks->logger, sizeof logger);
   return dm_make(name, token, logger, callbacks == NULL ? NULL : callbacks->environment, logging);
@@ -38,10 +34,6 @@ DM_API void *fmi2Instantiate(const char *name, int type, const char *token, cons
 DM_API void fmi2FreeInstance(void *c) { dm_free(c); }
 
 DM_API int fmi2SetupExperiment(void *c, int tolerated, double tolerance, double start, int stops, double stop) {
-  (void)tolerated;
-  (void)tolerance;
-  (void)stops;
-  (void)stop;
   ((dm_instance *)c)->now.time = start;
   return DM_OK;
 }
@@ -78,14 +70,12 @@ DM_API int fmi2SetReal(void *c, const unsigned at[], size_t count, const double 
   return DM_OK;
 }
 
-/* There are real numbers alone. */
+/* All variables are of type Real. */
 #define DM_NO_VARIABLES(type, word)                                                                     \
   DM_API int fmi2Get##word(void *c, const unsigned at[], size_t count, type values[]) {                 \
-    (void)at, (void)values;                                                                             \
     return count == 0 ? DM_OK : dm_fail(c, "there are no variables of type " #word);                    \
   }                                                                                                     \
   DM_API int fmi2Set##word(void *c, const unsigned at[], size_t count, const type values[]) {           \
-    (void)at, (void)values;                                                                             \
     return count == 0 ? DM_OK : dm_fail(c, "there are no variables of type " #word);                    \
   }
 typedef const char *dm_text;
@@ -93,60 +83,22 @@ DM_NO_VARIABLES(int, Integer)
 DM_NO_VARIABLES(int, Boolean)
 DM_NO_VARIABLES(dm_text, String)
 
-DM_API int fmi2GetFMUstate(void *c, void **state) {
-  return dm_keep(c, &((dm_instance *)c)->now, state);
-}
+DM_SAVED_STATES(fmi2, FMUstate, DeSerialize, char)
 
-DM_API int fmi2SetFMUstate(void *c, void *state) {
-  memcpy(&((dm_instance *)c)->now, state, sizeof(dm_kept));
-  return DM_OK;
-}
-
-DM_API int fmi2FreeFMUstate(void *c, void **state) {
-  (void)c;
-  return dm_drop(state);
-}
-
-DM_API int fmi2SerializedFMUstateSize(void *c, void *state, size_t *size) {
-  (void)c;
-  (void)state;
-  *size = sizeof(dm_kept);
-  return DM_OK;
-}
-
-DM_API int fmi2SerializeFMUstate(void *c, void *state, char bytes[], size_t size) {
-  return dm_serialize(c, state, bytes, size);
-}
-
-DM_API int fmi2DeSerializeFMUstate(void *c, const char bytes[], size_t size, void **state) {
-  return dm_deserialize(c, bytes, size, state);
-}
-
-DM_API int fmi2GetDirectionalDerivative(void *c, const unsigned unknown[], size_t unknowns, const unsigned known[],
-                                        size_t knowns, const double seed[], double out[]) {
-  (void)unknown, (void)unknowns, (void)known, (void)knowns, (void)seed, (void)out;
-  return dm_fail(c, "derivatives are not told");
-}
-
-DM_API int fmi2SetRealInputDerivatives(void *c, const unsigned at[], size_t count, const int order[], const double values[]) {
-  (void)at, (void)count, (void)order, (void)values;
-  return dm_fail(c, "inputs are held over a step");
-}
-
-DM_API int fmi2GetRealOutputDerivatives(void *c, const unsigned at[], size_t count, const int order[], double values[]) {
-  (void)at, (void)count, (void)order, (void)values;
-  return dm_fail(c, "derivatives are not told");
-}
+DM_REFUSED("derivatives are not available", fmi2GetDirectionalDerivative, void *c, const unsigned unknown[],
+           size_t unknowns, const unsigned known[], size_t knowns, const double seed[], double out[])
+DM_REFUSED("inputs are constant during a step", fmi2SetRealInputDerivatives, void *c, const unsigned at[], size_t count,
+           const int order[], const double values[])
+DM_REFUSED("derivatives are not available", fmi2GetRealOutputDerivatives, void *c, const unsigned at[], size_t count,
+           const int order[], double values[])
 
 DM_API int fmi2DoStep(void *c, double t, double h, int settled) {
-  (void)settled;
   return dm_do_step(c, t, h);
 }
 
-DM_API int fmi2CancelStep(void *c) { return dm_fail(c, "a step is done when its call returns"); }
+DM_REFUSED("a step is done when its call returns", fmi2CancelStep, void *c)
 
 DM_API int fmi2GetStatus(void *c, int kind, int *value) {
-  (void)kind, (void)value;
   return dm_fail(c, "a step is done when its call returns") == DM_ERROR ? DM_DISCARD : DM_OK;
 }
 
@@ -156,19 +108,12 @@ DM_API int fmi2GetRealStatus(void *c, int kind, double *value) {
   return DM_OK;
 }
 
-DM_API int fmi2GetIntegerStatus(void *c, int kind, int *value) {
-  (void)c, (void)kind, (void)value;
-  return DM_DISCARD;
-}
+DM_API int fmi2GetIntegerStatus(void *c, int kind, int *value) { return DM_DISCARD; }
 
 DM_API int fmi2GetBooleanStatus(void *c, int kind, int *value) {
-  (void)c;
   if (kind != 3) return DM_DISCARD;
   *value = 0;
   return DM_OK;
 }
 
-DM_API int fmi2GetStringStatus(void *c, int kind, dm_text *value) {
-  (void)c, (void)kind, (void)value;
-  return DM_DISCARD;
-}
+DM_API int fmi2GetStringStatus(void *c, int kind, dm_text *value) { return DM_DISCARD; }

@@ -1,11 +1,11 @@
-/* FMI 3.0 for co-simulation; names and types are the standard's. A reference is that of a whole array, 0 of the time. */
+/* FMI 3.0 for co-simulation, with the names and types of the standard. A reference is that of an array; 0 is the time. */
 #include <stdbool.h>
 
 typedef void (*dm_logger)(void *environment, int status, const char *category, const char *text);
 typedef const char *dm_text;
 typedef void (*dm_update)(void *, double, bool, bool, bool, bool, bool *, double *);
 
-static void dm_tell(const dm_instance *it, const char *text) {
+static void dm_log(const dm_instance *it, const char *text) {
   dm_logger logger;
   memcpy(&logger, &it->logger, sizeof logger);
   if (logger != NULL) logger(it->environment, DM_ERROR, "logStatusError", text);
@@ -14,22 +14,18 @@ static void dm_tell(const dm_instance *it, const char *text) {
 DM_API const char *fmi3GetVersion(void) { return "3.0"; }
 
 DM_API int fmi3SetDebugLogging(void *c, bool on, size_t count, const dm_text categories[]) {
-  (void)count, (void)categories;
   ((dm_instance *)c)->logging = on;
   return DM_OK;
 }
 
 DM_API void *fmi3InstantiateModelExchange(dm_text name, dm_text token, dm_text resources, bool visible, bool logging,
                                           void *environment, dm_logger logger) {
-  (void)name, (void)token, (void)resources, (void)visible, (void)logging, (void)environment, (void)logger;
   return NULL;
 }
 
 DM_API void *fmi3InstantiateScheduledExecution(dm_text name, dm_text token, dm_text resources, bool visible, bool logging,
                                                void *environment, dm_logger logger, void (*update)(void *),
                                                void (*lock)(void), void (*unlock)(void)) {
-  (void)name, (void)token, (void)resources, (void)visible, (void)logging, (void)environment, (void)logger;
-  (void)update, (void)lock, (void)unlock;
   return NULL;
 }
 
@@ -37,7 +33,6 @@ DM_API void *fmi3InstantiateCoSimulation(dm_text name, dm_text token, dm_text re
                                          bool events, bool early, const uint32_t wanted[], size_t count,
                                          void *environment, dm_logger logger, dm_update update) {
   void *kept = NULL;
-  (void)resources, (void)visible, (void)early, (void)wanted, (void)update;
   if (name == NULL || token == NULL || events || count > 0) return NULL;
   memcpy(&kept, &logger, sizeof kept);
   return dm_make(name, token, kept, environment, logging);
@@ -46,7 +41,6 @@ DM_API void *fmi3InstantiateCoSimulation(dm_text name, dm_text token, dm_text re
 DM_API void fmi3FreeInstance(void *c) { dm_free(c); }
 
 DM_API int fmi3EnterInitializationMode(void *c, bool tolerated, double tolerance, double start, bool stops, double stop) {
-  (void)tolerated, (void)tolerance, (void)stops, (void)stop;
   ((dm_instance *)c)->now.time = start;
   ((dm_instance *)c)->now.mode = DM_INITIALISING;
   return DM_OK;
@@ -57,11 +51,11 @@ DM_API int fmi3ExitInitializationMode(void *c) {
   return DM_OK;
 }
 
-DM_API int fmi3EnterEventMode(void *c) { return dm_fail(c, "there are no events"); }
-DM_API int fmi3EnterStepMode(void *c) { return dm_fail(c, "there are no events"); }
-DM_API int fmi3EnterConfigurationMode(void *c) { return dm_fail(c, "there are no structural parameters"); }
-DM_API int fmi3ExitConfigurationMode(void *c) { return dm_fail(c, "there are no structural parameters"); }
-DM_API int fmi3EvaluateDiscreteStates(void *c) { return dm_fail(c, "there are no events"); }
+DM_REFUSED("there are no events", fmi3EnterEventMode, void *c)
+DM_REFUSED("there are no events", fmi3EnterStepMode, void *c)
+DM_REFUSED("there are no events", fmi3EvaluateDiscreteStates, void *c)
+DM_REFUSED("there are no structural parameters", fmi3EnterConfigurationMode, void *c)
+DM_REFUSED("there are no structural parameters", fmi3ExitConfigurationMode, void *c)
 
 DM_API int fmi3Terminate(void *c) {
   ((dm_instance *)c)->now.mode = DM_ENDED;
@@ -73,7 +67,7 @@ DM_API int fmi3Reset(void *c) {
   return DM_OK;
 }
 
-/* All arrays of a call in a row; `write` says which way. */
+/* Read, or with `write` set, all arrays of a call. */
 static int dm_moved(dm_instance *it, const uint32_t at[], size_t count, double *values, size_t room, int write) {
   for (size_t k = 0; k < count; k++) {
     if (at[k] > DM_VARIABLES) return dm_fail(it, "expected a reference of modelDescription.xml");
@@ -99,14 +93,12 @@ DM_API int fmi3SetFloat64(void *c, const uint32_t at[], size_t count, const doub
   return dm_moved(c, at, count, copy, room, 1);
 }
 
-/* There are numbers of type Float64 alone. */
+/* All variables are of type Float64. */
 #define DM_NO_VARIABLES(type, word)                                                                                    \
   DM_API int fmi3Get##word(void *c, const uint32_t at[], size_t count, type values[], size_t room) {                    \
-    (void)at, (void)values;                                                                                             \
     return count + room == 0 ? DM_OK : dm_fail(c, "there are no variables of type " #word);                             \
   }                                                                                                                     \
   DM_API int fmi3Set##word(void *c, const uint32_t at[], size_t count, const type values[], size_t room) {              \
-    (void)at, (void)values;                                                                                             \
     return count + room == 0 ? DM_OK : dm_fail(c, "there are no variables of type " #word);                             \
   }
 DM_NO_VARIABLES(float, Float32)
@@ -122,155 +114,67 @@ DM_NO_VARIABLES(bool, Boolean)
 DM_NO_VARIABLES(dm_text, String)
 
 DM_API int fmi3GetBinary(void *c, const uint32_t at[], size_t count, size_t sizes[], const uint8_t *values[], size_t room) {
-  (void)at, (void)sizes, (void)values;
   return count + room == 0 ? DM_OK : dm_fail(c, "there are no variables of type Binary");
 }
 
 DM_API int fmi3SetBinary(void *c, const uint32_t at[], size_t count, const size_t sizes[], const uint8_t *const values[],
                          size_t room) {
-  (void)at, (void)sizes, (void)values;
   return count + room == 0 ? DM_OK : dm_fail(c, "there are no variables of type Binary");
 }
 
 DM_API int fmi3GetClock(void *c, const uint32_t at[], size_t count, bool values[]) {
-  (void)at, (void)values;
   return count == 0 ? DM_OK : dm_fail(c, "there are no clocks");
 }
 
 DM_API int fmi3SetClock(void *c, const uint32_t at[], size_t count, const bool values[]) {
-  (void)at, (void)values;
   return count == 0 ? DM_OK : dm_fail(c, "there are no clocks");
 }
 
-DM_API int fmi3GetNumberOfVariableDependencies(void *c, uint32_t at, size_t *count) {
-  (void)at, (void)count;
-  return dm_fail(c, "dependencies are not told");
-}
+DM_SAVED_STATES(fmi3, FMUState, Deserialize, uint8_t)
 
-DM_API int fmi3GetVariableDependencies(void *c, uint32_t at, size_t mine[], uint32_t others[], size_t theirs[],
-                                       int kinds[], size_t count) {
-  (void)at, (void)mine, (void)others, (void)theirs, (void)kinds, (void)count;
-  return dm_fail(c, "dependencies are not told");
-}
+DM_REFUSED("dependencies are not available", fmi3GetNumberOfVariableDependencies, void *c, uint32_t at, size_t *count)
+DM_REFUSED("dependencies are not available", fmi3GetVariableDependencies, void *c, uint32_t at, size_t mine[],
+           uint32_t others[], size_t theirs[], int kinds[], size_t count)
+DM_REFUSED("derivatives are not available", fmi3GetDirectionalDerivative, void *c, const uint32_t unknown[],
+           size_t unknowns, const uint32_t known[], size_t knowns, const double seed[], size_t seeds, double out[],
+           size_t outs)
+DM_REFUSED("derivatives are not available", fmi3GetAdjointDerivative, void *c, const uint32_t unknown[], size_t unknowns,
+           const uint32_t known[], size_t knowns, const double seed[], size_t seeds, double out[], size_t outs)
+DM_REFUSED("derivatives are not available", fmi3GetOutputDerivatives, void *c, const uint32_t at[], size_t count,
+           const int32_t orders[], double values[], size_t room)
 
-DM_API int fmi3GetFMUState(void *c, void **state) {
-  return dm_keep(c, &((dm_instance *)c)->now, state);
-}
-
-DM_API int fmi3SetFMUState(void *c, void *state) {
-  memcpy(&((dm_instance *)c)->now, state, sizeof(dm_kept));
-  return DM_OK;
-}
-
-DM_API int fmi3FreeFMUState(void *c, void **state) {
-  (void)c;
-  return dm_drop(state);
-}
-
-DM_API int fmi3SerializedFMUStateSize(void *c, void *state, size_t *size) {
-  (void)c, (void)state;
-  *size = sizeof(dm_kept);
-  return DM_OK;
-}
-
-DM_API int fmi3SerializeFMUState(void *c, void *state, uint8_t bytes[], size_t size) {
-  return dm_serialize(c, state, bytes, size);
-}
-
-DM_API int fmi3DeserializeFMUState(void *c, const uint8_t bytes[], size_t size, void **state) {
-  return dm_deserialize(c, bytes, size, state);
-}
-
-DM_API int fmi3GetDirectionalDerivative(void *c, const uint32_t unknown[], size_t unknowns, const uint32_t known[],
-                                        size_t knowns, const double seed[], size_t seeds, double out[], size_t outs) {
-  (void)unknown, (void)unknowns, (void)known, (void)knowns, (void)seed, (void)seeds, (void)out, (void)outs;
-  return dm_fail(c, "derivatives are not told");
-}
-
-DM_API int fmi3GetAdjointDerivative(void *c, const uint32_t unknown[], size_t unknowns, const uint32_t known[],
-                                    size_t knowns, const double seed[], size_t seeds, double out[], size_t outs) {
-  (void)unknown, (void)unknowns, (void)known, (void)knowns, (void)seed, (void)seeds, (void)out, (void)outs;
-  return dm_fail(c, "derivatives are not told");
-}
-
-DM_API int fmi3GetOutputDerivatives(void *c, const uint32_t at[], size_t count, const int32_t orders[], double values[],
-                                    size_t room) {
-  (void)at, (void)count, (void)orders, (void)values, (void)room;
-  return dm_fail(c, "derivatives are not told");
-}
-
-/* Clocks, of which there are none. */
-DM_API int fmi3GetIntervalDecimal(void *c, const uint32_t at[], size_t count, double intervals[], int kinds[]) {
-  (void)at, (void)count, (void)intervals, (void)kinds;
-  return dm_fail(c, "there are no clocks");
-}
-
-DM_API int fmi3GetIntervalFraction(void *c, const uint32_t at[], size_t count, uint64_t counters[], uint64_t parts[],
-                                   int kinds[]) {
-  (void)at, (void)count, (void)counters, (void)parts, (void)kinds;
-  return dm_fail(c, "there are no clocks");
-}
-
-DM_API int fmi3GetShiftDecimal(void *c, const uint32_t at[], size_t count, double shifts[]) {
-  (void)at, (void)count, (void)shifts;
-  return dm_fail(c, "there are no clocks");
-}
-
-DM_API int fmi3GetShiftFraction(void *c, const uint32_t at[], size_t count, uint64_t counters[], uint64_t parts[]) {
-  (void)at, (void)count, (void)counters, (void)parts;
-  return dm_fail(c, "there are no clocks");
-}
-
-DM_API int fmi3SetIntervalDecimal(void *c, const uint32_t at[], size_t count, const double intervals[]) {
-  (void)at, (void)count, (void)intervals;
-  return dm_fail(c, "there are no clocks");
-}
-
-DM_API int fmi3SetIntervalFraction(void *c, const uint32_t at[], size_t count, const uint64_t counters[],
-                                   const uint64_t parts[]) {
-  (void)at, (void)count, (void)counters, (void)parts;
-  return dm_fail(c, "there are no clocks");
-}
-
-DM_API int fmi3SetShiftDecimal(void *c, const uint32_t at[], size_t count, const double shifts[]) {
-  (void)at, (void)count, (void)shifts;
-  return dm_fail(c, "there are no clocks");
-}
-
-DM_API int fmi3SetShiftFraction(void *c, const uint32_t at[], size_t count, const uint64_t counters[],
-                                const uint64_t parts[]) {
-  (void)at, (void)count, (void)counters, (void)parts;
-  return dm_fail(c, "there are no clocks");
-}
+#define DM_NO_CLOCK(function, ...) DM_REFUSED("there are no clocks", function, void *c, const uint32_t at[], size_t count, __VA_ARGS__)
+DM_NO_CLOCK(fmi3GetIntervalDecimal, double intervals[], int kinds[])
+DM_NO_CLOCK(fmi3GetIntervalFraction, uint64_t counters[], uint64_t parts[], int kinds[])
+DM_NO_CLOCK(fmi3GetShiftDecimal, double shifts[])
+DM_NO_CLOCK(fmi3GetShiftFraction, uint64_t counters[], uint64_t parts[])
+DM_NO_CLOCK(fmi3SetIntervalDecimal, const double intervals[])
+DM_NO_CLOCK(fmi3SetIntervalFraction, const uint64_t counters[], const uint64_t parts[])
+DM_NO_CLOCK(fmi3SetShiftDecimal, const double shifts[])
+DM_NO_CLOCK(fmi3SetShiftFraction, const uint64_t counters[], const uint64_t parts[])
 
 DM_API int fmi3UpdateDiscreteStates(void *c, bool *more, bool *ends, bool *nominals, bool *values, bool *timed, double *next) {
-  (void)next;
   *more = *ends = *nominals = *values = *timed = false;
   return dm_fail(c, "there are no events");
 }
 
 DM_API int fmi3DoStep(void *c, double t, double h, bool settled, bool *events, bool *ends, bool *early, double *last) {
-  (void)settled;
   *events = *ends = *early = false;
   const int status = dm_do_step(c, t, h);
   *last = ((dm_instance *)c)->now.time;
   return status;
 }
 
-/* Of the other two kinds of simulation, which some tools ask for by name. */
-static int dm_other(void *c) { return dm_fail(c, "expected co-simulation"); }
-
-DM_API int fmi3EnterContinuousTimeMode(void *c) { return dm_other(c); }
-DM_API int fmi3SetTime(void *c, double t) { return (void)t, dm_other(c); }
-DM_API int fmi3SetContinuousStates(void *c, const double x[], size_t n) { return (void)x, (void)n, dm_other(c); }
-DM_API int fmi3GetContinuousStateDerivatives(void *c, double dx[], size_t n) { return (void)dx, (void)n, dm_other(c); }
-DM_API int fmi3GetEventIndicators(void *c, double z[], size_t n) { return (void)z, (void)n, dm_other(c); }
-DM_API int fmi3GetContinuousStates(void *c, double x[], size_t n) { return (void)x, (void)n, dm_other(c); }
-DM_API int fmi3GetNominalsOfContinuousStates(void *c, double x[], size_t n) { return (void)x, (void)n, dm_other(c); }
-DM_API int fmi3GetNumberOfEventIndicators(void *c, size_t *n) { return (void)n, dm_other(c); }
-DM_API int fmi3GetNumberOfContinuousStates(void *c, size_t *n) { return (void)n, dm_other(c); }
-DM_API int fmi3ActivateModelPartition(void *c, uint32_t clock, double t) { return (void)clock, (void)t, dm_other(c); }
-
-DM_API int fmi3CompletedIntegratorStep(void *c, bool settled, bool *event, bool *ends) {
-  return (void)settled, (void)event, (void)ends, dm_other(c);
-}
+/* Functions of the other two kinds of simulation, which some tools look up by name. */
+#define DM_OTHER_KIND(...) DM_REFUSED("expected co-simulation", __VA_ARGS__)
+DM_OTHER_KIND(fmi3EnterContinuousTimeMode, void *c)
+DM_OTHER_KIND(fmi3SetTime, void *c, double t)
+DM_OTHER_KIND(fmi3SetContinuousStates, void *c, const double x[], size_t n)
+DM_OTHER_KIND(fmi3GetContinuousStateDerivatives, void *c, double dx[], size_t n)
+DM_OTHER_KIND(fmi3GetEventIndicators, void *c, double z[], size_t n)
+DM_OTHER_KIND(fmi3GetContinuousStates, void *c, double x[], size_t n)
+DM_OTHER_KIND(fmi3GetNominalsOfContinuousStates, void *c, double x[], size_t n)
+DM_OTHER_KIND(fmi3GetNumberOfEventIndicators, void *c, size_t *n)
+DM_OTHER_KIND(fmi3GetNumberOfContinuousStates, void *c, size_t *n)
+DM_OTHER_KIND(fmi3ActivateModelPartition, void *c, uint32_t clock, double t)
+DM_OTHER_KIND(fmi3CompletedIntegratorStep, void *c, bool settled, bool *event, bool *ends)

@@ -1,4 +1,4 @@
-"""A controller or a robot as a Functional Mock-up Unit for co-simulation, FMI 2.0 or 3.0."""
+"""Export of controller and robot as Functional Mock-up Units for co-simulation, FMI 2.0 or 3.0."""
 
 from __future__ import annotations
 
@@ -13,34 +13,34 @@ from fractions import Fraction
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final, Literal, final
+from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
 import casadi as ca
 
-from dmframe.build.cache import CompileFailed
-from dmframe.build.compiler import find_compiler
+from dmframe.build.compiler import CompileFailed, find_compiler
 from dmframe.codegen.source import helpers
 from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.parts import split
-from dmframe.errors import OutputError
+from dmframe.errors import EngineError, OutputError
 from dmframe.export.c import commented, functions_of, origin, own_file, spelled, write_all
 from dmframe.export.program import Member, Program, program_of
 from dmframe.export.robot import Robot, robot_of
-from dmframe.files import expanded, write_text
+from dmframe.files import encoded, expanded
 from dmframe.units import base_units
 from dmframe.version import version
 
 Version = Literal[2, 3]
 
 _EPOCH: Final = (1980, 1, 1, 0, 0, 0)
-"""The time of every file in an FMU; `provenance.json` holds the true one."""
+"""Time stamp of the files in an FMU; `provenance.json` has the time of the export."""
 
 
 @final
 @dataclass(frozen=True)
 class Unit:
-    """What is in an FMU: members in the order of its numbers, and the C of its steps."""
+    """Content of an FMU: members in the order of its numbers, and the C of its steps."""
 
     name: str
     about: str
@@ -57,7 +57,7 @@ class Unit:
 
     @property
     def members(self) -> Iterator[tuple[str, Member]]:
-        """All, each with its causality."""
+        """All members, with their causalities."""
         kinds = (
             ("input", self.inputs),
             ("output", self.outputs),
@@ -72,16 +72,16 @@ class Unit:
 def export_fmus(experiment: Experiment, diagram: Diagram, folder: str | Path, fmi: Version) -> list[Path]:
     """Write the controller and the robot of a graph as two FMUs into a folder; returns them.
 
-    Each takes steps of one sampling period. Coupled with the controller first, and each step's commands handed to the
-    robot before its own step, they are the simulation. Sources are within; for this machine a library, too, where there
-    is a compiler.
+    Their steps are one sampling period. Coupled with the controller first, and with its commands passed to the robot
+    before the robot's step, they reproduce the simulation. They contain the sources and, if a compiler is available, a
+    library for this machine.
 
     Raises
     ------
     EngineError
-        The graph has no sampled controller, or its robot cannot stand alone.
+        The graph has no sampled controller, or its robot cannot be separated from it.
     OutputError
-        A file cannot be written, or is there already.
+        A file cannot be written, or exists already.
     """
     place = expanded(folder)
     program, robot = program_of(experiment, diagram), robot_of(experiment, diagram)
@@ -89,7 +89,7 @@ def export_fmus(experiment: Experiment, diagram: Diagram, folder: str | Path, fm
     files = [place / f"{unit.name}.fmu" for unit in units]
     for file in files:
         if file.exists():
-            raise OutputError(f"{file}: is there already; name a new folder")
+            raise OutputError(f"{file}: exists already; choose a new folder")
     made = origin(experiment, program.model)
     return write_all(place, {f"{unit.name}.fmu": packed(unit, fmi, made) for unit in units})
 
@@ -135,7 +135,7 @@ def _zero(items: Sequence[Member]) -> tuple[Member, ...]:
 
 
 def packed(unit: Unit, fmi: Version, more: Mapping[str, str]) -> bytes:
-    """The file: description, sources, and a library for this machine where there is a compiler."""
+    """FMU file: description, sources, and a library for this machine if a compiler is available."""
     description = described(unit, fmi, "TOKEN")
     token = hashlib.sha256(description.encode() + code(unit, fmi, "").encode()).hexdigest()[:32]
     token = f"{{{token[:8]}-{token[8:12]}-{token[12:16]}-{token[16:20]}-{token[20:]}}}"
@@ -158,7 +158,7 @@ def packed(unit: Unit, fmi: Version, more: Mapping[str, str]) -> bytes:
 
 
 def code(unit: Unit, fmi: Version, token: str) -> str:
-    """All of it in one C file."""
+    """C source of the FMU in one file."""
     sizes = {
         "INPUTS": _count(unit.inputs),
         "OUTPUTS": _count(unit.outputs),
@@ -206,9 +206,31 @@ def _count(items: Sequence[Member]) -> int:
 
 
 def described(unit: Unit, fmi: Version, token: str) -> str:
-    """modelDescription.xml."""
+    """modelDescription.xml, as a parser reads it back.
+
+    Raises `EngineError` for a name that no XML can hold, such as one with a control character.
+    """
     lines = list(_TEXTS[fmi](unit, token))
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + "\n".join(lines) + "\n"
+    text = '<?xml version="1.0" encoding="UTF-8"?>\n' + "\n".join(lines) + "\n"
+    try:
+        root = ElementTree.fromstring(text.encode())
+    except (ElementTree.ParseError, UnicodeEncodeError):
+        root = ElementTree.Element("nothing")
+    tag, about = ("ScalarVariable", "Float64")[fmi == 3], (root.get("modelName"), root.get("description"))
+    found = [item.get("name") for item in root.iter(tag) if item.get("causality") != "independent"]
+    if found != list(_names(unit, fmi)) or about != (unit.name, unit.about):
+        raise EngineError(
+            f"{unit.name}: modelDescription.xml reads back as something else; expected a title and names of printable "
+            "characters"
+        )
+    return text
+
+
+def _names(unit: Unit, fmi: Version) -> Iterator[str]:
+    """The variables of modelDescription.xml, in their order."""
+    for _, item in unit.members:
+        several = fmi == 2 and item.size > 1
+        yield from (f"{item.label}[{k + 1}]" for k in range(item.size)) if several else (item.label,)
 
 
 def _description_2(unit: Unit, token: str) -> Iterator[str]:
@@ -235,14 +257,14 @@ def _description_2(unit: Unit, token: str) -> Iterator[str]:
             outputs += [reference] * (kind == "output")
             name = item.label if item.size == 1 else f"{item.label}[{k + 1}]"
             start = f' start="{item.value[k]!r}"' if _KINDS[kind, unit.shows].endswith(_STARTED) else ""
-            told = f'name={quoteattr(name)} valueReference="{reference - 1}" {_KINDS[kind, unit.shows]}'
-            yield f"    <ScalarVariable {told}><Real{_unit_of(item)}{start}/></ScalarVariable>"
+            text = f'name={quoteattr(name)} valueReference="{reference - 1}" {_KINDS[kind, unit.shows]}'
+            yield f"    <ScalarVariable {text}><Real{_unit_of(item)}{start}/></ScalarVariable>"
     yield "  </ModelVariables>"
     yield "  <ModelStructure>"
-    told = "".join(f'<Unknown index="{index}"/>' for index in outputs)
-    yield f"    <Outputs>{told}</Outputs>"
+    text = "".join(f'<Unknown index="{index}"/>' for index in outputs)
+    yield f"    <Outputs>{text}</Outputs>"
     if unit.shows:
-        yield f"    <InitialUnknowns>{told}</InitialUnknowns>"
+        yield f"    <InitialUnknowns>{text}</InitialUnknowns>"
     yield "  </ModelStructure>"
     yield "</fmiModelDescription>"
 
@@ -257,7 +279,7 @@ _KINDS: Final = {
     ("local", False): 'causality="local" variability="discrete" initial="calculated"',
     ("local", True): 'causality="local" variability="continuous" initial="exact"',
 }
-"""Of a variable, whether the unit shows its outputs before its first step."""
+"""(kind of variable, outputs are defined before the first step) -> XML attributes."""
 _STARTED: Final = 'initial="exact"'
 
 
@@ -280,11 +302,11 @@ def _description_3(unit: Unit, token: str) -> Iterator[str]:
     for reference, (kind, item) in enumerate(unit.members, 1):
         outputs += [reference] * (kind == "output")
         start = " ".join(map(repr, item.value))
-        told = f' start="{start}"' if _KINDS[kind, unit.shows].endswith(_STARTED) else ""
+        text = f' start="{start}"' if _KINDS[kind, unit.shows].endswith(_STARTED) else ""
         size = f'<Dimension start="{item.size}"/>' if item.size > 1 else ""
         yield (
             f'    <Float64 name={quoteattr(item.label)} valueReference="{reference}" {_KINDS[kind, unit.shows]}'
-            f"{_unit_of(item)}{told}>{size}</Float64>"
+            f"{_unit_of(item)}{text}>{size}</Float64>"
         )
     yield "  </ModelVariables>"
     yield "  <ModelStructure>"
@@ -302,7 +324,7 @@ def _unit_of(item: Member) -> str:
 
 
 def _units(unit: Unit) -> Iterator[str]:
-    """Each unit by its powers of SI's own."""
+    """Unit definitions by powers of SI base units."""
     names = sorted({item.unit for _, item in unit.members if item.unit})
     if not names:
         return
@@ -312,9 +334,9 @@ def _units(unit: Unit) -> Iterator[str]:
         grams = powers.pop("g", 0)
         powers |= {"kg": grams} if grams else {}
         scale = factor * Fraction(1, 1000) ** grams
-        told = "".join(f' {base}="{power}"' for base, power in powers.items())
-        told += f' factor="{float(scale)!r}"' if scale != 1 else ""
-        yield f"    <Unit name={quoteattr(name)}><BaseUnit{told}/></Unit>"
+        text = "".join(f' {base}="{power}"' for base, power in powers.items())
+        text += f' factor="{float(scale)!r}"' if scale != 1 else ""
+        yield f"    <Unit name={quoteattr(name)}><BaseUnit{text}/></Unit>"
     yield "  </UnitDefinitions>"
 
 
@@ -329,14 +351,14 @@ def _build_description(unit: Unit) -> str:
 
 
 def _library(unit: Unit, source: str) -> bytes | None:
-    """For this machine; None without a compiler."""
+    """Library for this machine; None without a compiler."""
     compiler = find_compiler()
     if compiler is None:
         return None
     with TemporaryDirectory(prefix="dmframe-") as folder:
         file, library = Path(folder, f"{unit.name}.c"), Path(folder, "unit.so")
-        write_text(file, source)
         try:
+            file.write_bytes(encoded(source))  # for a moment: nothing is forced to the disk
             compiler.build_plain([file], library, define="FMI_SHARED")
         except (OSError, CompileFailed):
             return None

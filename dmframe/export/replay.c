@@ -1,8 +1,8 @@
 /* Compares this controller with the samples of a simulation. Each sample begins from the state of the reference, so that a
-   difference of one sample is never carried into the next: commands and the state after it must have the same bits.
+   difference does not propagate to the next: commands and the state after a sample must have the same bits.
 
-   Numbers follow the order of the operations in the source, where a compiler keeps to it: no fused multiply-add
-   (-ffp-contract=off), and no loops turned into vectors (-fno-tree-vectorize), which fuses them all the same in some. */
+   This requires a compiler that keeps the order of operations: without fused multiply-add (-ffp-contract=off), and without
+   vectorisation (-fno-tree-vectorize), which fuses them nevertheless in some compilers. */
 #include <float.h>
 #include <math.h>
 #include <stdint.h>
@@ -14,7 +14,7 @@
 
 enum { DM_OTHER, DM_NEAR, DM_SAME };
 
-/* One sample from a state, which becomes the next; 0 where it is refused. */
+/* Compute one sample and replace the state by the next; 0 if the sample is refused. */
 static int dm_one(DM_FILE_controller *controller, double *state, const double *measured, double t, double *commands) {
   DM_FILE_measured from;
   DM_FILE_commanded to;
@@ -26,7 +26,7 @@ static int dm_one(DM_FILE_controller *controller, double *state, const double *m
   return 1;
 }
 
-/* The samples in a row: what is commanded at each, the state before each and after the last, and how many were taken. */
+/* Compute all samples: commands, the state before each and after the last, and the number of accepted samples. */
 void dm_chain(const double *measured, const double *times, double *commands, double *states, double *taken) {
   DM_FILE_controller controller;
   DM_FILE_measured from;
@@ -43,7 +43,7 @@ void dm_chain(const double *measured, const double *times, double *commands, dou
 }
 
 #ifndef DM_NO_MAIN
-static double dm_most; /* the largest difference so far, relative to one plus the number */
+static double dm_most; /* largest difference, relative to 1 + |number| */
 
 static int dm_compared(const double *found, const double *expected, size_t count) {
   double most = 0;
@@ -54,7 +54,7 @@ static int dm_compared(const double *found, const double *expected, size_t count
 
 static int dm_worse(int a, int b) { return a < b ? a : b; }
 
-/* Numbers moved by up to so many units in the last place. */
+/* Perturb numbers by at most `units` in the last place. */
 static void dm_moved(double *to, const double *from, size_t count, int units, uint32_t *seed) {
   for (size_t k = 0; k < count; k++) {
     *seed = *seed * 1664525u + 1013904223u;
@@ -62,7 +62,7 @@ static void dm_moved(double *to, const double *from, size_t count, int units, ui
   }
 }
 
-/* How sample k, with its inputs moved so, agrees with the reference. */
+/* Compare sample k with perturbed inputs with the reference. */
 static int dm_sampled(DM_FILE_controller *controller, size_t k, int units, uint32_t seed) {
   double state[DM_STATES + 1], measured[DM_MEASURED], commands[DM_COMMANDED];
   dm_moved(state, dm_state + k * DM_STATES, DM_STATES, units, &seed);
@@ -82,16 +82,16 @@ int main(void) {
   all = dm_compared(controller.state, dm_state, DM_STATES);
   for (size_t k = 0; k < DM_SAMPLES; k++) {
     int found = dm_sampled(&controller, k, 0, 0);
-    /* where rounding decides a switch, moving the last digits reaches the reference's side of it */
+    /* if rounding decides a switch, perturbed inputs reach the reference's side of it */
     for (uint32_t seed = 1; found == DM_OTHER && seed <= 64 && !DM_EXACT; seed++) {
       found = dm_sampled(&controller, k, 4, seed) == DM_OTHER ? DM_OTHER : DM_NEAR;
       switched += found == DM_NEAR;
     }
-    if (found == DM_OTHER) printf("DM_FILE: sample %d, from the state of the reference: other numbers\n", (int)k);
+    if (found == DM_OTHER) printf("DM_FILE: sample %d, from the state of the reference: different numbers\n", (int)k);
     all = dm_worse(all, found);
   }
   printf("DM_FILE: %d samples, %s; largest relative difference %.2g\n", DM_SAMPLES,
-         all == DM_SAME ? "the same bits" : "other bits", dm_most);
+         all == DM_SAME ? "the same bits" : "different bits", dm_most);
   if (switched > 0) printf("DM_FILE: at %d of them rounding decides a switch\n", switched);
   return DM_EXACT ? all != DM_SAME : all == DM_OTHER;
 }

@@ -1,4 +1,4 @@
-"""Samples of a simulation, with which an exported controller's test compares what a compiler makes of it."""
+"""Samples of a simulation for the test of an exported controller."""
 
 from __future__ import annotations
 
@@ -9,28 +9,27 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from dmframe.build.cache import CompileFailed
-from dmframe.build.compiler import find_compiler
+from dmframe.build.compiler import CompileFailed, find_compiler
 from dmframe.build.trial import called
 from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import EngineError
 from dmframe.export.compare import compared
 from dmframe.export.program import Member, Program
-from dmframe.files import write_text
+from dmframe.files import encoded
 from dmframe.runtime.controller import Controller
 from dmframe.simulate import Log, simulate
 
 SAMPLES: Final = 250
-"""Of a simulation, with which the test compares the C, at most."""
+"""Largest number of samples in the test."""
 
 NUMBERS: Final = 1 << 17
-"""Of the states in the shipped test, at most: 3 MB of text."""
+"""Largest number of state values in the test: 3 MB of text."""
 
 
 @final
 class Samples(NamedTuple):
-    """The first samples of a simulation, a row each; of the controller's states one more, that after the last."""
+    """First samples of a simulation, one row each; `states` has one more row, after the last sample."""
 
     times: np.ndarray
     measured: np.ndarray
@@ -44,16 +43,16 @@ class Samples(NamedTuple):
 
 @final
 class Computed(NamedTuple):
-    """Samples as the C computes them, and the words for each sample at which rounding decides a switch."""
+    """Samples that the C computed, and a description of each sample at which rounding decides a switch."""
 
     samples: Samples
     switched: tuple[str, ...]
 
 
 def samples_of(experiment: Experiment, diagram: Diagram, program: Program) -> Samples:
-    """What the plant showed in a simulation, and what the controller makes of it when it begins there.
+    """Measurements of a simulation, and the commands and states that the controller computes from them.
 
-    Raises `EngineError` for a law whose first numbers are not finite.
+    Raises `EngineError` if the first results are not finite.
     """
     count = max(1, min(SAMPLES, round(experiment.file.duration / program.period)))
     run = simulate(diagram, count * program.period, **{**experiment.settings, "log": Log()})
@@ -74,7 +73,7 @@ def samples_of(experiment: Experiment, diagram: Diagram, program: Program) -> Sa
     done = len(commanded)
     if done == 0:
         raise EngineError(
-            f"{experiment.name}: its first sample leads to numbers that are not finite; there is no law to export"
+            f"{experiment.name}: commands or states of the first sample are not finite; there is no law to export"
         )
     return Samples(times[:done], measured[:done], np.array(commanded), np.array(states))
 
@@ -84,22 +83,22 @@ def _row(values: Mapping[str, np.ndarray], members: Iterable[Member]) -> np.ndar
 
 
 def computed_by_c(diagram: Diagram, program: Program, texts: Mapping[str, str], samples: Samples) -> Computed | None:
-    """What the C itself makes of the samples; None where no compiler works here.
+    """Results of the compiled C for the samples; None if no compiler works.
 
-    Each sample of the C is compared with the interpreter's from the same state, so that a law that amplifies rounding,
-    or switches by it, does not count as another law. It costs one evaluation a sample.
+    Each sample is compared with the interpreter's from the same state, so that a law that amplifies rounding, or
+    switches by it, is accepted.
 
-    Raises `EngineError` for a compiler whose numbers are not those of the interpreter.
+    Raises `EngineError` for a compiler whose results differ from the interpreter's.
     """
     compiler = find_compiler()
     if compiler is None:
         return None
     with TemporaryDirectory(prefix="dmframe-") as folder:
         place = Path(folder)
-        for name, text in texts.items():
-            write_text(place / name, text)
         library = place / "replay.so"
         try:
+            for name, text in texts.items():
+                (place / name).write_bytes(encoded(text))  # for a moment: nothing is forced to the disk
             compiler.build_plain([place / f"{program.name}.c", place / "replay.c"], library, define="DM_NO_MAIN")
         except (OSError, CompileFailed):
             return None
@@ -108,23 +107,20 @@ def computed_by_c(diagram: Diagram, program: Program, texts: Mapping[str, str], 
     if found is None:
         return None
     count, width = len(samples.times), samples.states.shape[1]
-    commanded, states = (
-        np.reshape(found[2], (count, -1)),
-        np.reshape(found[3][: (count + 1) * width], (count + 1, width)),
-    )
-    mine = samples._replace(commanded=commanded, states=states)
+    states = np.reshape(found[3][: (count + 1) * width], (count + 1, width))
+    mine = samples._replace(commanded=np.reshape(found[2], (count, -1)), states=states)
     return Computed(*compared(diagram, program, mine, round(found[4][0]), compiler.command[0]))
 
 
 def kept(samples: Samples) -> Samples:
-    """Those that an exported folder holds: fewer where the law has thousands of states."""
+    """Samples of an exported folder; fewer if the law has thousands of states."""
     return samples.first(max(8, NUMBERS // max(1, samples.states.shape[1])))
 
 
 def sizes_as_c(samples: Samples, *, exact: bool) -> str:
-    """How many samples there are, and of which sizes, as C."""
+    """Sizes of the samples as C."""
     lines = [
-        "/* What a robot showed in a simulation, and what the controller then commands. */",
+        "/* Measurements of a robot in a simulation, and commands of the controller. */",
         f"#define DM_SAMPLES {len(samples.times)}",
         f"#define DM_MEASURED {samples.measured.shape[1]}",
         f"#define DM_COMMANDED {samples.commanded.shape[1]}",
@@ -135,7 +131,7 @@ def sizes_as_c(samples: Samples, *, exact: bool) -> str:
 
 
 def samples_as_c(samples: Samples, *, exact: bool) -> str:
-    """The samples as C."""
+    """Samples as C."""
     lines = [sizes_as_c(samples, exact=exact)]
     for name, array in zip(("times", "measured", "commands", "state"), samples, strict=True):
         rows = np.atleast_2d(array) if array.size else np.zeros((1, 1))
@@ -146,6 +142,6 @@ def samples_as_c(samples: Samples, *, exact: bool) -> str:
 
 
 def first_sample(program: Program, samples: Samples) -> str:
-    """The first sample as the initial value of a struct."""
+    """First sample as the initial value of a struct."""
     parts = np.split(samples.measured[0], np.cumsum([item.size for item in program.measured])[:-1])
     return ", ".join(f"{{{', '.join(map(repr, part.tolist()))}}}" for part in parts)

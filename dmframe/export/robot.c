@@ -1,4 +1,4 @@
-/* A robot and its servo between samples: commands are held, and the state is integrated by Runge and Kutta's method. */
+/* FMU of a robot and its servo: constant commands between samples, RK4 integration. */
 
 static double *dm_states(dm_kept *k) { return k->v + DM_INPUTS + DM_OUTPUTS + DM_P; }
 static const double *dm_numbers(const dm_kept *k) { return k->v + DM_INPUTS + DM_OUTPUTS; }

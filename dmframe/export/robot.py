@@ -1,4 +1,4 @@
-"""The robot and servo of a graph apart from its controller, as others may simulate them."""
+"""Robot and servo of a graph, separated from the controller, for simulation elsewhere."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from dmframe.simulate.step import build_parts, substeps_of
 @final
 @dataclass(frozen=True)
 class Robot:
-    """What a controller commands, as functions of numbers in a row.
+    """A robot as functions of vectors.
 
     Parameters
     ----------
     rate
         (x, commanded, p) -> dx.
     shown
-        (x, p) -> what is measured.
+        (x, p) -> measurements.
     torque
-        (x, commanded, p) -> what the motors do at the joints [N m]; None where the graph has no such number.
+        (x, commanded, p) -> motor torques at the joints [N m]; None if the graph does not have them.
     substeps
-        Of rk4 in a sampling period.
+        RK4 steps in a sampling period.
     states
-        With where they start.
+        States with their initial values.
     """
 
     name: str
@@ -52,17 +52,16 @@ class Robot:
 
 
 def robot_of(experiment: Experiment, diagram: Diagram) -> Robot:
-    """The robot of a graph.
+    """Robot of a graph.
 
     Raises
     ------
     EngineError
-        It has parts that move from sample to sample or are drawn at random, reads a source such as a load, or is not
-        integrated by rk4.
+        The robot has sampled or random parts, reads a source such as a load, or is not integrated by RK4.
     """
     loop, clock, name = diagram.loop, experiment.file.clock, experiment.name
     if not isinstance(clock, float):
-        raise EngineError(f"{name}: expected a clock such as 8 ms, found continuous; an exported robot takes its steps")
+        raise EngineError(f"{name}: expected a clock such as 8 ms, found continuous; an exported robot is sampled")
     recorded = stack(stack([loop.joined([leaf.symbol])[0]]) for leaf in loop.measured)
     parts = build_parts(loop, clock, recorded)
     commands = stack(leaf.symbol for leaf in loop.commanded)
@@ -71,7 +70,7 @@ def robot_of(experiment: Experiment, diagram: Diagram) -> Robot:
     sampled = [variable.label for variable in loop.plant if variable.sampled]
     if sampled or loop.noises:
         what = sampled[0] if sampled else loop.noises[0].label
-        raise EngineError(f"{name}: its robot has {what}, which moves in samples; export it without reality")
+        raise EngineError(f"{name}: its robot has {what}, which is sampled; export it without reality")
     x = stack(variable.symbol for variable in states)
     rate = parts.rate(x, held, loop.w, loop.p)
     shown = parts.outputs(loop.state, loop.w, loop.drawn, loop.period, loop.p)
@@ -82,17 +81,17 @@ def robot_of(experiment: Experiment, diagram: Diagram) -> Robot:
             leaves += [(variable.label, variable.symbol) for variable in loop.variables]
             names = [label for label, symbol in leaves if symbols_in([symbol]) & unknown]
             raise EngineError(
-                f"{name}: expected a robot that moves by its state and its commands alone, found one that reads "
-                f"{listed(names or ['the time'])}; export the controller alone, with --c, or a robot without it"
+                f"{name}: expected a robot that depends only on its state and its commands, found one that reads "
+                f"{listed(names or ['the time'])}; export only the controller, with --c, or a robot without it"
             )
     if any(
         projection.state.is_dense() and symbols_in([projection.state]) & symbols_in([x])
         for projection in loop.projections
     ):
-        raise EngineError(f"{name}: a state of its robot is kept in a box, which an exported robot does not know")
+        raise EngineError(f"{name}: a state of its robot is projected to a box, which an export does not support")
     run = simulate(diagram, clock, **experiment.settings)
     if run.solver.method != "rk4":
-        raise EngineError(f"{name}: an exported robot takes steps of rk4, found {run.solver.method}")
+        raise EngineError(f"{name}: expected the method rk4 for an exported robot, found {run.solver.method}")
     torque = _torque(diagram)
     torque = None if torque is None or symbols_in([torque]) & rest - own else torque
     used = symbols_in([rate, shown, *([] if torque is None else [torque])])
@@ -122,7 +121,7 @@ def robot_of(experiment: Experiment, diagram: Diagram) -> Robot:
 
 
 def _torque(diagram: Diagram) -> Any:
-    """K u of the block that is driven by volts and has newton metres a volt; else what a block takes as torque."""
+    """Torque K u of the block with an input in V and an output in N m/V; else the input in N m of a block."""
     loop = diagram.loop
     for label, block in diagram.blocks.items():
         if block.side is not Side.PLANT:

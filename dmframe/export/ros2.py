@@ -1,4 +1,4 @@
-"""A controller as a package of ROS 2, for a controller manager of ros2_control."""
+"""Export of a controller as a ROS 2 package, for a controller manager of ros2_control."""
 
 from __future__ import annotations
 
@@ -7,14 +7,15 @@ from collections.abc import Iterator, Sequence
 from io import StringIO
 from pathlib import Path
 from typing import Final, NamedTuple, final
-from xml.sax.saxutils import escape
+from xml.etree import ElementTree
+from xml.sax.saxutils import escape, unescape
 
 from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import EngineError
 from dmframe.export.c import about, c_text, commented, files_of, new_folder, origin, own_file, unit_of, write_all
 from dmframe.export.program import Member, Program, program_of
-from dmframe.files import told_apart
+from dmframe.files import made_distinct
 from dmframe.runtime.signals import measured_as, velocity_command
 from dmframe.units import plain
 from dmframe.version import version
@@ -23,23 +24,23 @@ _WHOLE: Final = 1e-6
 
 
 def export_ros2(experiment: Experiment, diagram: Diagram, folder: str | Path) -> list[Path]:
-    """Write a graph's controller as a package of ROS 2 into a new folder; returns the files.
+    """Write a graph's controller as a ROS 2 package into a new folder; returns the files.
 
     It is a chainable controller of ros2_control around the exported C: an update of the manager is one sample. Its
-    reference is its pace, from 0 to 1, and its commands are velocities of joints.
+    reference is its pace, from 0 to 1, and its commands are joint velocities.
 
     Raises
     ------
     DmframeError
-        The graph has no sampled controller that can stand alone, commands or measures what no manager hands on, or has
-        a clock that no manager can have; the folder is there already, or cannot be written.
+        The graph has no sampled controller that can be separated from the plant, its commands, measurements or clock
+        are not supported by a controller manager, or the folder exists already or cannot be written.
     """
     place = new_folder(folder)
     fields, command = measured_as(diagram), velocity_command(diagram)
     program = program_of(experiment, diagram)
     rate = _rate(program)
     if diagram.robot is None:
-        raise EngineError(f"{experiment.name}: expected a graph with a robot, whose joints a manager knows, found none")
+        raise EngineError(f"{experiment.name}: expected a graph with a robot, whose joints are exported, found none")
     joints = list(diagram.robot.joint_names)
     package = package_of(program.name)
     rows = list(_rows(program.parameters))
@@ -66,9 +67,9 @@ def export_ros2(experiment: Experiment, diagram: Diagram, folder: str | Path) ->
     }
     c = files_of(experiment, diagram, program)
     wanted = {
-        "package.xml": _called("package.xml", words),
+        "package.xml": _read_as_xml(experiment.name, "package.xml", words),
         "CMakeLists.txt": _called("CMakeLists.txt", words),
-        "controller.xml": _called("controller.xml", words),
+        "controller.xml": _read_as_xml(experiment.name, "controller.xml", words),
         f"include/{package}/controller.hpp": _called("controller.hpp", words),
         "src/controller.cpp": _called("controller.cpp", words),
         f"src/{program.name}.c": c[f"{program.name}.c"],
@@ -85,24 +86,24 @@ def export_ros2(experiment: Experiment, diagram: Diagram, folder: str | Path) ->
 
 
 def package_of(name: str) -> str:
-    """A name as ROS 2 has them: small letters, digits and single underscores."""
+    """Package name of ROS 2: lower-case letters, digits and single underscores."""
     return re.sub("_+", "_", f"dmframe_{name.lower()}").strip("_")
 
 
 def _rate(program: Program) -> int:
-    """Samples a second. Raises `EngineError` where they are no whole number, as a manager's update rate is."""
+    """Sampling rate [Hz]. Raises `EngineError` if it is not a whole number, as a manager's update rate is."""
     rate = 1 / program.period
     if abs(rate - round(rate)) > _WHOLE * rate:
         raise EngineError(
-            f"{program.name}: expected a clock of a whole number of samples a second, as a controller manager has, "
-            f"8 ms for 125, say; found {plain(program.period, 's')}"
+            f"{program.name}: expected a clock with a whole number of samples a second, such as 8 ms for 125, as a "
+            f"controller manager requires; found {plain(program.period, 's')}"
         )
     return round(rate)
 
 
 @final
 class _Row(NamedTuple):
-    """A parameter as ROS 2 calls it, and where its numbers begin."""
+    """Parameter of ROS 2, and the index of its first number."""
 
     name: str
     first: int
@@ -110,7 +111,7 @@ class _Row(NamedTuple):
 
 
 def _rows(parameters: Sequence[Member]) -> Iterator[_Row]:
-    """All but those of the robot's model, to which the tool's place would not follow."""
+    """All parameters except those of the robot's model, on which the exported tool position depends."""
     first = 0
     for name, item in zip(_names(parameters), parameters, strict=True):
         if not item.label.startswith("robot."):
@@ -119,15 +120,15 @@ def _rows(parameters: Sequence[Member]) -> Iterator[_Row]:
 
 
 def _names(items: Sequence[Member]) -> list[str]:
-    """As ROS 2 calls them: by blocks, as the graph does."""
-    return told_apart([item.label if _NAME.fullmatch(item.label) else item.word for item in items], "{}_{}".format)
+    """Names in ROS 2: by blocks, as in the graph."""
+    return made_distinct([item.label if _NAME.fullmatch(item.label) else item.word for item in items], "{}_{}".format)
 
 
 _NAME: Final = re.compile(r"[A-Za-z]\w*(\.[A-Za-z]\w*)*", re.ASCII)
 
 
 def _taken(program: Program, fields: dict[str, str]) -> Iterator[str]:
-    """What is measured, from what the manager hands over."""
+    """C++ statements that fill the measurements from the manager's state interfaces."""
     for item in program.measured:
         match fields[item.label]:
             case "x":
@@ -141,24 +142,36 @@ def _taken(program: Program, fields: dict[str, str]) -> Iterator[str]:
 
 
 def _called(name: str, words: dict[str, str]) -> str:
-    """A file of this package with what is told put in; longer words first, since some begin alike."""
+    """A template of this package with its words replaced, longer words first, since some are prefixes of others."""
     text = own_file(f"ros2/{name}")
     for word in sorted(words, key=len, reverse=True):
         text = text.replace(word, words[word])
     return text
 
 
+def _read_as_xml(name: str, file: str, words: dict[str, str]) -> str:
+    """A file of XML, if a parser reads from it the title that was written. Raises `EngineError` where it does not."""
+    text = _called(file, words)
+    try:
+        found = "".join(item.text or "" for item in ElementTree.fromstring(text.encode()).iter("description"))
+    except (ElementTree.ParseError, UnicodeEncodeError):
+        found = ""
+    if not found.startswith(unescape(words["DM_TITLE"])):
+        raise EngineError(f"{name}: {file} reads back as something else; expected a title of printable characters")
+    return text
+
+
 def _configuration(package: str, rate: int, joints: Sequence[str], rows: Sequence[_Row]) -> Iterator[str]:
-    yield "# What a controller manager is told; each number is the graph's own, so that a line may be left out."
+    yield "# Configuration of a controller manager; each number is the graph's value, so that a line may be omitted."
     yield from ("controller_manager:", "  ros__parameters:", f"    update_rate: {rate}  # Hz, or a multiple of it")
     yield from (f"    {package}:", f"      type: {package}/Controller", f"      update_rate: {rate}  # Hz")
     yield from ("", f"{package}:", "  ros__parameters:", f"    joints: {_quoted(joints)}")
     yield "    interfaces.position: position  # of each joint [rad]"
     yield "    interfaces.velocity: velocity  # of each joint [rad/s]"
-    yield '    interfaces.target: ""          # of each joint, the target of its servo [rad]; empty for one not told'
-    yield '    interfaces.scaling: ""         # in full, what a speed slider is at, 0 to 1; empty for none'
+    yield '    interfaces.target: ""          # of each joint, the target of its servo [rad]; empty if not available'
+    yield '    interfaces.scaling: ""         # full name of the speed scaling, 0 to 1; empty for none'
     yield "    interfaces.command: velocity   # of each joint [rad/s]"
-    yield "    patience: 5                    # periods without an update at most"
+    yield "    patience: 5                    # largest number of periods without an update"
     for name, _, item in rows:
         if item.size <= _SHOWN:
             yield f"    {name}: [{', '.join(map(repr, item.value))}]  # {unit_of(item.unit)}"
@@ -166,7 +179,7 @@ def _configuration(package: str, rate: int, joints: Sequence[str], rows: Sequenc
 
 
 def _quoted(names: Sequence[str]) -> str:
-    """Names as a list of YAML in quotes, whatever they look like: `true` and `1e3` are texts, in YAML 1.1 and 1.2."""
+    """YAML list of quoted names: `true` and `1e3` stay texts in YAML 1.1 and 1.2."""
     from ruamel.yaml import YAML
     from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
@@ -177,7 +190,7 @@ def _quoted(names: Sequence[str]) -> str:
 
 
 def _read_back(name: str, text: str, package: str, joints: Sequence[str], rows: Sequence[_Row]) -> str:
-    """The configuration, if a parser reads from it what was written. Raises `EngineError` where it does not."""
+    """Check that a parser reads back the configuration. Raises `EngineError` if it does not."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
@@ -188,12 +201,12 @@ def _read_back(name: str, text: str, package: str, joints: Sequence[str], rows: 
     except (YAMLError, KeyError, TypeError):
         same = False
     if not same:
-        raise EngineError(f"{name}: controllers.yaml reads back as something else; give joints names of plain letters")
+        raise EngineError(f"{name}: controllers.yaml does not read back as written; use plain letters in joint names")
     return text
 
 
 _SHOWN: Final = 12
-"""Numbers of a parameter that the example shows at most."""
+"""Largest size of a parameter in the example configuration."""
 
 
 def _readme(program: Program, package: str, rate: int, rows: Sequence[_Row]) -> str:
@@ -215,55 +228,56 @@ _README: Final = """\
 # {name} for ros2_control
 
 The controller of `graph.yaml` as a chainable controller, `{package}/Controller`, sampled every {period}. It was
-compiled and run against stand-ins of ROS 2, in simulation; **it was never run in ROS 2, nor on a robot**. Set the
-maintainer in `package.xml`, build the package in a workspace with colcon, and load it by a controller manager with
-`config/controllers.yaml`. `colcon test` holds your compiler to the samples of a simulation. It is written for the
+compiled and tested with mock interfaces of ROS 2, in simulation; **it was not tested in ROS 2, nor on a robot**. Set
+the maintainer in `package.xml`, build the package in a workspace with colcon, and load it by a controller manager with
+`config/controllers.yaml`. `colcon test` compares the compiled code with samples of a simulation. It is written for the
 interfaces of ROS 2 Jazzy and later.
 
-## What goes in and out
+## Inputs and outputs
 
-| interface | is | unit |
+| interface | meaning | unit |
 |---|---|---|
 | `JOINT/position`, `JOINT/velocity` | state, of each joint | rad, rad/s |
-| `JOINT/TARGET`, where `interfaces.target` names one | state: where its servo is told to be | rad |
-| what `interfaces.scaling` names, in full | state: by how much a speed slider slows it down, 0 to 1 | 1 |
-| `JOINT/velocity` | command, of each joint, held until the next update | rad/s |
-| `NAME/pace` | reference: how fast time goes for it, 0 to 1; 1 without a controller before it | 1 |
+| `JOINT/TARGET`, if `interfaces.target` names one | state: target of its servo | rad |
+| the full name in `interfaces.scaling` | state: speed scaling, 0 to 1 | 1 |
+| `JOINT/velocity` | command of each joint, constant until the next update | rad/s |
+| `NAME/pace` | reference: rate of the controller's time, 0 to 1; 1 without a preceding controller | 1 |
 {path}
 
-NAME is what the manager calls it. Joints are those of `joints`, in the order of the graph. Where no target is told, it
-is taken as the measured start plus all that was commanded: right for a servo that integrates its commands from there,
-wrong by a constant for one that starts beside where it stands, by more for one that does not do as it is told. Where
-the tool is follows from the joints, with the lengths of the graph's own model.
+NAME is the name of the controller in the manager. Joints are those of `joints`, in the order of the graph. Without a
+target interface, the target is the measured start plus the integral of the commands. This is right for a servo that
+integrates its commands from the measured start; the error is constant for a servo that starts from another target, and
+grows for one that does not follow its commands. The tool position is computed from the joints with the lengths of the
+graph's model.
 
-The path is the graph's own, as a function of time from the first update on; its numbers are parameters. A controller
-before this one may give another: all numbers of the path, with their rates, and what they are later where the law asks
-for that; or none of them (NaN). They are those of the controller's own time. At a pace s the controller's time runs s
-times as fast, velocities are s times as large, and the path stays where it is. Raise it from 0 over a second or so: the
-first command of a path that is entered at full pace is a step.
+The default path is the graph's, as a function of time from the first update on; its numbers are parameters. A preceding
+controller may provide another path: all its numbers, with their rates, and future values if the law reads them; or none
+(NaN). They refer to the controller's time. At a pace s the controller's time runs s times as fast, velocities are s
+times as large, and the path is unchanged. Increase the pace from 0 within about a second: the first command of a path
+at full pace is a step.
 
-## What it does
+## Behaviour
 
-- It starts from what is measured at the first update after it was activated; estimates begin as in the graph.
-- An update is one sample, and must come at {rate} Hz; configuring it at another rate fails. Where updates were lost,
-  time goes on by as many periods; after more than `patience` of them it is an error.
-- A state that is not finite or cannot be read, a pace or a scaling outside of 0 to 1, and what is not finite after
-  them: zeros are commanded, the update returns ERROR, and so do those after it, until it is activated anew.
-  Deactivating it says why, and commands zeros.
-- An update asks for no memory.
+- States are initialised from the measurements of the first update after activation; estimates start as in the graph.
+- An update is one sample at {rate} Hz; configuration at another rate fails. After lost updates time advances by as many
+  periods; more than `patience` of them are an error.
+- If a state is not finite or cannot be read, a pace or a scaling is outside 0 to 1, or a result is not finite, the
+  update commands zeros and returns ERROR, as do all further updates until the next activation. Deactivation reports
+  the reason, and commands zeros.
+- An update does not allocate memory.
 
-Nothing in it limits joints, forces or the workspace, and it is not a safety function: use the limits of the manager and
-the safety configuration of the robot's maker.
+The controller does not limit joints, forces or the workspace, and is not a safety function: use the limits of the
+manager and the safety configuration of the robot's maker.
 
 ## Parameters
 
-Read when it is configured, and held to nothing but their count: what the graph says of a gain's sign or size is not
-asked for again. The robot's lengths and its gravity are those of the graph; export it anew for another robot. A matrix
-is given column by column, boxes as all least numbers and then all largest.
+They are read at configuration, and only their count is checked, not the signs and bounds of the graph's gains. The
+robot's lengths and gravity are those of the graph; export again for another robot. Matrices are column-major; boxes
+have all lower bounds first, then all upper bounds.
 
 | name | numbers | unit |
 |---|---|---|
 {rows}
 
-Written by dmframe {version}; `provenance.json` says from what.
+Written by dmframe {version}; see `provenance.json`.
 """

@@ -213,7 +213,7 @@ class Energy:
         return self._reader(self._certificate.supply, self._scalars.supply)
 
     def consumption(self) -> PrintedTerm | None:
-        """C |a|^2, which the servo level pays."""
+        """C |a|^2, the cross term of a cascade."""
         mine, theirs = self._certificate.consumes, self._scalars.consumes
         if mine is None or theirs is None:
             return None

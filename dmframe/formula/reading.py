@@ -290,7 +290,7 @@ def _as_kind(stated: Certificate, convert: Callable[[Expression], Expression]) -
         excess=terms("excess"),
         supply=convert(stated.supply),
         consumes=stated.consumes and Consumed(convert(stated.consumes.vector), convert(stated.consumes.c)),
-        pays=tuple(map(convert, stated.pays)),
+        dominates=tuple(map(convert, stated.dominates)),
         driven=terms("driven"),
         barriers=terms("barriers"),
         truth={name: convert(value) for name, value in stated.truth.items()},

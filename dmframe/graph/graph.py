@@ -17,7 +17,7 @@ from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, ValueFault, raise_all
 from dmframe.graph.arguments import listed, seconds
 from dmframe.graph.named import Named
-from dmframe.graph.progress import Bar, shown, telling
+from dmframe.graph.progress import Bar, progress_line, shown
 from dmframe.results.run import Run
 from dmframe.units import plain, to_unit
 
@@ -172,7 +172,8 @@ class Graph:
         progress
             Show a bar, or advance one that is there; by default where a terminal or a notebook shows it.
         judge
-            Look whether the loop is unstable near its set-point on its clock, and give a notice if it is.
+            Give a notice where the path leaves the tool's reach, and where the loop is unstable near its set-point on
+            its clock.
 
         Raises
         ------
@@ -186,19 +187,49 @@ class Graph:
         return Run(graph.experiment, self.warned(recording) if judge else recording)
 
     def warned(self, recording: Recording) -> Recording:
-        """A run of it, with a notice where the sampled loop is unstable near its set-point, before it may be seen."""
+        """A run of it, with `doubts`."""
+        said = self.doubts(recording)
+        return replace(recording, notices=(*recording.notices, *said)) if said else recording
+
+    def doubts(self, recording: Recording) -> tuple[str, ...]:
+        """Notices that no run shows by itself, which take half a second to decide for a UR10.
+
+        They name a path that leaves the tool's reach during the run, and a sampled loop that is unstable near its
+        set-point.
+        """
+        from dmframe.certify.reach import out_of_reach
+
+        with SYMBOLIC:
+            left = tuple(
+                f"{text}: no controller can follow it there" for text in out_of_reach(self.diagram, recording.duration)
+            )
         if self.clock is None or recording.divergence is not None or recording.duration < LONG:
-            return recording
+            return left
         from dmframe.analysis.period import TOLERANCE, sampled_radius
 
         radius = sampled_radius(recording.diagram, self.clock, self.experiment.start)
         if radius is None or radius <= 1 + TOLERANCE:
-            return recording
+            return left
         said = (
             f"with its estimates at their true values this loop is unstable near its set-point on a clock of "
             f"{plain(self.clock, 's')}, spectral radius {radius:.4g}: a longer run may diverge; `analyse` tells more"
         )
-        return replace(recording, notices=(*recording.notices, said))
+        return (*left, said)
+
+    def check_laws(self) -> tuple[str, ...]:
+        """Compare the printed laws and the docstrings of its blocks with their code, as `dmframe check` does.
+
+        Returns the equations of docstrings that cannot be read, each with file and line.
+
+        Raises
+        ------
+        DmframeError
+            A printed law or a docstring says something else than the code.
+        """
+        from dmframe.certify.laws import check_laws
+
+        with SYMBOLIC:
+            return check_laws(self.diagram)
 
     def verify(self, *, seed: int = 0) -> Verification:
         """Prove its Lyapunov derivative exactly, for all values of its gains and parameters, or say why not.
@@ -212,7 +243,7 @@ class Graph:
 
         if isinstance(seed, bool) or not isinstance(seed, int):
             raise ValueFault(f"seed: expected a whole number, found {seed!r:.40}")
-        with telling(self.name) as tell:
+        with progress_line(self.name) as tell:
             tell("proving")
             verdict = self.experiment.verify(self.diagram, seed=seed)
         return Verification(self.experiment, self.diagram, verdict, seed)
@@ -236,7 +267,7 @@ class Graph:
 
         experiment, diagram, until = self.experiment, self.diagram, seconds("horizon", horizon)
         try:
-            with telling(self.name) as tell, SYMBOLIC:
+            with progress_line(self.name) as tell, SYMBOLIC:
                 found = analyse(
                     diagram,
                     self.clock,
@@ -330,7 +361,7 @@ class Graph:
             shadow=shadow,
             rehearsed=rehearsed,
             engine=engine,
-            asked=asked,
+            stop_requested=asked,
             record=record,
         )
         return Run(self.experiment, recording)
@@ -356,7 +387,7 @@ class Graph:
         """
         from dmframe.drive import load_limits, rehearsed
 
-        with telling(self.name) as tell:
+        with progress_line(self.name) as tell:
             return rehearsed(
                 self.experiment,
                 self.diagram,
@@ -364,7 +395,7 @@ class Graph:
                 payload=None if payload is None else to_unit(payload, "kg"),
                 limits=None if limits is None else load_limits(limits, self.robot),
                 engine=engine,
-                tell=tell,
+                report=tell,
             )
 
     def replay(self, log: str | Path, *, engine: Choice = "auto") -> Replay:
@@ -413,7 +444,7 @@ class Graph:
 
         verdict, found = self.verify().verdict, None
         if periods:
-            with telling(self.name) as tell, SYMBOLIC:
+            with progress_line(self.name) as tell, SYMBOLIC:
                 found = stable_periods(self.diagram, self.clock, verdict, self.experiment.start, tell)
         page = Page(self.experiment, self.diagram, verdict, found)
         _ = page.html

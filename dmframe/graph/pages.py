@@ -21,8 +21,8 @@ from dmframe.formula.where import sizes_show, where
 from dmframe.formula.wrap import wrapped
 from dmframe.names import unicode_name
 from dmframe.parameter import PAIRS, Spec, specs
-from dmframe.port import Access, Port, Side, State
-from dmframe.simulate.told import unread
+from dmframe.port import Access, Input, Output, Side, Signal, State
+from dmframe.simulate.warnings import unread
 from dmframe.units import plain
 
 
@@ -53,7 +53,7 @@ def check_page(graph: Experiment, diagram: Diagram) -> str:
     return "\n".join(page)
 
 
-def _wire(diagram: Diagram, name: str, port: Port) -> tuple[str, str, str, str, str]:
+def _wire(diagram: Diagram, name: str, port: Signal) -> tuple[str, str, str, str, str]:
     shape = " x ".join(str(size) for size in diagram.sizes.of(port.shape)) or "1"
     source = diagram.sources[name, port.name]
     return f"{name}.{port.name}", "<-", source_text(source, name), shape, port.unit or "-"
@@ -186,12 +186,14 @@ def _said(state: State) -> str:
     return ", ".join(said + ["optional"] * (state.optional and not sets))
 
 
-def _port(port: Port) -> tuple[str, ...]:
-    said = [] if port.access is Access.INTERNAL else [port.access.value]
+def _port(port: Signal) -> tuple[str, ...]:
+    said = [port.access.value] if isinstance(port, Output) and port.access is not Access.INTERNAL else []
     said += [f"derivative of {port.derivative_of}"] * bool(port.derivative_of) + ["optional"] * port.optional
-    said += [f"stands in for {port.instead_of}"] * bool(port.instead_of) + ["a run tells of it"] * bool(port.told)
-    said += [f"drawn anew at each sample, {port.drawn}"] * bool(port.drawn)
-    said += [f"{port.ahead_of}, {_samples(port.ahead)} later"] * bool(port.ahead_of)
+    if isinstance(port, Output):
+        said += [f"replaces {port.instead_of}"] * bool(port.instead_of) + ["a notice if not 0"] * bool(port.notice)
+    if isinstance(port, Input):
+        said += [f"drawn at each sample, {port.drawn}"] * bool(port.drawn)
+        said += [f"{port.ahead_of}, {_samples(port.ahead)} later"] * bool(port.ahead_of)
     return port.name, unicode_name(port.name), f"({port.shape})", port.unit or "-", ", ".join(said)
 
 

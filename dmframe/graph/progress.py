@@ -6,15 +6,14 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, final
-
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.text import Text
+from typing import TYPE_CHECKING, Any, final
 
 from dmframe.simulate.march import Progress as Bar
 
-__all__ = ["Bar", "Bars", "counting", "shown", "telling"]
+if TYPE_CHECKING:  # where nobody sees standard error, rich is not imported
+    from rich.console import Console
+
+__all__ = ["Bar", "Bars", "counting", "progress_line", "shown"]
 
 
 def _aside() -> Console:
@@ -22,6 +21,8 @@ def _aside() -> Console:
 
     Where rich takes a text without its console (`TextColumn`, a status), it must be told once more.
     """
+    from rich.console import Console
+
     return Console(stderr=True, markup=False, emoji=False, highlight=False)
 
 
@@ -38,6 +39,11 @@ class Bars:
     """
 
     def __init__(self, *, quiet: bool | None = None, transient: bool = False) -> None:
+        self._bars: Any = None
+        if quiet or (quiet is None and not sys.stderr.isatty()):
+            return
+        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
         self._bars = Progress(
             TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=30),
@@ -45,19 +51,22 @@ class Bars:
             TextColumn("{task.fields[speed]}"),
             TimeRemainingColumn(),
             console=_aside(),
-            disable=not sys.stderr.isatty() if quiet is None else quiet,
             transient=transient,
         )
 
     def __enter__(self) -> Bars:
-        self._bars.start()
+        if self._bars is not None:
+            self._bars.start()
         return self
 
     def __exit__(self, *_: Any) -> None:
-        self._bars.stop()
+        if self._bars is not None:
+            self._bars.stop()
 
     def of(self, name: str, total: float) -> Bar:
         """A new bar for a run of `total` seconds; what it returns is called with the simulated time."""
+        if self._bars is None:
+            return lambda _: None
         task = self._bars.add_task(name, total=total, speed="")
 
         def done(time: float) -> None:
@@ -80,11 +89,13 @@ def shown(progress: bool | Bar | None, name: str, total: float) -> Iterator[Bar 
 
 
 @contextmanager
-def telling(name: str, *, quiet: bool = False) -> Iterator[Callable[[str], None]]:
+def progress_line(name: str, *, quiet: bool = False) -> Iterator[Callable[[str], None]]:
     """Say what is done, in one line that comes and goes; where nobody sees standard error, nothing."""
     if quiet or not sys.stderr.isatty():
         yield lambda _: None
         return
+    from rich.text import Text
+
     console = _aside()
     with console.status(Text(name)) as status:
         yield lambda text: status.update(Text(f"{name}: {text}"))
@@ -96,6 +107,8 @@ def counting(name: str, total: int, noun: str, *, quiet: bool | None = None) -> 
 
     What it yields is called with how many are done, and a word beside the bar. `quiet` is as `Bars` has it.
     """
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
     bars = Progress(
         TextColumn("{task.description}", markup=False),
         BarColumn(bar_width=30),

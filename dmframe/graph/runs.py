@@ -1,4 +1,4 @@
-"""Several runs beside one another: of graphs that are compared, or of one graph whose values are swept."""
+"""Comparison of runs: several graphs, or one graph with several values."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final, overload
 
 from dmframe import notebook
+from dmframe.batch.runner import numbers_between
 from dmframe.config import Experiment
-from dmframe.diagram.values import changed_numbers
 from dmframe.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault, raise_all
-from dmframe.files import told_apart
+from dmframe.files import made_distinct
 from dmframe.graph.arguments import seconds
 from dmframe.graph.graph import Graph
 from dmframe.graph.load import load
@@ -32,34 +32,34 @@ if TYPE_CHECKING:
 @final
 @dataclass(frozen=True, repr=False, eq=False)
 class Runs(Sequence[Run]):
-    """Runs in an order, each under a label of its own.
+    """Runs in an order, each with a unique label.
 
-    ``runs["ur10_fast"]`` and ``runs[0]`` are a run; ``runs.table`` is a table of pandas'.
+    ``runs["ur10_fast"]`` and ``runs[0]`` are a run; ``runs.table`` is a pandas table.
     """
 
     runs: tuple[Run, ...]
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """What tables and legends call them."""
+        """Names of the runs in tables and legends."""
         return tuple(run.name for run in self.runs)
 
     @property
     def table(self) -> pandas.DataFrame:
-        """A row a run: what was set, clock and duration [s], did it diverge; the error's RMS in each eighth, and that
-        of a tool's turn [deg].
+        """A row per run: values that were set, clock and duration [s], divergence, and RMS of the error and of the
+        tool's turn [deg] in each eighth.
         """
         import pandas
 
         rows = list[dict[str, Any]]()
         for run in self.runs:
-            told, error = run.summary, run.error
+            summary, error = run.summary, run.error
             turned = run.turn.rms_by_eighth if run.turn is not None else ()
             eighths = error.rms_by_eighth if error is not None else ()
-            clock = None if told["clock"] == "continuous" else told["clock"]
+            clock = None if summary["clock"] == "continuous" else summary["clock"]
             rows.append(
-                {"run": run.name, **_set_in(run), "clock": clock, "duration": told["duration"]}
-                | {"diverged": told["diverged"], "wall_time": told["wall_time"]}
+                {"run": run.name, **_set_in(run), "clock": clock, "duration": summary["duration"]}
+                | {"diverged": summary["diverged"], "wall_time": summary["wall_time"]}
                 | {"error": error.signal if error else None, "unit": error.unit if error else None}
                 | {f"rms_{k}": value for k, value in enumerate(eighths, start=1)}
                 | {f"turn_{k}": value for k, value in enumerate(turned, start=1)}
@@ -73,7 +73,7 @@ class Runs(Sequence[Run]):
     def save(
         self, folder: str | Path, *, plots: bool = True, formats: Sequence[str] = FORMATS[:1], force: bool = False
     ) -> Path:
-        """Write each to a folder of its own below `folder`, and the figures beside them. See `Run.save`."""
+        """Write each run to its own folder below `folder`, and the figures into `folder`. See `Run.save`."""
         return saved(self.runs, folder, plots=plots, formats=formats, force=force)
 
     @overload
@@ -108,10 +108,10 @@ class Runs(Sequence[Run]):
     def _repr_html_(self) -> str:
         from dmframe.results.figures import error_picture
 
-        told = [f"{run.name}: {text}" for run in self.runs for text in (*run.notices, *ended(run))]
+        notices = [f"{run.name}: {text}" for run in self.runs for text in (*run.notices, *ended(run))]
         return (
             notebook.table(map(row, self.runs), HEADS)
-            + notebook.paragraphs([NOTE, *told])
+            + notebook.paragraphs([NOTE, *notices])
             + error_picture({run.name: run for run in self.runs})
         )
 
@@ -123,10 +123,10 @@ def compare(
     engine: Choice = "auto",
     progress: bool | None = None,
 ) -> Runs:
-    """Runs beside one another; what is no `Run` yet is loaded and run.
+    """Runs to compare; graphs are loaded and run.
 
-    Two of one name are told apart by the values that were set, ``ur10_fast Gamma=1``. Graphs that differ by numbers of
-    blocks alone, as `Graph.variants` makes them, are built and compiled once, and run on all cores at the same time.
+    Runs of one name are distinguished by the values that were set, ``ur10_fast Gamma=1``. Graphs that differ in numbers
+    of blocks alone, as from `Graph.variants`, are built and compiled once, and run on all cores.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def compare(
     Raises
     ------
     DmframeError
-        Faults of every graph, before the first runs.
+        Faults of all graphs, before any of them runs.
     """
     if isinstance(items, Run | Graph | str | Path | Mapping):  # one alone
         items = [items]
@@ -146,8 +146,8 @@ def compare(
     for item in found:
         if until is not None and isinstance(item, Run) and item.recording.duration != seconds("until", until):
             raise ValueFault(
-                f"compare: {item.name} has run for {plain(item.recording.duration, 's')} already, not {until}; "
-                "give its graph, to run it again"
+                f"compare: {item.name} is a run of {plain(item.recording.duration, 's')}, not {until}; "
+                "pass its graph to run it again"
             )
     graphs = [item if until is None else item.until(until) for item in found if isinstance(item, Graph)]
     if len(graphs) == len(found) > 1 and (runs := ran_together(graphs, engine)) is not None:
@@ -166,44 +166,44 @@ def compare(
 
 
 def ran_together(graphs: Sequence[Graph], engine: Choice) -> list[Run] | None:
-    """Runs of graphs that differ by symbols of blocks alone, in one build; None where they differ by more."""
-    base = graphs[0]
-    changes = [_numbers_between(base.experiment, graph.experiment) for graph in graphs]
-    numbers = [change for change in changes if change is not None]
+    """Runs of graphs that share one closed loop and its settings, in one build; None if they differ in more."""
+    base = graphs[0].experiment
+    found = [
+        numbers_between(base, graph.experiment) if _same_settings(base, graph.experiment) else None for graph in graphs
+    ]
+    numbers = [each for each in found if each is not None]
     if len(numbers) < len(graphs):
         return None
-    found = simulate_many(base.diagram, numbers, base.duration, engine=engine, **base.experiment.settings)
-    if any(isinstance(fault, NeedsDiagramError) for fault in found):
+    runs = simulate_many(graphs[0].diagram, numbers, graphs[0].duration, engine=engine, **base.settings)
+    if any(isinstance(fault, NeedsDiagramError) for fault in runs):
         return None
-    raise_all([fault for fault in found if isinstance(fault, DmframeError)][:1])
+    raise_all([fault for fault in runs if isinstance(fault, DmframeError)][:1])
     return [
         Run(graph.experiment, graph.warned(recording))
-        for graph, recording in zip(graphs, found, strict=True)
+        for graph, recording in zip(graphs, runs, strict=True)
         if isinstance(recording, Recording)
     ]
 
 
-def _numbers_between(base: Experiment, other: Experiment) -> dict[str, Any] | None:
-    """Parameters of blocks, by label, in which two experiments differ; None where they differ in anything else."""
-    if base.file.model_copy(update={"blocks": {}}) != other.file.model_copy(update={"blocks": {}}):
-        return None
-    return changed_numbers(base.blocks, other.blocks)
+def _same_settings(base: Experiment, other: Experiment) -> bool:
+    """The files differ in their blocks alone."""
+    return base.file.model_copy(update={"blocks": {}}) == other.file.model_copy(update={"blocks": {}})
 
 
 def labelled(runs: Sequence[Run]) -> Runs:
-    """Each under a label of its own: the graph's name, with what was set where several bear one name."""
+    """Runs with unique labels: the graph's name, and the values that were set if several have one name."""
     labels = labels_of([(run.name, run.experiment) for run in runs])
     return Runs(tuple(Run(run.experiment, run.recording, label) for run, label in zip(runs, labels, strict=True)))
 
 
 def labels_of(items: Sequence[tuple[str, Experiment]]) -> list[str]:
-    """Names, made distinct by what was set in their graphs, or by a number."""
+    """Names, made distinct by the values set in their graphs, or by a number."""
     labels = list[str]()
     for name, experiment in items:
         alike = [set(other.overrides) for called, other in items if called == name]
         own = [text for text in experiment.overrides if not all(text in others for others in alike)]
         labels.append(f"{name} {', '.join(map(_short, own))}".strip())
-    return told_apart(labels, lambda label, count: f"{label} {count}")
+    return made_distinct(labels, lambda label, count: f"{label} {count}")
 
 
 def _short(override: str) -> str:
@@ -213,7 +213,7 @@ def _short(override: str) -> str:
 
 
 def _set_in(run: Run) -> dict[str, Any]:
-    """What was set in a run's graph, by label."""
+    """Values that were set in a run's graph, by label."""
     found = dict[str, Any]()
     for text in run.experiment.overrides:
         label, _, value = text.partition("=")

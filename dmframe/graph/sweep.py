@@ -1,4 +1,4 @@
-"""One graph with many values, and of each run its figures."""
+"""Parameter sweep: figures of merit of one graph run with many values."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 import numpy as np
 
-from dmframe.batch import Batch, Measured, Wanted
-from dmframe.batch.figures import ERROR, TURN, Board
-from dmframe.errors import DmframeError, NeedsDiagramError, ValueFault, raise_all
+from dmframe.batch import Measured, Runner, Runs, Wanted
+from dmframe.batch.columns import FIGURES, PREFIX, error_figures, limits_in, units_of
+from dmframe.batch.figures import ERROR, TURN, merged
+from dmframe.errors import DmframeError, ValueFault, raise_all
 from dmframe.graph.arguments import listed
 from dmframe.graph.graph import Graph
 from dmframe.graph.load import load
 from dmframe.parameter import Spec, specs
-from dmframe.results.metrics import EIGHTHS, TurnError, goal_of
-from dmframe.simulate.keep import apart_of
+from dmframe.results.metrics import EIGHTHS
 from dmframe.units import shorten, to_unit
 
 if TYPE_CHECKING:
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 Design = Literal["grid", "list"]
 
 MOST_FAULTS: Final = 10
-"""Of runs that cannot be made, so many are told."""
+"""Faults of single runs that one error lists."""
 
 MOST_RUNS: Final = 10**7
-"""Whose figures one process holds."""
+"""Runs whose figures fit into one process."""
 
 RUN: Final = "run"
 """The dimension of a list of runs."""
@@ -50,42 +50,42 @@ def sweep(
 ) -> xarray.Dataset:
     """Figures of one graph run with many values, ``dm.sweep("ur10_fast", {"dynamics.Gamma": [1, 10, 100]})``.
 
-    Where no more than numbers of blocks change, runs are computed several at a time in vector registers, on all cores:
-    tens of thousands of times real time on each. `compare` keeps whole runs instead, for figures over time.
+    If only numbers of blocks change, several runs are computed at a time in vector registers, on all cores: tens of
+    thousands of times faster than real time on each. `compare` keeps whole runs instead, for figures over time.
 
     Parameters
     ----------
     values
         By ``block.parameter`` or a key of the graph file, the values to try; see `Graph.set`.
     until
-        Simulated time, ``2``, ``"2 s"``; the graph's duration without it.
+        Simulated time, ``2``, ``"2 s"``; the graph's duration by default.
     design
-        ``grid``: every combination, a dimension for each name. ``list``: as many values of each, which go together;
-        the dimension is called ``run``.
+        ``grid``: every combination, with a dimension per name. ``list``: the same number of values of each, combined
+        element by element; the dimension is called ``run``.
     signals
-        Labels ``block.signal`` of which the least, the largest, the last value and the RMS over the last eighth are
-        kept, beside the tracking error.
+        Labels ``block.signal`` whose least, largest and last value and RMS over the last eighth are kept, in addition
+        to the tracking error.
     limits
-        By label, or ``error`` or ``turn``: when the absolute value first left it, a number in the signal's unit or a
-        text with one.
+        By label, or ``error`` or ``turn``: an absolute value, as a number in the signal's unit or a text with one; the
+        time at which it is first exceeded is kept.
     engine
         See `Graph.run`.
 
     Returns
     -------
     xarray.Dataset
-        Figures by the names that a study's table has: ``rms_1`` to ``rms_8``, ``rms_final`` and ``error_most`` of the
-        tracking error's norm; of a tool's turn from its orientation, in degrees, ``turn_1`` to ``turn_8``,
-        ``turn_final`` and ``turn_most``; ``diverged``, ``diverged_at`` [s], ``<signal>.least``, ``.most``, ``.last``,
-        ``.rms_final``, ``.crossed`` [s], and ``error_crossed``, ``turn_crossed``; nan where a run never came. The
-        extremes of a run that diverged are those until then: look at ``diverged`` first. Units are attributes. The
-        names of before, such as ``rms_by_eighth``, ``turn_rms_final`` and ``<signal>_most``, hold the same numbers, and
-        say by the attribute ``instead`` what to write in their place.
+        Figures with the names of a study's columns: ``rms_1`` to ``rms_8``, ``rms_final`` and ``error_most`` of the
+        tracking error's norm; ``turn_1`` to ``turn_8``, ``turn_final`` and ``turn_most`` of the tool's orientation
+        error, in degrees; ``diverged``, ``diverged_at`` [s], ``<signal>.least``, ``.most``, ``.last``, ``.rms_final``,
+        ``.crossed`` [s], and ``error_crossed``, ``turn_crossed``; nan after a divergence. The extremes of a run that
+        diverged are those until then: check ``diverged`` first. Units are attributes. Deprecated names, such as
+        ``rms_by_eighth``, ``turn_rms_final`` and ``<signal>_most``, hold the same numbers; their attribute ``instead``
+        is the name to use.
 
     Raises
     ------
     DmframeError
-        Faults of any of the values, and of the first run that cannot be made.
+        Faults of any of the values, and of the first runs that cannot be prepared.
     """
     if design not in get_args(Design):
         raise ValueFault(f"design: expected {' or '.join(get_args(Design))}, found {design!r}")
@@ -93,27 +93,23 @@ def sweep(
     base = base if until is None else base.until(until)
     lengths = {label: len(several) for label, several in tried.items()}
     if design == "list" and len(set(lengths.values())) > 1:
-        told = ", ".join(f"{label} {length}" for label, length in lengths.items())
-        raise ValueFault(f"values: expected as many of each in a list, found {told}")
-    _apart(tried)
+        counts = ", ".join(f"{label} {length}" for label, length in lengths.items())
+        raise ValueFault(f"values: expected lists of one length, found {counts}")
+    _check_distinct(tried)
     wanted = _wanted(base, signals, limits)
     shape = tuple(lengths.values()) if design == "grid" else (max(lengths.values(), default=1),)
     if (runs := math.prod(shape)) > MOST_RUNS:
-        raise ValueFault(f"values: expected at most {MOST_RUNS} runs, found {runs}; take fewer, or a study")
+        raise ValueFault(f"values: expected at most {MOST_RUNS} runs, found {runs}; take fewer, or run a study")
     indices = np.indices(shape).reshape(len(shape), runs)
     places = dict(zip(tried, indices if design == "grid" else [indices[0]] * len(tried), strict=True))
-    numbers = {label: column for label in tried if (column := _column(base, label, tried[label])) is not None}
-    try:
-        found = _measured(base, tried, places, numbers, wanted, engine)
-    except NeedsDiagramError:
-        found = _measured(base, tried, places, {}, wanted, engine)
+    found = _measured(base, tried, places, wanted, engine)
     raise_all(list(found.faults.values())[:MOST_FAULTS])
     names = list(tried) if design == "grid" else [RUN]
     return _dataset(base, found, names, shape, {label: _axis(base, label, several) for label, several in tried.items()})
 
 
-def _apart(labels: Iterable[str]) -> None:
-    """Raise `ValueFault` where one parameter stands under two names: one of them would win unseen."""
+def _check_distinct(labels: Iterable[str]) -> None:
+    """Raise `ValueFault` if one parameter has two names: one list would silently replace the other."""
     found = dict[str, str]()
     for label in labels:
         name = label.strip().removeprefix("blocks.")
@@ -123,7 +119,7 @@ def _apart(labels: Iterable[str]) -> None:
 
 
 def _wanted(base: Graph, signals: Sequence[str], limits: Mapping[str, float | str] | None) -> Wanted:
-    """What is measured, limits as numbers. Names that there are not are told by `Batch.of`."""
+    """What to measure, with limits as numbers. `Batch.of` refuses unknown names."""
     labels = [signals] if isinstance(signals, str) else signals
     labels = list(labels) if isinstance(labels, Iterable) else [labels]
     for label in labels:
@@ -131,30 +127,16 @@ def _wanted(base: Graph, signals: Sequence[str], limits: Mapping[str, float | st
             raise ValueFault(f'signals: expected names such as ["servo.u"], found {shorten(repr(label), 30)}')
     if not isinstance(limits, Mapping | None):
         raise ValueFault(f'limits: expected numbers by name, {{"error": 0.01}}, found {shorten(repr(limits), 30)}')
-    loop, found, faults = base.diagram.loop, dict[str, float](), list[DmframeError]()
-    units = {signal.label: signal.unit for signal in loop.outputs}
-    units |= {variable.label: variable.unit for variable in loop.variables}
-    goal = goal_of(loop)
-    units |= {} if goal is None else {ERROR: units[goal.actual]}
-    units |= {} if apart_of(loop) is None else {TURN: TurnError.unit}
-    for label, value in (limits or {}).items():
-        number = value.item() if isinstance(value, np.generic) else value
-        try:
-            found[label] = to_unit(number, units.get(label, ""))
-        except DmframeError as error:
-            if label in units:
-                faults.append(type(error)(f"limits.{label}: {error.text}"))
-            else:
-                found[label] = np.inf
-            continue
-        if found[label] < 0:
-            faults.append(ValueFault(f"limits.{label}: expected a number of at least 0, found {found[label]:g}"))
+    found, faults = limits_in(units_of(base.diagram), limits or {}, "limits")
+    for label, limit in found.items():
+        if limit < 0:
+            faults.append(ValueFault(f"limits.{label}: expected a number of at least 0, found {limit:g}"))
     raise_all(faults)
-    return Wanted(tuple(labels), found)
+    return Wanted(tuple(labels), {**dict.fromkeys(limits or {}, np.inf), **found})
 
 
 def _column(base: Graph, label: str, several: Sequence[Any]) -> np.ndarray | None:
-    """Values of a block's parameter as numbers, a row each; None for anything else."""
+    """Values of a block's parameter as numbers, a row each; None for other values."""
     spec = _spec(base, label)
     if spec is None or getattr(base.experiment.blocks[label.partition(".")[0]], label.partition(".")[2]) is None:
         return None
@@ -177,37 +159,33 @@ def _measured(
     base: Graph,
     tried: Mapping[str, Sequence[Any]],
     places: Mapping[str, np.ndarray],
-    numbers: Mapping[str, np.ndarray],
     wanted: Wanted,
     engine: Choice,
 ) -> Measured:
-    """All runs: together those whose graphs differ by numbers alone."""
-    shaping = [label for label in tried if label not in numbers]
+    """All runs: values that are numbers of blocks as columns, other values as graphs of their own."""
+    columns = {label: column for label in tried if (column := _column(base, label, tried[label])) is not None}
+    others = [label for label in tried if label not in columns]
     runs = next((place.size for place in places.values()), 1)
     members = defaultdict[tuple[int, ...], list[int]](list)
     for run in range(runs):
-        members[tuple(int(places[label][run]) for label in shaping)].append(run)
-    graphs, faults = dict[tuple[int, ...], Graph](), list[DmframeError]()
-    for chosen in members:
+        members[tuple(int(places[label][run]) for label in others)].append(run)
+    several, faults, runner = list[Runs](), list[DmframeError](), Runner()
+    runner.own_loop(base.experiment, base.diagram)
+    for chosen, some in members.items():
         try:
-            values = {label: tried[label][place] for label, place in zip(shaping, chosen, strict=True)}
-            graphs[chosen] = base.set(values) if values else base
+            values = {label: tried[label][place] for label, place in zip(others, chosen, strict=True)}
+            graph = base.set(values) if values else base
+            rows = {label: column[places[label][some]] for label, column in columns.items()}
+            several.append(Runs(graph.experiment, rows, len(some)))
         except DmframeError as error:
             faults += error.faults
     raise_all(faults)
-    board: Board | None = None
-    for chosen, graph in graphs.items():
-        mine = np.array(members[chosen])
-        batch = Batch.of(graph.diagram, graph.duration, wanted=wanted, engine=engine, **graph.experiment.settings)
-        found = batch.measure({label: column[places[label][mine]] for label, column in numbers.items()})
-        board = board or Board.like(found, runs)
-        board.put(mine, found)
-    assert board is not None  # there is a run, and so a graph
-    return board.measured()
+    found = runner.measure(several, lambda _: wanted, engine=engine)
+    return merged([(np.array(some), part) for some, part in zip(members.values(), found, strict=True)], runs)
 
 
 def _axis(base: Graph, label: str, several: Sequence[Any]) -> tuple[list[Any], str]:
-    """Values as coordinates, numbers where they are, else texts; and their unit."""
+    """Values as coordinates, as numbers if possible, else as texts; and their unit."""
     column, spec = _column(base, label, several), _spec(base, label)
     if column is not None and column.ndim == 1:
         return column.tolist(), spec.unit if spec else ""
@@ -230,35 +208,29 @@ def _dataset(
         )
 
     data = {"diverged": labelled(np.isfinite(found.diverged), ""), "diverged_at": labelled(found.diverged, "s")}
-    before = dict[str, tuple[str, xarray.Variable]]()  # names of versions before, with what to write instead
+    deprecated = dict[str, tuple[str, xarray.Variable]]()  # old names, with the name to use instead
     for label, figures in found.signals.items():
-        rows = [] if label in (ERROR, TURN) else [f"{label}_row"]
-        parts = {"least": figures.least, "most": figures.most, "last": figures.last, "rms_final": figures.rms_final}
-        if label in (ERROR, TURN):
-            rms, of = figures.rms_by_eighth[:, 0], "rms" if label == ERROR else label
-            data |= {f"{of}_{k + 1}": labelled(rms[:, k], figures.unit) for k in range(EIGHTHS)}
-            data[f"{of}_final"] = labelled(rms[:, -1], figures.unit)
-            data[f"{label}_most"] = labelled(figures.most[:, 0], figures.unit)
-            older = "rms" if label == ERROR else f"{label}_rms"
-            before[f"{older}_by_eighth"] = f"{of}_1", labelled(rms, figures.unit, "eighth")
+        if label in PREFIX:
+            parts = error_figures(label, figures)
+            if not np.isfinite(figures.crossed).any():
+                del parts[f"{label}_crossed"]
+            data |= {name: labelled(values, unit) for name, (values, unit) in parts.items()}
+            of, older = PREFIX[label], "rms" if label == ERROR else f"{label}_rms"
+            deprecated[f"{older}_by_eighth"] = f"{of}_1", labelled(figures.rms_by_eighth[:, 0], figures.unit, "eighth")
             if label == TURN:
-                before[f"{older}_final"] = f"{of}_final", data[f"{of}_final"]
-        else:
-            found_here = {f"{label}.{name}": labelled(part, figures.unit, *rows) for name, part in parts.items()}
-            data |= found_here
-            before |= {f"{label}_{name.removeprefix(f'{label}.')}": (name, item) for name, item in found_here.items()}
-        crossed = figures.crossed[:, 0] if not rows else figures.crossed
-        if np.isfinite(crossed).any():
-            data[f"{label}.crossed" if rows else f"{label}_crossed"] = labelled(crossed, "s", *rows)
-            if rows:
-                before[f"{label}_crossed"] = f"{label}.crossed", data[f"{label}.crossed"]
-    for name, (instead, item) in before.items():
+                deprecated[f"{older}_final"] = f"{of}_final", data[f"{of}_final"]
+            continue
+        for name in (*FIGURES, *(["crossed"] if np.isfinite(figures.crossed).any() else [])):
+            unit = "s" if name == "crossed" else figures.unit
+            data[f"{label}.{name}"] = labelled(getattr(figures, name), unit, f"{label}_row")
+            deprecated[f"{label}_{name}"] = f"{label}.{name}", data[f"{label}.{name}"]
+    for name, (instead, item) in deprecated.items():
         data[name] = xarray.Variable(item.dims, item.data, {**item.attrs, "instead": instead})
     coordinates = {
         label: xarray.Variable([label if label in names else RUN], values, {"units": unit} if unit else {})
         for label, (values, unit) in axes.items()
     }
-    told: dict[str, Any] = {"graph": base.name, "engine": found.engine, "notices": "; ".join(found.notices)}
+    about: dict[str, Any] = {"graph": base.name, "engine": found.engine, "notices": "; ".join(found.notices)}
     if "duration" not in axes:
-        told |= {"duration": base.duration}
-    return xarray.Dataset(data, coordinates | {"eighth": np.arange(1, EIGHTHS + 1)}, told)
+        about["duration"] = base.duration
+    return xarray.Dataset(data, coordinates | {"eighth": np.arange(1, EIGHTHS + 1)}, about)

@@ -1,4 +1,4 @@
-"""The lessons of the course: found, made into notebooks, and printed for a terminal."""
+"""Lessons of the course: reader, notebooks, and text for a terminal."""
 
 from dmframe.lessons.lesson import Lesson, lessons
 from dmframe.lessons.notebook import notebook

@@ -1,4 +1,4 @@
-"""A lesson: a page of MyST Markdown with cells of Python, ``NN_short_name.md``, whose header says what it asks."""
+"""Lessons: pages of MyST Markdown with Python cells, ``NN_short_name.md``, whose header has the lesson's question."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ruamel.yaml.error import YAMLError
 from dmframe.errors import ValueFault
 
 HOMES: Final = (Path(__file__).with_name("course"), Path(__file__).parents[2] / "docs" / "course")
-"""Folders of lessons: that of an installed package, that of a checkout. The first that is there counts."""
+"""Folders of lessons, of an installed package and of a checkout; the first existing one is used."""
 _FILE: Final = re.compile(r"(\d\d)_(\w+)\.md")
 _HEADER: Final = re.compile(r"\A---\n(.*?)\n---\n", re.DOTALL)
 _FENCE: Final = re.compile(
@@ -27,18 +27,18 @@ _OPTION: Final = re.compile(r":([\w-]+):[ ]*([^\n]*)\n")
 @final
 @dataclass(frozen=True)
 class Piece:
-    """A stretch of a lesson.
+    """A piece of a lesson.
 
     Parameters
     ----------
     kind
         ``prose``, ``cell`` (Python), ``live`` (a graph's live page), or ``code`` (a fence of any other kind).
     text
-        Of a live page, the graph itself where the lesson writes it out.
+        Text of the piece; for a live page, the graph, if it is in the lesson.
     argument
-        Of a live page, the graph's name.
+        Name of a live page's graph.
     options
-        By name; the tags of a cell stand here.
+        Options by name, such as the tags of a cell.
     """
 
     kind: str
@@ -55,7 +55,7 @@ class Piece:
 @final
 @dataclass(frozen=True)
 class Lesson:
-    """One lesson; `question` is what it asks, and `minutes` how long it takes."""
+    """One lesson, with its question, and its duration in minutes."""
 
     number: int
     name: str
@@ -66,17 +66,17 @@ class Lesson:
 
     @property
     def body(self) -> str:
-        """Its page without the header."""
+        """Page without the header."""
         return _HEADER.sub("", self.path.read_text(encoding="utf-8"))
 
     @property
     def pieces(self) -> tuple[Piece, ...]:
-        """Its text, cells and live pages, in order; what a test alone runs, tagged ``remove-cell``, is left out."""
+        """Text, cells and live pages, in order, without the cells for tests, tagged ``remove-cell``."""
         return tuple(piece for piece in _pieces(self.body) if "remove-cell" not in piece.tags)
 
 
 def lessons(folder: Path | None = None) -> dict[int, Lesson]:
-    """The lessons by number; none where no course is installed. Raises `ValueFault` for one without its header."""
+    """Lessons by number; none if no course is installed. Raises `ValueFault` for a lesson without a header."""
     home = folder or next((home for home in HOMES if home.is_dir()), None)
     found = dict[int, Lesson]()
     for path in sorted(home.glob("*.md")) if home is not None else ():
@@ -88,9 +88,9 @@ def lessons(folder: Path | None = None) -> dict[int, Lesson]:
 def _lesson(path: Path, number: int, name: str) -> Lesson:
     text = path.read_text(encoding="utf-8")
     header, title = _HEADER.match(text), re.search(r"^# (.+)$", text, re.MULTILINE)
-    said = _read(header[1]) if header is not None else {}
+    data = _read(header[1]) if header is not None else {}
     try:
-        question, minutes = str(said["lesson"]["question"]), int(said["lesson"]["minutes"])
+        question, minutes = str(data["lesson"]["question"]), int(data["lesson"]["minutes"])
     except (KeyError, TypeError, ValueError):
         raise ValueFault(f"{path.name}: expected a header with lesson: {{question: ..., minutes: ...}}") from None
     if title is None:
@@ -100,10 +100,10 @@ def _lesson(path: Path, number: int, name: str) -> Lesson:
 
 def _read(header: str) -> dict[str, Any]:
     try:
-        said = YAML(typ="safe").load(header)
+        data = YAML(typ="safe").load(header)
     except YAMLError:
         return {}
-    return said if isinstance(said, dict) else {}
+    return data if isinstance(data, dict) else {}
 
 
 def _pieces(body: str) -> Iterator[Piece]:
@@ -124,7 +124,7 @@ def _prose(text: str) -> Iterator[Piece]:
 
 
 def _options(text: str) -> tuple[tuple[tuple[str, str], ...], str]:
-    """The options at the beginning of a directive, and the rest."""
+    """Options at the beginning of a directive, and the rest."""
     found = list[tuple[str, str]]()
     while option := _OPTION.match(text):
         found.append((option[1], option[2].strip()))

@@ -1,4 +1,4 @@
-"""A lesson as a notebook without outputs: its text, its cells, and for each live page the line that shows it."""
+"""A lesson as a notebook without outputs: text, cells, and a line of Python for each live page."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any, Final
 from dmframe.lessons.lesson import Lesson, Piece
 
 LINK: Final = re.compile(r"(?<!!)\[([^\]]*)\]\(([^)\s]+)\)")
-"""``[text](target)``, but for a picture."""
+"""``[text](target)``, except for a picture."""
 
 
 def notebook(lesson: Lesson) -> str:
-    """The JSON of the notebook, format 4.5; a solution is folded until a student opens it."""
+    """JSON of the notebook, format 4.5; solutions are folded."""
     cells = [_cell(piece) for piece in lesson.pieces]
     for place, cell in enumerate(cells):
         cell["id"] = f"cell-{place}"
@@ -50,7 +50,7 @@ def _made(kind: str, text: str, metadata: dict[str, Any]) -> dict[str, Any]:
 
 
 def shown(piece: Piece) -> str:
-    """The Python that shows a live page: of a packaged graph, or of one that the lesson writes out."""
+    """Python that shows a live page of a packaged graph, or of one in the lesson."""
     values = dict[str, str]()
     for word in shlex.split(dict(piece.options).get("set", "")):
         key, _, value = word.partition("=")
@@ -60,5 +60,5 @@ def shown(piece: Piece) -> str:
 
 
 def unlinked(text: str) -> str:
-    """Links to other pages as plain text: they lead nowhere in a file that stands alone."""
+    """Replace links to other pages, which a stand-alone file does not have, by their text."""
     return LINK.sub(lambda link: link[0] if "://" in link[2] else link[1], text)

@@ -1,4 +1,4 @@
-"""A lesson as plain text for a terminal: formulas in Unicode, cells indented, its solution left in the notebook."""
+"""A lesson as plain text for a terminal: formulas in Unicode, cells indented, without solutions."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ _SIGNS: Final = {word: f"{word} " for word in _WORDS} | dict(
         "ell:ℓ"
     ).split()
 )
-"""LaTeX words that a lesson uses beside those of a law."""
+"""LaTeX commands of lessons, in addition to those of laws."""
 _FIRST: Final = 0xE000
-"""Letters that stand for nothing, and hold the place of words while a formula is read."""
+"""First of the private-use letters that temporarily replace words in a formula."""
 
 
 def readable(lesson: Lesson, wide: int) -> str:
-    """The lesson in lines of at most so many places; code and long formulas keep their own lines."""
+    """The lesson in lines of at most `wide` characters; code and long formulas keep their lines."""
     parts = [part for piece in lesson.pieces for part in _parts(piece, wide)]
     return "\n\n".join(parts) + "\n"
 
@@ -60,18 +60,18 @@ def _parts(piece: Piece, wide: int) -> Iterator[str]:
 
 
 def _displayed(formula: str) -> str:
-    """A displayed formula, each of its lines on one of its own."""
+    """A displayed formula, line by line."""
     lines = [unicode_formula(line) for line in formula.split(r"\\")]
     return "\n".join(f"{_DEEP}{line}" for line in lines if line)
 
 
 def unicode_formula(text: str) -> str:
-    """A formula of a lesson in Unicode, as near as a line of text comes."""
-    held = list[str]()
+    """Approximation of a formula in one line of Unicode."""
+    kept = list[str]()
 
     def hold(words: str) -> str:
-        held.append(words)
-        return chr(_FIRST + len(held) - 1)
+        kept.append(words)
+        return chr(_FIRST + len(kept) - 1)
 
     text = re.sub(r"\\tag\{(\w+)\}", r"\\qquad (\1)", " ".join(text.split()))
     text = re.sub(r"\\(?:underbrace)\{(.*?)\}_\{.*?\}(?=[^}]|$)", r"\1", text)
@@ -83,19 +83,19 @@ def unicode_formula(text: str) -> str:
     text = re.sub(r"\\q?quad", lambda _: hold("   "), text)
     text = re.sub(r"\\([A-Za-z]+)", lambda found: hold(_SIGNS[found[1]]) if found[1] in _SIGNS else found[0], text)
     found = re.sub(r"\\([A-Za-z]+)", lambda left: LETTERS.get(left[1], left[1]), in_unicode(text.replace("&", " ")))
-    for place, words in enumerate(held):
+    for place, words in enumerate(kept):
         found = found.replace(chr(_FIRST + place), words)
     found = re.sub(r"\bDelta ?", "Δ", re.sub(r"\^\{[-−]1\}", "⁻¹", found))
     return found.replace("{", "(").replace("}", ")").replace("^2", "²").replace("^°", "°").strip()
 
 
 def _grouped(text: str) -> str:
-    """In brackets where it is a sum."""
+    """In parentheses, if it is a sum."""
     return f"({text})" if re.search(r"[-+ ]", text.strip()) else text.strip()
 
 
 def _plain(text: str) -> str:
-    """Text without marks, its formulas in Unicode."""
+    """Text without markup, with formulas in Unicode."""
     pieces = _MARKED.split(text)
     plain = "".join(_unmarked(piece) if place % 2 else piece for place, piece in enumerate(pieces))
     return _EMPHASIS.sub(r"\2", _EMPHASIS.sub(r"\2", plain))
@@ -108,8 +108,8 @@ def _unmarked(piece: str) -> str:
 def _block(text: str, wide: int) -> str:
     """A heading, a table, a list or a paragraph."""
     if heading := re.fullmatch(r"(#+) (.*)", text):
-        said = _plain(heading[2])
-        return f"{said}\n{('=' if heading[1] == '#' else '-') * len(said)}"
+        title = _plain(heading[2])
+        return f"{title}\n{('=' if heading[1] == '#' else '-') * len(title)}"
     if text.startswith("|"):
         return _table(text.splitlines())
     items = list[list[str]]()
@@ -121,7 +121,7 @@ def _block(text: str, wide: int) -> str:
 
 
 def _table(lines: Sequence[str]) -> str:
-    """Rows of cells; a bar within a formula or code is not the end of one."""
+    """Rows of cells; a bar in a formula or code does not end a cell."""
     rows = [[_plain(cell.strip()) for cell in _cells(line.strip().strip("|"))] for line in lines]
     rows = [row for row in rows if not all(re.fullmatch(r":?-+:?", cell) for cell in row)]
     most = max(map(len, rows))

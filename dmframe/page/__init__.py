@@ -1,4 +1,4 @@
-"""A closed loop as one file for a browser: it runs there, under sliders, with what is proved of it beside it."""
+"""Live page: the closed loop simulated in a browser, with parameter sliders and its verdict."""
 
 from dmframe.page.page import Page
 

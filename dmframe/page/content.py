@@ -1,4 +1,4 @@
-"""All that a page knows of its graph, as plain data: the numbers of the loop, the sliders, the curves, the verdict."""
+"""Data of a live page: loop parameters, WebAssembly module, sliders, curves, verdict."""
 
 from __future__ import annotations
 
@@ -33,27 +33,27 @@ from dmframe.simulate.step import MOST_SUBSTEPS, PLAIN_STEP, RK4_STABLE
 from dmframe.version import version
 
 HORIZON = 20.0
-"""Simulated time of a page [s]; a graph that runs for less is shown for as long as it runs."""
+"""Maximum simulated time of a page [s]."""
 KAPPA = ", with any kappa above"
-"""How the name of the cascade's condition ends where its value is the least kappa; a page shows that elsewhere."""
+"""Suffix of the small-gain condition with the least kappa, which a page shows separately."""
 
 
 def content_of(
     experiment: Experiment, diagram: Diagram, verdict: Verdict, periods: Periods | None = None
 ) -> dict[str, Any]:
-    """A page's data, with the WebAssembly module in it, compressed and in base64.
+    """Collect the data of a page, with the compressed WebAssembly module in base64.
 
     Parameters
     ----------
     periods
-        Up to which sampling periods the loop is stable near its set-point; None where that was not computed.
+        Largest stable sampling periods near the set-point; None if not computed.
 
     Raises
     ------
     EngineError
-        The loop holds what WebAssembly has no word for.
+        If the loop contains an operation that WebAssembly code cannot compute.
     ValueFault
-        It draws random numbers, which a page does not.
+        If the loop uses random numbers.
     """
     check_chance(experiment, diagram)
     loop, file = diagram.loop, experiment.file
@@ -97,15 +97,15 @@ def content_of(
 
 
 def check_chance(experiment: Experiment, diagram: Diagram) -> None:
-    """Raise `ValueFault` for a loop that draws random numbers: to be asked before anything is computed."""
+    """Raise `ValueFault` for a loop with random numbers; call it before any computation."""
     loop = diagram.loop
     if loop.drawn.numel() or experiment.file.jitter:
-        why = f"{loop.noises[0].label} is drawn at random" if loop.noises else "its samples have a jitter"
-        raise ValueFault(f"page: expected a loop without chance, found one of which {why}; set it to zero first")
+        why = f"random {loop.noises[0].label}" if loop.noises else "jitter"
+        raise ValueFault(f"page: expected a deterministic loop, found {why}; set it to zero first")
 
 
 def _packed(module: bytes) -> str:
-    """As a browser's DecompressionStream("deflate") reads it."""
+    """Compress for DecompressionStream("deflate") of a browser."""
     return base64.b64encode(zlib.compress(module, 9)).decode()
 
 
@@ -121,7 +121,7 @@ def _sizes(functions: Functions) -> dict[str, int]:
 
 
 def _pose(diagram: Diagram, functions: Functions) -> dict[str, Any] | None:
-    """Where in the state the pose stands, the joints' names and limits; `sought`: it is to be put onto the path."""
+    """Position of the pose in the state, joint names and limits; `sought`: solve for a pose on the path."""
     if functions.posed is None:
         return None
     joints = diagram.robot.joints if diagram.robot is not None else ()
@@ -141,15 +141,15 @@ def _finite(number: float) -> float | None:
 
 
 def _numbers(values: np.ndarray) -> list[float | str]:
-    """As JSON can hold them, and as JavaScript's ``Number`` reads them."""
+    """Numbers for JSON; non-finite ones as strings that JavaScript's ``Number`` parses."""
     words = {np.inf: "Infinity", -np.inf: "-Infinity"}
     return [value if np.isfinite(value) else words.get(value, "NaN") for value in values.tolist()]
 
 
 def _group(diagram: Diagram, group: Group, verdict: Verdict | None = None) -> dict[str, Any]:
     names = _rows(diagram, group)
-    if group.kind == "storage" and verdict is not None and verdict.claim is not None:
-        claim = verdict.claim
+    if group.kind == "storage" and verdict is not None and verdict.flow_claim is not None:
+        claim = verdict.flow_claim
         names = [
             f"{law.vector.unicode} ({part.block})" for part in claim.parts for law in claim.laws[part.block].storage
         ]
@@ -171,7 +171,7 @@ def _signal(label: str) -> str:
 
 
 def _rows(diagram: Diagram, group: Group) -> list[str]:
-    """What each row is of: joints, axes, parameters."""
+    """Names of the rows: joints, axes, parameters."""
     shapes = {variable.label: variable.shape for variable in diagram.loop.variables}
     shapes |= {signal.label: signal.shape for signal in diagram.loop.outputs}
     letter = shapes.get(group.label, "")
@@ -195,7 +195,7 @@ def _robot(experiment: Experiment, diagram: Diagram, functions: Functions, state
 
 
 def _places(diagram: Diagram, functions: Functions, state: np.ndarray) -> np.ndarray:
-    """The origins of joints and tool at a state [m], a column each."""
+    """Origins of joints and tool at a state [m], a column each."""
     found = functions.shown(ca.DM(state), 0, 1, diagram.loop.p_values).full().ravel()[: functions.scene]
     joints = found[:-3].reshape(-1, 12)[:, 9:]
     return np.vstack([joints, found[-3:]]).T
@@ -227,7 +227,7 @@ def _verdict(name: str, verdict: Verdict, functions: Functions) -> dict[str, Any
 
 
 def _condition(condition: Checked, place: Place | None, reads: tuple[int, ...] | None) -> dict[str, Any]:
-    """What was decided at the file's numbers, and where its margins stand; without any, on what it depends."""
+    """Condition at the parameter values of the file, position of its margins, or the values it depends on."""
     return {
         "name": spelled(condition.name.removesuffix(KAPPA)),
         "how": condition.how,

@@ -1,4 +1,4 @@
-"""What a page evaluates beside the run itself: where it starts, what is drawn of it, and whether the proof holds."""
+"""CasADi functions that a page evaluates in addition to the loop: start, plotted signals, margins of the proof."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ from dmframe.simulate.step import build_parts
 @final
 @dataclass(frozen=True)
 class Group:
-    """Curves that share a plot: rows of `shown`, or of the state.
+    """Curves in one plot: rows of `shown` or of the state.
 
     Parameters
     ----------
     kind
-        ``error``, ``turn``, of a tool from its orientation, ``storage``, ``command``, or ``estimate``.
+        ``error``, ``turn`` (orientation error of a tool), ``storage``, ``command`` or ``estimate``.
     label
-        Of the signals, as ``block.name``; texts that a person reads are made elsewhere.
+        Label ``block.name`` of the signal.
     of
-        ``shown`` or ``state``: the column in which the rows stand, from `first` on.
+        ``shown`` or ``state``: the column with the rows, from `first` on.
     true
-        Where the true values stand in the column of `judged`; None where they are none of parameters alone.
+        Position of the true values in `judged`; None if they do not depend on parameters only.
     """
 
     kind: str
@@ -59,36 +59,36 @@ Place = tuple[int, int]
 @final
 @dataclass(frozen=True)
 class Functions:
-    """CasADi functions of the closed loop, all of columns.
+    """CasADi functions of the closed loop; all arguments and results are columns.
 
     Parameters
     ----------
     parts
-        Of a tick; nothing is recorded beside the state.
+        Functions of one sample; only the state is recorded.
     begin
-        (pose, T, p) -> the state at the start.
+        (pose, T, p) -> initial state.
     reach
-        (pose, p) -> how far the pose is from the path's start, and the slope of that; None where nothing is sought.
+        (pose, p) -> distance of the pose from the start of the path, and its Jacobian; None without a sought pose.
     shown
-        (state, t, T, p) -> what is drawn of an instant: `scene`, then the groups.
+        (state, t, T, p) -> plotted values: `scene`, then the groups.
     judged
-        (pose, T, p) -> the margins of `conditions`, the least kappa, and the true values of estimates: conditions may
-        depend on where the states start, and there a start is taken as it is said to be, inside of its box or not.
+        (pose, T, p) -> margins of `conditions`, least kappa, true values of estimates. Conditions may depend on initial
+        states, which are taken as given, inside their box or not.
     starts
-        The rows of the state whose starts the pose or p decides, and the elements of p that decide any of them.
+        Rows of the state whose initial values depend on pose or p, and the elements of p that they depend on.
     scene
-        How many numbers of `shown` place the robot: 12 a joint, then 3 of the tool.
+        Number of values in `shown` for the robot: 12 a joint, then 3 of the tool.
     margins
-        For each condition where its margins stand in `judged`, first and count; None for one that is not judged.
+        Position of the margins of each condition in `judged`, first and count; None without margins.
     tacit
-        The same of what is no condition of the verdict and may fail at other numbers, with its place.
+        Additional requirements that may fail at other parameter values, with the positions of their margins.
     reads
-        For each condition, and then for what is tacit, the elements of (p, state at the start) on which it depends;
-        None where it is judged, or depends on what is not known.
+        For each condition, then for `tacit`: elements of (p, initial state) it depends on; None with margins, or if
+        unknown.
     operations
-        Of the computation of V; 0 where V is not drawn.
+        Number of operations of V; 0 without V.
     kappa
-        Where the least kappa stands; None without a cascade.
+        Position of the least kappa in `judged`; None without a cascade.
     """
 
     parts: Parts
@@ -110,20 +110,20 @@ class Functions:
 
     @property
     def exported(self) -> tuple[Any, ...]:
-        """Those that stand beside the run."""
+        """Functions exported in addition to the loop."""
         return tuple(f for f in (self.begin, self.reach, self.shown, self.judged) if f is not None)
 
     def heeded(self, moved: Set[int], values: np.ndarray) -> set[int]:
-        """The elements of p, among those that are `moved`, on which anything depends that a reader sees.
+        """Elements of p among `moved` that affect any visible result, the others fixed at `values`.
 
-        All others stay what they are in `values`: with no Coulomb friction, say, nothing depends on where it sets in.
+        Without Coulomb friction, for example, its velocity has no effect.
         """
         found, parts = set[int](), self.parts
         for function in (parts.trajectory, parts.sample, parts.rate, parts.clip, *self.exported):
             *given, p = (ca.SX.sym("given", function.size_in(i)) for i in range(function.n_in()))
             kept = ca.vertcat(*(p[k] if k in moved else ca.SX(float(values[k])) for k in range(p.numel())))
             seen = ca.vertcat(*map(ca.vec, function.call([*given, kept])))
-            if function is self.judged:  # a number that has to be positive, and no more, is so at every factor
+            if function is self.judged:  # a number that only has to be positive is so at every factor
                 tacit = {row for _, place in self.tacit if place for row in range(place[0], sum(place))}
                 rows = [row for row in range(seen.numel()) if row not in tacit and not seen[row].is_symbolic()]
                 seen = seen[rows]
@@ -139,18 +139,18 @@ def functions_of(
     verdict: Verdict,
     uncertain: Intervals | None = None,
 ) -> Functions:
-    """All of them for one diagram; V is drawn where it is proved. `uncertain` is what `verify` had."""
+    """Build the functions of a diagram, with V if proved; `uncertain` are the intervals given to `verify`."""
     loop, posed, followed = diagram.loop, _posed(diagram), goal_of(diagram.loop)
     units = {signal.label: signal.unit for signal in loop.outputs}
-    claim = verdict.claim if verdict.samples is None else verdict.samples.base
+    claim = verdict.claim
     said, begun = symbolic_start(diagram, start, posed)
     known, reach = [_pose(posed), loop.period, loop.p], _reach(diagram, posed, start)
     starts, labels = _starts(loop, _function("said", known, [said]), reach)
     everything = elsewhere(verdict.conditions, claim, uncertain or {}, labels)
     judged, places = _margins(everything)
     count, kappa, least = len(verdict.conditions), None, None
-    if verdict.outcome == "proved" and verdict.claim is not None and verdict.claim.cascaded:
-        kappa, least = judged.numel(), least_kappa(verdict.claim, uncertain or {})
+    if verdict.outcome == "proved" and verdict.flow_claim is not None and verdict.flow_claim.cascaded:
+        kappa, least = judged.numel(), least_kappa(verdict.flow_claim, uncertain or {})
         judged = ca.vertcat(judged, least)
     scene, drawn, groups = _scene(diagram, posed), list[SX](), list[Group]()
     size = scene.numel()
@@ -171,7 +171,7 @@ def functions_of(
     if turn is not None and apart is not None:
         groups.append(add("turn", apart, TurnError.unit, turn))
     operations = 0
-    if verdict.outcome == "proved" and verdict.claim is not None:
+    if verdict.outcome == "proved" and verdict.flow_claim is not None:
         stored = _terms(verdict, least)
         operations = _function(
             "V", [loop.state, loop.time, loop.p], [loop.on_path(loop.acting([stored])[0])]
@@ -218,7 +218,7 @@ def functions_of(
 
 
 def _starts(loop: ClosedLoop, said: Any, reach: Any) -> tuple[tuple[tuple[int, ...], tuple[int, ...]], set[str]]:
-    """See `Functions.starts`; and the labels of the states that these rows are of."""
+    """`Functions.starts`, and the labels of the states of these rows."""
     patterns = [np.asarray(said.jac_sparsity(0, i).row()) for i in (0, 2)]
     rows = sorted({int(row) for pattern in patterns for row in pattern})
     read = set(said.jac_sparsity(0, 2).get_col())
@@ -229,7 +229,7 @@ def _starts(loop: ClosedLoop, said: Any, reach: Any) -> tuple[tuple[tuple[int, .
 
 
 def _started(claim: Claim | None, judged: SX, said: SX) -> SX:
-    """Margins with what is said of the start in the place of the symbols of starts."""
+    """Substitute the initial state into margins."""
     if claim is None:
         return judged
     names = stack(claim.starts[variable.label] for variable in claim.loop.variables)
@@ -245,7 +245,7 @@ def _pose(posed: Variable | None) -> SX:
 
 
 def _posed(diagram: Diagram) -> Variable | None:
-    """The plant's state that places its robot, or else what follows a trajectory itself."""
+    """Plant state with the joint positions of the robot, else a plant state ``q``."""
     for variable in diagram.loop.plant:
         robot = diagram.models[variable.block].robot
         if robot is not None and variable.name == "q" and variable.symbol.numel() == robot.n:
@@ -261,7 +261,7 @@ def _scene(diagram: Diagram, posed: Variable | None) -> SX:
 
 
 def place_of(loop: ClosedLoop, variable: Variable) -> int:
-    """Where a state begins in the column of all."""
+    """Index of the first element of a state in the whole state."""
     labels = [other.label for other in loop.variables]
     return sum(other.symbol.numel() for other in loop.variables[: labels.index(variable.label)])
 
@@ -281,7 +281,7 @@ def _reach(diagram: Diagram, posed: Variable | None, start: Mapping[str, Any]) -
 
 
 def _margins(everything: Sequence[Elsewhere]) -> tuple[SX, tuple[Place | None, ...]]:
-    """All margins as one column, and where each one's stand."""
+    """Margins as one column, with the position of each."""
     column, places = ca.SX(0, 1), list[Place | None]()
     for item in everything:
         if item.margin is None:
@@ -295,7 +295,7 @@ def _margins(everything: Sequence[Elsewhere]) -> tuple[SX, tuple[Place | None, .
 def _reads(
     loop: ClosedLoop, claim: Claim | None, everything: Sequence[Elsewhere]
 ) -> tuple[tuple[int, ...] | None, ...]:
-    """On which elements of (p, state at the start) each depends that has no margin."""
+    """Elements of (p, initial state) on which requirements without margins depend."""
     starts = [] if claim is None else [claim.starts[variable.label] for variable in claim.loop.variables]
     column = ca.vertcat(loop.p, *starts)
     at = {column[k].element_hash(): k for k in range(column.numel())}
@@ -306,8 +306,8 @@ def _reads(
 
 
 def _terms(verdict: Verdict, least: SX | None) -> SX:
-    """The terms of V, with kappa as `payment` chooses it: twice the least, or one where nothing has to be paid."""
-    claim = verdict.claim
+    """Terms of V, with kappa twice its least value, or one if the least value is zero."""
+    claim = verdict.flow_claim
     assert claim is not None
     column = stack(claim.weight(part) * square.value / 2 for part in claim.parts for square in part.certificate.storage)
     return column if least is None else ca.substitute(column, claim.kappa, ca.if_else(least > 0, 2 * least, 1))

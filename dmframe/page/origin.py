@@ -1,4 +1,4 @@
-"""Where a page's robot comes from, and under which licence: a page carries its numbers and meshes with it."""
+"""Origin and licences of the robot model and meshes in a page."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from dmframe.config import Experiment
 from dmframe.results.resolved import robot_source
 
 SOURCE: Final = "SOURCE.md"
-"""In the folder of a packaged robot: its first paragraphs state origin and licence."""
+"""File of a packaged robot with its origin and licence in the first paragraphs."""
 COLLECTION: Final = "example-robot-data"
-"""The package whose models and meshes most packaged robots are."""
+"""Package with the models and meshes of most packaged robots."""
 ABOVE: Final = 3
-"""Folders above a URDF in which its licence may lie."""
+"""Number of parent folders of a URDF searched for a licence."""
 MOST: Final = 20_000
-"""Characters of one licence."""
+"""Maximum length of a licence [characters]."""
 
 
 def origin_of(experiment: Experiment) -> dict[str, Any] | None:
-    """The origin of the robot as its `SOURCE.md` states it, and the licences that lie with it; None without a robot."""
+    """Origin of the robot from its `SOURCE.md`, and its licences; None without a robot."""
     source = robot_source(experiment)
     if source is None:
         return None
@@ -31,7 +31,7 @@ def origin_of(experiment: Experiment) -> dict[str, Any] | None:
     licences = dict(_licences(source.urdf))
     if COLLECTION in source.urdf.parts:
         licences |= dict(_of_the_collection())
-    unknown = f"No {SOURCE} and no licence lie with {source.urdf.name}: its origin and licence are not known here."
+    unknown = f"Origin and licence of {source.urdf.name} are unknown: no {SOURCE} and no licence file found."
     return {
         "robot": source.name,
         "text": text or ("" if licences else unknown),
@@ -40,13 +40,13 @@ def origin_of(experiment: Experiment) -> dict[str, Any] | None:
 
 
 def _head(text: str) -> str:
-    """What stands between the title and the first section, as one line a paragraph."""
+    """Text between title and first section, one line a paragraph."""
     body = re.sub(r"\A# .*\n", "", text).split("\n## ")[0]
     return "\n".join(" ".join(part.split()) for part in re.split(r"\n(?=[A-Z]\w+: )|\n\n", body.strip()))
 
 
 def _licences(urdf: Path) -> Iterator[tuple[str, str]]:
-    """The licence files of the folders above a URDF, the nearest first, and what a `package.xml` there states."""
+    """Licence files and `package.xml` licences in the parent folders of a URDF, nearest first."""
     for folder in urdf.parents[:ABOVE]:
         for file in sorted(folder.glob("LICEN[CS]E*")) + sorted(folder.glob("COPYING*")):
             if file.is_file():
@@ -59,7 +59,7 @@ def _licences(urdf: Path) -> Iterator[tuple[str, str]]:
 
 
 def _of_the_collection() -> Iterator[tuple[str, str]]:
-    """The licence of the installed collection."""
+    """Licence of the installed collection."""
     try:
         found = files(COLLECTION) or []
     except PackageNotFoundError:

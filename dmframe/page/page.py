@@ -1,4 +1,4 @@
-"""One self-contained file from a page's data: nothing is fetched, so that it opens from a disk without a network."""
+"""Self-contained HTML file of a live page, usable without a network."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ from dmframe.page.content import content_of
 from dmframe.page.periods import Periods
 
 SCRIPTS: Final = ("solver.js", "verdict.js", "plot.js", "scene.js", "sliders.js", "page.js")
-"""In the order in which they stand in the page."""
+"""Scripts in the order of the page."""
 ENDINGS: Final = (".html", ".htm")
 MARK: Final = b'<script type="application/json" id="data">'
-"""What every live page holds."""
+"""Marker of a live page."""
 HEIGHT: Final = 860
-"""Of the page in a notebook [pixels]."""
+"""Height of the page in a notebook [px]."""
 
 
 @final
 @dataclass(frozen=True, repr=False, eq=False)
 class Page:
-    """A live page: the closed loop itself runs in a browser, under sliders, beside its verdict; a notebook shows it.
+    """Live page: the closed loop simulated in a browser or notebook, with sliders and its verdict.
 
     Parameters
     ----------
     experiment, diagram
-        What runs.
+        The simulated graph.
     verdict
-        What was found of it; the page judges its conditions anew wherever a slider is.
+        Its verdict; the page re-evaluates the conditions at the slider values.
     periods
-        Up to which sampling periods the loop is stable near its set-point; None where that was not computed.
+        Largest stable sampling periods near the set-point; None if not computed.
     """
 
     experiment: Experiment
@@ -52,11 +52,11 @@ class Page:
 
     @cached_property
     def html(self) -> str:
-        """The whole page, which needs no other file and no network."""
+        """HTML of the page."""
         return assembled(content_of(self.experiment, self.diagram, self.verdict, self.periods))
 
     def save(self, path: str | Path) -> Path:
-        """Write it. Raises `OutputError` for another ending than .html, or a file that cannot be written."""
+        """Write the page; raises `OutputError` for an ending other than .html, or if it cannot be written."""
         path = expanded(path)
         check_page_place(path)
         write_text(path, self.html)
@@ -70,7 +70,7 @@ class Page:
 
 
 def check_page_place(path: Path) -> None:
-    """Raise `OutputError` where no page of that name can be: to be asked before anything is computed."""
+    """Raise `OutputError` if no page can be written to `path`; call it before any computation."""
     if path.suffix.lower() not in ENDINGS:
         found = path.suffix or "none"
         raise OutputError(f"{path}: expected the ending {ENDINGS[0]}, found {found}; a live page is a web page")
@@ -78,7 +78,7 @@ def check_page_place(path: Path) -> None:
 
 
 def check_own_place(path: Path) -> None:
-    """`check_page_place` for a name that nobody asked for: a file that is no live page is not written over."""
+    """`check_page_place` for a default name: only an older live page may be replaced."""
     check_page_place(path)
     with writing(path):
         ours = not is_file(path) or MARK in path.read_bytes()
@@ -87,10 +87,10 @@ def check_own_place(path: Path) -> None:
 
 
 def assembled(content: dict[str, Any]) -> str:
-    """The page of some data, as HTML.
+    """HTML of a page from its data.
 
-    Its content security policy allows one script and one style, those of the page, by their hashes, and no connection:
-    nothing that stands in a graph's texts can run or load.
+    The content security policy allows only the script and style of the page, by their hashes, and no connection, so
+    that user texts in a graph cannot run or load anything.
     """
     web = files("dmframe.page").joinpath("web")
     texts = {name: _bare(web.joinpath(name).read_text("utf-8")) for name in ("page.html", "page.css", *SCRIPTS)}
@@ -99,7 +99,7 @@ def assembled(content: dict[str, Any]) -> str:
         "TITLE": _escaped(content["title"] or content["name"]),
         "POLICY": policy(f"\n{script}\n", f"\n{style}\n"),
         "STYLE": style,
-        # a text of a graph must not end the script that it stands in
+        # a text of a graph must not end the script element
         "DATA": json.dumps(content, ensure_ascii=False, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
         "SCRIPT": script,
     }
@@ -107,7 +107,7 @@ def assembled(content: dict[str, Any]) -> str:
 
 
 def policy(script: str, style: str) -> str:
-    """The content security policy under which this script and this style alone act, texts between their tags."""
+    """Content security policy that allows only this script and this style (texts between their tags)."""
     allowed = {
         "default-src": "'none'",
         "script-src": f"{_hash(script)} 'wasm-unsafe-eval'",
@@ -125,7 +125,7 @@ def _hash(text: str) -> str:
 
 
 def _bare(text: str) -> str:
-    """Without indentation and without lines that are a comment, which only a reader of the source needs."""
+    """Remove indentation and comment lines."""
     return re.sub(r"^[ \t]*(//.*)?\n?", "", text, flags=re.MULTILINE)
 
 

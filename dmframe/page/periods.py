@@ -1,4 +1,4 @@
-"""Up to which sampling periods a loop is stable near its set-point: what a page's verdict says of its clock."""
+"""Largest stable sampling periods near the set-point, for a live page."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from dmframe.errors import DmframeError
 @final
 @dataclass(frozen=True)
 class Periods:
-    """The largest stable sampling periods of the loop linearised at its set-point, as `analyse` has them.
+    """Largest stable sampling periods of the loop linearised at its set-point, as in `analyse`.
 
     Parameters
     ----------
     at_rest, moving
-        [s], infinite where every period that was looked at is stable; None where they are not known.
+        [s]; infinite if every tested period is stable, None if unknown.
     reason
-        Why they are not known.
+        Reason if unknown.
     """
 
     at_rest: float | None = None
@@ -34,7 +34,7 @@ class Periods:
 
     @property
     def data(self) -> dict[str, Any]:
-        """As plain data; ``Infinity`` as JSON can hold it."""
+        """Plain data for JSON; ``Infinity`` as a string."""
         return {"rest": _shown(self.at_rest), "moving": _shown(self.moving), "reason": self.reason}
 
 
@@ -45,10 +45,10 @@ def stable_periods(
     start: Mapping[str, Any] | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Periods | None:
-    """The periods of a graph on a clock whose proof is one of continuous time; None for all others.
+    """Periods of a sampled graph with a continuous-time proof; None for other graphs.
 
-    It takes two to five seconds for a UR10, most of it for two linearisations; a loop of more than `LARGE` states would
-    take minutes, and is left out.
+    Takes two to five seconds for a UR10, mostly for two linearisations; loops of more than `LARGE` states, which would
+    take minutes, are skipped.
     """
     if clock is None or verdict.samples is not None:
         return None
@@ -58,7 +58,7 @@ def stable_periods(
         tell("linearising")
         at_rest = linearise(diagram, start=start, clock=clock)
         moving = linearise(diagram, at_rest.point, moving=True, clock=clock)
-        tell("looking for the largest stable sampling period")
+        tell("searching the largest stable sampling period")
         return Periods(linearised_period(at_rest).stable, linearised_period(moving).stable)
     except DmframeError as error:
         return Periods(reason=error.text)

@@ -1,4 +1,4 @@
-"""The robot as a page draws it: the maker's collision meshes where there are any, else a tube from joint to joint."""
+"""Robot geometry of a page: collision meshes if available, else the page draws tubes between joints."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from dmframe.robot.reduction import model_configuration
 from dmframe.robot.urdf import read_urdf
 
 MOST = 12_000
-"""Triangles of a robot; of more, a page would be too large, and tubes are drawn."""
+"""Maximum number of triangles; above it tubes are drawn, to limit the size of the page."""
 LEVELS = 4095
-"""Of a coordinate: a mesh is drawn to a quarter of a thousandth of its size."""
+"""Quantisation levels of a coordinate: resolution 1/4000 of the size of a mesh."""
 MOST_CORNERS = 32_767
-"""Of one mesh: differences of their numbers are kept in 16 bits."""
+"""Maximum corners of a mesh: index differences are stored in 16 bits."""
 OUT_OF_SCALE = 30.0
-"""Meshes that are so many times larger, or smaller, than the arm is long are of another unit than its file."""
+"""Ratio of mesh size to arm length above (or below its inverse) which the mesh must be in another unit."""
 
 
 def meshes_of(chain: SerialChain, urdf: Path | None, hold: dict[str, float]) -> list[dict[str, Any]]:
-    """Each body's triangles in its joint's frame; empty where the meshes that are there do not show the whole robot.
+    """Triangles of each body in the frame of its joint; empty if the available meshes do not cover the whole robot.
 
-    ``joint`` counts the free joints from 0, -1 is the base. There are ``corners`` corners on a grid of `LEVELS` between
-    ``low`` and ``high`` [m], and ``faces`` triangles of them; `_packed` says how ``packed`` holds both.
+    ``joint`` counts the free joints from 0, -1 is the base. The ``corners`` corners are on a grid of `LEVELS` between
+    ``low`` and ``high`` [m]; see `_packed` for the encoding of corners and ``faces`` triangles.
     """
     found = list[dict[str, Any]]()
     if urdf is None:
         return found
     try:
         bodies = _bodies(chain, urdf, hold)
-    except (OSError, RuntimeError, ValueError):  # meshes that are missing or broken: tubes are drawn
+    except (OSError, RuntimeError, ValueError):  # missing or broken meshes: draw tubes
         return found
-    if not {*range(chain.n)} <= {joint for joint, _, _ in bodies}:  # a part of a robot in the air says less than tubes
+    if not {*range(chain.n)} <= {joint for joint, _, _ in bodies}:  # incomplete meshes are worse than tubes
         return found
     for joint, corners, faces in bodies:
         low, high = corners.min(axis=0), corners.max(axis=0)
@@ -65,7 +65,7 @@ def meshes_of(chain: SerialChain, urdf: Path | None, hold: dict[str, float]) -> 
 
 
 def _bodies(chain: SerialChain, urdf: Path, hold: dict[str, float]) -> list[tuple[int, np.ndarray, np.ndarray]]:
-    """Joint, corners and faces of each collision mesh, at the reduced model's joints."""
+    """Joint, corners and faces of each collision mesh of the reduced model."""
     model = pin.buildModelFromUrdf(str(urdf))
     folders = [str(folder) for folder in (urdf.parent, *urdf.parents)]
     geometry = pin.buildGeomFromUrdf(model, str(urdf), pin.GeometryType.COLLISION, package_dirs=folders)
@@ -92,7 +92,7 @@ def _bodies(chain: SerialChain, urdf: Path, hold: dict[str, float]) -> list[tupl
 
 
 def _to_scale(chain: SerialChain, span: float) -> bool:
-    """True where the largest mesh, so many metres wide, fits an arm as long as from joint to joint to the tool."""
+    """True if the size of the largest mesh [m] is plausible for the length of the arm."""
     places = [*(placed.translation for placed in chain.model.jointPlacements[2:]), [float(part) for part in chain.tool]]
     strokes = [max(abs(joint.lower), abs(joint.upper)) for joint in chain.joints if joint.kind == "prismatic"]
     length = sum(map(np.linalg.norm, places)) + sum(stroke for stroke in strokes if np.isfinite(stroke))
@@ -100,10 +100,10 @@ def _to_scale(chain: SerialChain, span: float) -> bool:
 
 
 def _packed(corners: np.ndarray, faces: np.ndarray) -> str:
-    """Six columns of 16-bit numbers, of each first all low bytes and then all high ones, deflated, in base64.
+    """Six columns of 16-bit numbers, each as low bytes then high bytes, deflated, in base64.
 
-    They are x, y and z of the corners, each less that of the corner before; then of each face its first corner less
-    that of the face before, and its second and its third corner less its first. Half as long as the plain numbers.
+    Columns: differences of x, y, z between successive corners; difference of the first corner index between successive
+    faces, and second and third corner index minus the first. Half the size of the plain numbers.
     """
     first = np.argmin(faces, axis=1)
     turned = np.stack([faces[np.arange(len(faces)), (first + k) % 3] for k in range(3)], axis=1)

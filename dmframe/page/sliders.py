@@ -1,4 +1,4 @@
-"""Which numbers of a closed loop a page lets its reader move."""
+"""Sliders of a live page: parameters that can be changed without a new diagram."""
 
 from __future__ import annotations
 
@@ -27,39 +27,39 @@ ROBOT = {
     "robot.gravity": "Gravity",
     "robot.friction_velocity": "Where smooth Coulomb friction reaches tanh(1)",
 }
-"""Numbers of the robot that a factor may change, with what they are."""
-KNOWN = "; the controller knows it, and follows"
+"""Robot parameters that a factor may change, with descriptions."""
+KNOWN = "; the controller uses the changed value"
 MOST = 3
-"""Elements of a parameter that is moved element by element."""
+"""Maximum size of a parameter with one slider an element."""
 WIDE, NARROW = 100.0, 4.0
-"""Largest factors: of gains and unknown numbers, of what shapes a path."""
+"""Largest factors of gains and unknown parameters, and of path parameters."""
 REACH_PARTS = (1, 1 / 2, 1 / 4, 1 / 8, 1 / 16, 1 / 32, 1 / 64)
-"""What is tried of a slider's reach, where its block refuses the whole."""
+"""Fractions of the range tried if a block rejects the full range of a slider."""
 REACHES = {"m": 0.1, "rad": 0.5}
-"""How far an element of a place or an angle may be moved, by its unit."""
+"""Range of a shift of a position or angle, by unit."""
 
 Heeded = Callable[[Set[int], np.ndarray], Set[int]]
-"""Of elements of p that are moved, while the others keep their values, those on which anything depends."""
+"""Function from moved elements of p, others fixed, to those with any effect."""
 
 
 @final
 @dataclass(frozen=True)
 class Slider:
-    """A number that can be moved: a factor of a parameter's elements, or a shift of one element.
+    """Slider: factor of a parameter's elements, or shift of one element.
 
     Parameters
     ----------
     label
         ``block.parameter``, and for a shift ``block.parameter[k]``.
     at, size
-        Which elements of p it moves.
+        Elements of p that it changes.
     most
-        The largest factor, whose inverse is the least, or the largest shift in `unit`.
+        Largest factor (its inverse is the least), or largest shift in `unit`.
     first
-        Where the whole parameter begins in p.
+        Index of the parameter in p.
     written
-        The whole parameter as a graph file has it: for each number its place behind `first`, in lists where it is one;
-        None for a number that is zero for ever.
+        Structure of the parameter in a graph file: index of each number relative to `first`, nested lists, None for
+        structural zeros.
     """
 
     label: str
@@ -77,21 +77,20 @@ class Slider:
 
     @property
     def places(self) -> range:
-        """The elements of p that it moves."""
+        """Elements of p that it changes."""
         return range(self.at, self.at + self.size)
 
     @property
     def data(self) -> dict[str, Any]:
-        """As plain data."""
+        """Plain data."""
         return asdict(self)
 
 
 def sliders_of(diagram: Diagram, verdict: Verdict, heeded: Heeded | None = None) -> list[Slider]:
-    """All numbers that enter the loop as symbols alone: one that a block reads as a number needs another diagram.
+    """Sliders of all parameters that enter the loop only as symbols: others need a new diagram.
 
-    Left out, too, are numbers that the proof takes for zero, those from which another number of p was computed, and
-    those on which nothing depends that is seen, where `heeded` says so of them. A slider reaches no value that its
-    block refuses.
+    Excluded are parameters fixed at zero in the proof, those from which other elements of p are computed, and those
+    without visible effect according to `heeded`. The range of a slider excludes values that its block rejects.
     """
     found, at = list[Slider](), 0
     known = {group for item in known_truths(diagram) for group in item.groups}
@@ -147,7 +146,7 @@ def _of(diagram: Diagram, parameter: Parameter, at: int, size: int, known: Colle
 
 
 def _written(diagram: Diagram, parameter: Parameter) -> Any:
-    """The parameter's places, as its block was given it."""
+    """Indices of the parameter in the structure given to its block."""
     block, _, name = parameter.label.partition(".")
     given, size = np.asarray(getattr(diagram.blocks[block], name)), parameter.symbol.numel()
     if given.ndim == 2:
@@ -161,7 +160,7 @@ def _written(diagram: Diagram, parameter: Parameter) -> Any:
 
 
 def _narrowed(diagram: Diagram, slider: Slider) -> Slider | None:
-    """The same with a reach to both ends of which its block agrees; None where there is none."""
+    """Slider with a range that its block accepts at both ends; None if there is none."""
     if slider.label in ROBOT:
         return slider
     for part in REACH_PARTS:
@@ -191,7 +190,7 @@ def _takes(diagram: Diagram, slider: Slider, value: float) -> bool:
 
 
 def _free(diagram: Diagram, parameter: Parameter, verdict: Verdict) -> bool:
-    """True for a number that can change by itself, without another diagram, another claim and another number."""
+    """True for a parameter that can change alone: same diagram, same certificate, no dependent parameter."""
     if parameter.label.startswith("robot."):
         return parameter.label in ROBOT
     block, _, name = parameter.label.partition(".")
@@ -204,4 +203,5 @@ def _free(diagram: Diagram, parameter: Parameter, verdict: Verdict) -> bool:
         return False
     pairs = zip(changed.loop.parameters, diagram.loop.parameters, strict=True)
     moved = [new.label for new, old in pairs if not np.array_equal(new.value, old.value)]
-    return moved == [parameter.label] and (verdict.claim is None or claims_alike(verdict.claim, changed, block))
+    claim = verdict.flow_claim
+    return moved == [parameter.label] and (claim is None or claims_alike(claim, changed, block))

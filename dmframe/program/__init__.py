@@ -1,12 +1,12 @@
-'''A function's instructions, read once; and a table of rules for each thing that they can become.
+'''Interpretation of CasADi functions: instructions in single-assignment form, and a table of rules for each target.
 
-CasADi keeps a function of scalars as instructions on registers that it uses again. `read` makes of them a `Program`, in
-which each value has a place of its own. `run` computes the values by a table of rules, an entry for each operation that
-the target knows. What an operation is, whoever computes it, stands in `OPERATIONS`.
+CasADi stores a scalar function as instructions on registers that are reused. `read` converts them to a `Program`, in
+which each value has its own place. `run` computes the values by a table of rules, one for each operation that the
+target supports. `OPERATIONS` has the properties of each operation, independent of the target.
 
-To add a target, write one file with its table, and say four things to `run`: what an element of an argument is, what a
-number is, which error refuses an operation, and, for text, how a value is kept under a name. WebAssembly's text, as far
-as sums, products and roots go (`dmframe.codegen.wasm` writes all of it, in binary form):
+To add a target, write a file with its table, and pass four functions to `run`: the value of an argument's element, the
+value of a constant, the error for an unsupported operation, and, for text, the storage of a value under a name. This
+example writes WebAssembly text for sums, products and roots (`dmframe.codegen.wasm` writes complete binary modules):
 
 .. code-block:: python
 
@@ -46,10 +46,9 @@ as sums, products and roots go (`dmframe.codegen.wasm` writes all of it, in bina
                 lines.append(f"(f64.store offset={8 * element} (local.get $r{j}) {text})")
         return lines
 
-Whether a number is the double that the machine holds or the decimal that somebody wrote (`dmframe.exact.literal`) is
-the target's choice, in `constant`. A target that computes in numbers starts from `dmframe.exact.arithmetic`. One that
-must be fast, as the evaluation in a prime field, or that treats values by what they are and not by their operation
-alone, loops over `Program.nodes` itself.
+A target chooses in `constant` whether a number is the double or the decimal in the source (`dmframe.exact.literal`). A
+target that computes with numbers starts from `dmframe.exact.arithmetic`. A target that must be fast, such as the
+evaluation in a prime field, or whose rules depend on the values, loops over `Program.nodes` itself.
 '''
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The operations that a CasADi SX function can hold, and what is true of each, whoever computes it."""
+"""Operations of CasADi SX functions, and their properties."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ class Operation:
     Parameters
     ----------
     name
-        CasADi's, in small letters.
+        CasADi's name in lower case.
     arity
-        How many operands it takes.
+        Number of operands.
     sign
-        As a block's author writes it; the name where it is not given.
+        Notation in a block's source; the name by default.
     comparison, jumps, kink, edge
-        Two numbers are compared; the value can jump; the slope can jump; the function ends, or has no slope, somewhere.
+        It compares two numbers; its value can jump; its slope can jump; its domain ends, or its slope diverges.
     bounded
-        No operand makes it large.
+        Its value is bounded for all operands.
     turns
-        What changes its sign where the operation switches: the difference of the operands, the first, or the last one.
+        The quantity whose sign changes at a switch: the difference of the operands, the first, or the last one.
     domain
-        The operand that has to stay where the operation is defined and finite; None for one that is so everywhere.
+        The operand that must stay in the domain; None if the operation is finite everywhere.
     """
 
     name: str
@@ -47,7 +47,7 @@ class Operation:
 
     @property
     def code(self) -> int:
-        """CasADi's."""
+        """CasADi's code."""
         return int(getattr(ca, f"OP_{self.name.upper()}"))
 
 
@@ -107,7 +107,7 @@ _ROWS: Final = (
 )
 
 OPERATIONS: Final[Mapping[int, Operation]] = {row.code: row for row in _ROWS}
-"""By CasADi's code. Its `assign` and `lift` are no operations: a copy is the value that it copies."""
+"""CasADi's code -> operation, without `assign` and `lift`, which copy a value."""
 
 COMPARISONS: Final = frozenset(code for code, row in OPERATIONS.items() if row.comparison)
 JUMPS: Final = frozenset(code for code, row in OPERATIONS.items() if row.jumps)
@@ -118,11 +118,11 @@ POWERS: Final = frozenset((ca.OP_POW, ca.OP_CONSTPOW))
 
 
 def sign_of(code: int) -> str:
-    """An operation as a block's author writes it."""
+    """Notation of an operation in a block's source."""
     return OPERATIONS[code].sign or OPERATIONS[code].name
 
 
 def by_code(named: Mapping[str, V]) -> dict[int, V]:
-    """A table of rules keyed by the operations' codes, from one keyed by their names. Raises KeyError for another."""
+    """Table of rules by code from one by name. Raises KeyError for an unknown name."""
     codes = {row.name: code for code, row in OPERATIONS.items()}
     return {codes[name]: value for name, value in named.items()}

@@ -1,4 +1,4 @@
-"""A CasADi function read once: a list of values, each with a place of its own, and one way to compute them."""
+"""CasADi functions in single-assignment form, and their evaluation by a table of rules."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ class Node(NamedTuple):
     code
         CasADi's code of the operation; `INPUT` for an element of an argument, `CONST` for a number.
     a, b
-        The places of the first and the last operand, which are earlier values. Of an `INPUT`: which argument, and which
-        of its stored elements. Zero for a number, and for what is no operation of `OPERATIONS`.
+        Indices of the first and the last operand, which are earlier values. For `INPUT`, the argument and its stored
+        element. Zero for a number, and for an operation that is not in `OPERATIONS`.
     constant
-        The number, as the function holds it.
+        The number.
     line
-        Which of CasADi's instructions made it: no two values of one operation share a line.
+        Index of CasADi's instruction: no two values of operations share a line.
     """
 
     code: int
@@ -47,7 +47,7 @@ class Node(NamedTuple):
 
     @property
     def operands(self) -> tuple[int, ...]:
-        """The places of the earlier values that it takes."""
+        """Indices of its operands."""
         arity = _ARITY.get(self.code, 0)
         return (self.a, self.b) if arity == 2 else (self.a,) if arity else ()
 
@@ -55,7 +55,7 @@ class Node(NamedTuple):
 @final
 @dataclass(frozen=True)
 class Pattern:
-    """An input or an output: where each stored element stands in the dense, column-major matrix."""
+    """Input or output: places of its stored elements in the dense, column-major matrix."""
 
     name: str
     rows: int
@@ -65,10 +65,7 @@ class Pattern:
 
 @final
 class Program:
-    """The straight-line program of a function: what is computed, in order, and nothing of how registers are reused.
-
-    `codes` are those of all its nodes.
-    """
+    """Straight-line program of a function in single-assignment form; `codes` are the codes of all its nodes."""
 
     def __init__(self, f: Any, nodes: Sequence[Node], sources: Sequence[Sequence[int]]) -> None:
         self.name: str = f.name()
@@ -93,16 +90,16 @@ class Program:
         )
 
     def elements(self, inputs: Sequence[Sequence[V]]) -> list[list[V]]:
-        """The stored elements of inputs that are dense matrices, column-major."""
+        """Stored elements of inputs that are dense, column-major matrices."""
         pairs = zip(self.inputs, inputs, strict=True)
         return [[matrix[place] for place in argument.places] for argument, matrix in pairs]
 
     def stored(self, values: Sequence[V]) -> list[list[V]]:
-        """Each output's stored elements, of the values of all nodes."""
+        """Stored elements of each output, from the values of all nodes."""
         return [[values[source] for source in sources] for sources in self._sources]
 
     def dense(self, values: Sequence[V], zero: V) -> list[list[V]]:
-        """Each output as a dense matrix, column-major; `zero` stands where nothing is stored."""
+        """Each output as a dense, column-major matrix, with `zero` for elements that are not stored."""
         results = []
         for output, elements in zip(self.outputs, self.stored(values), strict=True):
             matrix = [zero] * output.size
@@ -113,15 +110,15 @@ class Program:
 
 
 def read(f: Any) -> Program:
-    """The program of a function; operations that are not in `OPERATIONS` become nodes without operands."""
+    """Program of a function; operations that are not in `OPERATIONS` become nodes without operands."""
     sources = [[0] * f.nnz_out(j) for j in range(f.n_out())]
     nodes: list[Node] = []
     append, register = nodes.append, dict[int, int]()
-    new = tuple.__new__  # a proof reads 10^5 instructions: Node(...) itself would take twice the time
+    new = tuple.__new__  # a proof reads 10^5 instructions, and Node(...) takes twice the time
     for line, (code, arguments, targets, constant) in enumerate(instructions(f)):
         if code in _ARITY:
             append(new(Node, (code, register[arguments[0]], register[arguments[-1]], 0.0, line)))
-            register[targets[0]] = len(nodes) - 1  # after its operands have been looked up: it may be one of them
+            register[targets[0]] = len(nodes) - 1  # after reading its operands, of which it may be one
         elif code == _OUTPUT:
             sources[targets[0]][targets[1]] = register[arguments[0]]
         elif code == INPUT:
@@ -130,19 +127,19 @@ def read(f: Any) -> Program:
         elif code in _COPIES:
             register[targets[0]] = register[arguments[0]]
         else:
-            for target in targets:  # a call of another function has as many as that has outputs
+            for target in targets:  # a call of another function has several
                 register[target] = len(nodes)
                 append(new(Node, (code, 0, 0, constant, line)))
     return Program(f, nodes, sources)
 
 
 def codes(f: Any) -> set[int]:
-    """The codes of a function's instructions; a fifth of the time of `read`."""
+    """Codes of a function's instructions, in a fifth of the time of `read`."""
     return {f.instruction_id(k) for k in range(f.n_instructions())}
 
 
 def instructions(f: Any) -> Iterator[tuple[int, list[int], list[int], float]]:
-    """CasADi's instructions as they are, (code, read, written, constant), with registers that are used again."""
+    """CasADi's instructions, (code, read, written, constant), with reused registers."""
     code_of, arguments_of, targets_of = f.instruction_id, f.instruction_input, f.instruction_output
     for k in range(f.n_instructions()):
         code = code_of(k)
@@ -161,21 +158,21 @@ def run(
     refuse: Callable[[int], Exception],
     keep: Callable[[Node, V], V] | None = None,
 ) -> list[V]:
-    """The values of all nodes, in whatever the rules compute with.
+    """Values of all nodes, of the type that the rules compute with.
 
     Parameters
     ----------
     rules
-        By an operation's code, a function of as many operands as it takes. It returns NotImplemented to refuse them.
+        Operation's code -> function of its operands, which returns NotImplemented to refuse them.
     given
-        The value of a stored element of an argument: which argument, which element.
+        (argument, stored element) -> value.
     constant
-        The value of a number.
+        Number -> value.
     refuse
-        The exception to raise for an operation that has no rule, or whose rule refuses its operands; takes the code.
+        Code -> exception for an operation without a rule, or whose rule refuses its operands.
     keep
-        What stands for a value from then on, of its node and the value: the name of a variable, once a line of text
-        has been written that sets it. The value itself, if it is not given.
+        (node, value) -> replacement of the value, such as the name of a variable that a line of text sets; the value
+        itself by default.
     """
     values = list[V]()
     for node in program.nodes:
@@ -197,7 +194,7 @@ def run(
 
 
 def _places(sparsity: Any) -> Sequence[int]:
-    """Where each stored element of a sparse matrix stands in the dense, column-major one."""
+    """Places of the stored elements of a sparse matrix in the dense, column-major one."""
     if sparsity.is_dense():
         return range(sparsity.numel())
     rows, columns = sparsity.row(), sparsity.get_col()

@@ -1,4 +1,4 @@
-"""The dynamic regressor as a product: exact base parameters, readable equations, code, proofs."""
+"""Dynamic regressor: exact base parameters, readable equations, generated code, proofs."""
 
 from __future__ import annotations
 

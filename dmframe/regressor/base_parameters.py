@@ -1,4 +1,4 @@
-"""Exact base parameters: the smallest set that the motion can tell apart, found without a tolerance."""
+"""Exact base parameters: the smallest identifiable set, found without a tolerance."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _CALM: Final = 3
 @final
 @dataclass(frozen=True)
 class BaseParameters:
-    r"""A regressor's columns that are independent, and what the others add to them.
+    r"""Independent columns of a regressor, and the linear combinations of parameters that belong to them.
 
     .. math:: Y_d\, a = Y_d[:, independent]\, \beta, \qquad \beta = grouping \cdot a
 
@@ -37,7 +37,7 @@ class BaseParameters:
     parameters : all p of the full regressor
     independent : columns kept, ascending
     grouping : (count, p) exact coefficients
-    unidentifiable : parameters that no motion shows
+    unidentifiable : parameters that do not affect any motion
     symbolic : each base parameter as text, in the translations named by `translations`
     translations : name and value [m] of each translation that `symbolic` uses; p_y3 is the y component of joint 3's
         place in the frame of joint 2
@@ -78,7 +78,7 @@ def base_parameters(chain: SerialChain, friction: Collection[str] = (), *, symbo
     friction : any of "viscous", "coulomb"
     symbolic : False leaves `BaseParameters.symbolic` in decimal numbers, which is quicker
 
-    Raises `UnknownNameError` for another kind of friction, `RobotError` where no fractions agree.
+    Raises `UnknownNameError` for another kind of friction, `RobotError` if the fractions of two primes never agree.
 
     References
     ----------
@@ -94,7 +94,7 @@ def base_parameters(chain: SerialChain, friction: Collection[str] = (), *, symbo
 
 
 def _order(parameters: DynamicParameters) -> list[int]:
-    """Columns by preference: links from the base on, so that the far link's parameters are those eliminated."""
+    """Columns by preference, links from the base on, so that parameters of far links are eliminated first."""
     columns = range(parameters.size)
     links = [parameters.of_link(link) for link in range(parameters.chain.n)]
     inertial = [column for link in links for _, column in sorted(zip(_RANK, columns[link], strict=True))]
@@ -102,7 +102,7 @@ def _order(parameters: DynamicParameters) -> list[int]:
 
 
 def _row_space(sampler: Sampler, trial: Trial, order: Sequence[int]) -> Echelon:
-    """Stack rows until several motions in a row have brought nothing new."""
+    """Stack rows until several consecutive motions do not increase the rank."""
     constants = sampler.constants(trial)
     echelon = Echelon(trial.prime, sampler.columns)
     calm = 0

@@ -1,4 +1,4 @@
-"""The regressor as a CasADi function and as C source, and its agreement with Pinocchio."""
+"""Regressor as a CasADi function and as C source, and its comparison with Pinocchio."""
 
 from __future__ import annotations
 
@@ -106,11 +106,9 @@ def export_c(
 
 
 def write_c(function: ca.Function, path: str | Path, *, robot: str = "", parameters: Sequence[str] = ()) -> None:
-    """Write a function of `regressor_function`, or of `kinematic_function`, as self-contained C99.
+    """Write a function of `regressor_function`, or of `kinematic_function`, as self-contained C99, atomically.
 
-    In one step: never half a file.
-
-    The file offers ``void dmframe_regressor(q, dq, dq_ref, ddq_ref, Y_d)`` with Y_d row-major, and needs only the
+    The file defines ``void dmframe_regressor(q, dq, dq_ref, ddq_ref, Y_d)`` with Y_d row-major, and needs only the
     mathematics library. Its header comment names the robot, the sizes, the order of the arguments, and the parameters.
 
     Raises `ShapeError` for a function with other inputs or for another number of parameters, `OutputError` for a file
@@ -178,7 +176,7 @@ def _header(about: Sequence[str], parameters: Sequence[str]) -> str:
 
 
 def _plain(name: str) -> str:
-    """A name that cannot end the comment it stands in."""
+    """A name that cannot end a C comment."""
     return name.replace("*/", "* /").replace("\n", " ")
 
 
@@ -221,7 +219,7 @@ def _travel_function(chain: SerialChain) -> Callable[..., Any]:
 
 
 def travel_of_prismatic_joints(chain: SerialChain) -> Callable[..., NDArray[np.float64]]:
-    """What of J(q) psi no kinematic parameter scales, as a function of q and psi."""
+    """The part of J(q) psi that is independent of the kinematic parameters, as a function of q and psi."""
     robot = SymbolicRobot(chain)
     q, psi = (ca.SX.sym(name, chain.n) for name in KINEMATIC_SIGNALS)
     free = ca.densify(robot.jacobian(q, ca.SX(chain.k, 1)) @ psi)

@@ -1,4 +1,4 @@
-"""Base parameters in words: each coefficient as a polynomial of the robot's translations, found exactly."""
+"""Base parameters as text: each coefficient as an exact polynomial of the robot's translations."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Polynomial = tuple[tuple[Monomial, Fraction], ...]
 
 
 class _Entry(NamedTuple):
-    """A coefficient of the grouping: row of the base parameter, column of the parameter that it takes in."""
+    """Coefficient of the grouping: row of the base parameter, column of the parameter."""
 
     row: int
     column: int
@@ -65,9 +65,9 @@ def symbolic_groupings(
 ) -> tuple[tuple[str, ...], tuple[tuple[str, Fraction], ...]]:
     """Each base parameter as text, and the translations that the texts name.
 
-    Lengths carry a unit, so a coefficient from m to I is quadratic in the translations, from mc to I linear, and from I
-    to I constant: only such monomials are tried. The coefficients are found at random translations of a prime field and
-    checked at fresh ones; where there is no such polynomial, the number itself is printed.
+    By its unit, a coefficient from m to I is quadratic in the translations, from mc to I linear, and from I to I
+    constant. Such polynomials are interpolated at random translations of a prime field and checked at further ones; a
+    coefficient without a polynomial is printed as a number.
     """
     lengths = [x for joint in chain.joints for x in joint.translation]
     polynomials: dict[_Entry, Polynomial] = {}
@@ -119,7 +119,7 @@ def _random_translations(sampler: Sampler, trial: Trial) -> list[list[int]]:
 def _shapes(
     parameters: DynamicParameters, independent: Sequence[int], support: Collection[_Entry], lengths: Sequence[Fraction]
 ) -> dict[_Entry, _Shape]:
-    """What each non-zero coefficient may look like; one without a shape is printed as a number."""
+    """Possible monomials of each non-zero coefficient; one without a shape is printed as a number."""
     powers = [_LENGTHS[unit] for _, unit in parameters.elements[parameters.inertial]]
     inertial, shapes = len(powers), {}
     for row, kept in enumerate(independent):
@@ -157,9 +157,9 @@ _Sample = tuple[list[int], dict[_Entry, int]]
 def _sample(
     sampler: Sampler, trial: Trial, independent: Sequence[int], support: Mapping[int, Sequence[int]]
 ) -> _Sample:
-    """Random translations where there are any, and the coefficients that they give.
+    """Random translations, and the coefficients that follow from them.
 
-    A column whose combination of kept columns changes with the translations' values has no coefficients here.
+    A column is skipped if its set of kept columns depends on the translations' values.
     """
     constants = _random_translations(sampler, trial)
     a_k = constants[sampler.regressor.a_k]
@@ -185,7 +185,7 @@ def _sample(
 def _interpolate(
     shape: _Shape, entries: Sequence[_Entry], samples: Sequence[_Sample], trial: Trial
 ) -> dict[_Entry, Polynomial]:
-    """One linear system for all coefficients of a shape; those that fail at the fresh samples are left out."""
+    """Solve one linear system for all coefficients of a shape; those that fail at further samples are omitted."""
     p, monomials = trial.prime, shape.monomials
     powers = [[_product(a_k, monomial, p) for monomial in monomials] for a_k, _ in samples]
     count = len(monomials)
@@ -243,7 +243,7 @@ def _scaled(number: Fraction, factors: str) -> str:
 
 
 def _sum(kept: str, coefficients: Mapping[str, tuple[int, str]]) -> str:
-    """The kept parameter plus what it takes in; parameters with one coefficient share a bracket."""
+    """The kept parameter plus the others with their coefficients; equal coefficients share a bracket."""
     shared: dict[tuple[int, str], list[str]] = defaultdict(list)
     for name, coefficient in coefficients.items():
         shared[coefficient].append(name)

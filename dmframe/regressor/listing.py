@@ -1,4 +1,4 @@
-"""The parameters as readable text."""
+"""Table of base parameters as text."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from dmframe.robot.chain import SerialChain
 
 
 def listing(chain: SerialChain, base: BaseParameters) -> str:
-    """A table of base parameters: number, value in the robot's model, and what they are made of.
+    """Table of base parameters: number, value in the robot's model, and linear combination.
 
-    Values in kg, kg m and kg m^2; friction has none in the model, and shows a dash. Below the table: the lengths that
-    the groupings name, and the parameters that no motion shows.
+    Values are in kg, kg m and kg m^2; friction, which the model lacks, shows a dash. Below the table are the lengths in
+    the combinations, and the parameters that do not affect any motion.
     """
     values = base.parameters.values
     rows = [

@@ -99,7 +99,7 @@ def _signed(group: int, sine: bool, k: tuple[int, ...], value: Fraction) -> list
 
 
 def _products(left: tuple[Wave, ...], right: tuple[Wave, ...]) -> list[tuple[tuple[Wave, ...], Fraction]]:
-    """The product of two products of waves, as a sum of such."""
+    """Product of two products of waves, as a sum of products."""
     found: list[tuple[tuple[Wave, ...], Fraction]] = [((), Fraction(1))]
     waves = {wave.group: [wave] for wave in left}
     for other in right:
@@ -128,9 +128,9 @@ Angle = tuple[int, tuple[int, ...]]
 
 
 def expand(function: Any, inputs: Sequence[Sequence[Polynomial | Angle]]) -> list[list[Polynomial]]:
-    """The outputs of an SX function, dense and column-major, at polynomials and joint angles.
+    """Outputs of an SX function, dense and column-major, at polynomials and joint angles.
 
-    Raises `ValueFault` where it is no polynomial of symbols, and of sines and cosines of single angles.
+    Raises `ValueFault` if it is not a polynomial of symbols, and of sines and cosines of single angles.
     """
     program = read(function)
     values = run(

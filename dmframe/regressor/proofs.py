@@ -1,4 +1,4 @@
-"""What every controller here takes for granted of a robot's model, proved for that robot by exact arithmetic."""
+"""Exact proofs of the structural properties of a robot's model that controllers rely on."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ ROTATIONS: Final = ".rotations"
 @final
 @dataclass(frozen=True)
 class Proof:
-    """An identity, decided for all poses, velocities, inertial and kinematic parameters, and gravity.
+    """Identity, decided for all poses, velocities, inertial and kinematic parameters, and gravity.
 
     Parameters
     ----------
     name, identity
-        What it is called, and what it says.
+        Name and formula.
     test
-        The exact test; `test.zero` says whether it holds.
+        Exact test; `test.zero` is True if the identity holds.
     control
-        Whether the same test refutes the identity with a fault put in; None where there is nothing to put one in,
-        because what the fault changes vanishes, as C does for one joint.
+        True if the same test refutes the identity with an injected fault; None if the fault has no effect, as in C for
+        one joint.
     """
 
     name: str
@@ -39,7 +39,7 @@ class Proof:
 
     @property
     def holds(self) -> bool:
-        """Proved, and not by a test that would prove anything."""
+        """True if proved, and the injected fault is refuted."""
         return self.test.zero and self.control is not False
 
 
@@ -64,7 +64,7 @@ class Symbols:
         return ca.reshape(ca.jtimes(ca.vec(expression), self.q, direction), *expression.shape)
 
     def test(self, expression: Any, more: Mapping[str, Any], *, trials: int, seed: int) -> ZeroTest:
-        """The test whether it is zero; only the rotations, which must be orthogonal, have their values."""
+        """Test an expression for zero; only the rotations, which must be orthogonal, have their values."""
         constants = self.robot.constants
         free = {"q": self.q, "dq": self.dq, "a": self.a, "b": self.b, **more}
         function = ca.Function(
@@ -79,7 +79,7 @@ class Symbols:
 
 
 Claim = tuple[str, str, Any, Any, Mapping[str, Any]]
-"""Name, identity, residual, the residual with a fault put in, and symbols of its own."""
+"""Name, identity, residual, residual with an injected fault, and additional symbols."""
 
 
 def prove(
@@ -96,7 +96,7 @@ def prove(
     trials, seed
         Of the exact tests; each draws random primes and points.
     robot
-        Another symbolic model of the chain: the tests put a faulty one here.
+        Another symbolic model of the chain, for tests with a faulty one.
 
     References
     ----------
@@ -175,7 +175,7 @@ def _outcome(proof: Proof) -> str:
     if not proof.test.zero:
         return "REFUTED"
     if proof.control is None:
-        return f"proved, wrong below 2^{proof.test.log2_error_bound:.0f}; nothing in it to put a fault in"
+        return f"proved, error probability below 2^{proof.test.log2_error_bound:.0f}; an injected fault has no effect"
     if not proof.control:
-        return "NOT PROVED: the test does not refute a fault put in"
-    return f"proved, wrong below 2^{proof.test.log2_error_bound:.0f}; a fault put in is refuted"
+        return "NOT PROVED: the test does not refute an injected fault"
+    return f"proved, error probability below 2^{proof.test.log2_error_bound:.0f}; an injected fault is refuted"

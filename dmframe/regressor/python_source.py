@@ -1,4 +1,4 @@
-"""The regressors as a Python module that needs NumPy and nothing else."""
+"""Regressors as a Python module that requires only NumPy."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _TEMPLATE: Final = '''"""{title}
 
 {law}
 
-Written by dmframe {version}. It needs NumPy alone.
+Written by dmframe {version}. Requires only NumPy.
 """
 
 import numpy as np
@@ -119,9 +119,9 @@ def python_source(
 def write_python(
     chain: SerialChain, path: Path, friction: Collection[str] = (), base: bool = False, kinematic: bool = False
 ) -> float:
-    """Write `python_source` to a file, in one step; returns how far it is from Pinocchio (see `python_difference`).
+    """Write `python_source` to a file, atomically; returns its difference from Pinocchio (see `python_difference`).
 
-    Raises `OutputError` where it cannot be written.
+    Raises `OutputError` if it cannot be written.
     """
     source = python_source(chain, friction, base, kinematic)
     write_text(path, source)
@@ -131,9 +131,9 @@ def write_python(
 def python_difference(
     chain: SerialChain, source: str, friction: Collection[str] = (), base: bool = False, points: int = 10, seed: int = 0
 ) -> float:
-    """The largest difference of a module's Y_d, or of its Y_k a_k, from Pinocchio, relative to the largest entry.
+    """Largest difference of a module's Y_d, or of its Y_k a_k, from Pinocchio, relative to the largest entry.
 
-    Friction columns, which Pinocchio has not, are left out.
+    Friction columns, which Pinocchio does not have, are omitted.
     """
     module: dict[str, Any] = {}
     exec(compile(source, chain.name, "exec"), module)
@@ -198,5 +198,5 @@ def _lines(items: Sequence[str]) -> str:
 
 
 def _plain(name: str) -> str:
-    """A name that cannot end the text it stands in."""
+    """A name that cannot end a Python text."""
     return name.replace("\\", "/").replace('"', "'").replace("\n", " ")

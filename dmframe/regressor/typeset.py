@@ -106,7 +106,7 @@ class _Writer:
         self.numbers = values
 
     def constants(self) -> list[list[Polynomial]]:
-        """What stands for each of the robot's constants: symbols, or numbers for rotations."""
+        """Replacement of each of the robot's constants: symbols, or numbers for rotations."""
         named = {".inertia": self.inertial, ".a_k": self.lengths, ".gravity": self.gravity}
         found = []
         for constant in self.robot.constants:
@@ -208,7 +208,7 @@ def _with_friction(Y_d: Matrix, parameters: DynamicParameters) -> Matrix:
 
 
 def _named_columns(matrix: Matrix, names: Sequence[str], keep: Sequence[int] | None) -> Matrix:
-    """Only the columns to keep that are not zero, under their names."""
+    """The kept columns that are not zero, with their names."""
     chosen = [c for c in (range(len(names)) if keep is None else keep) if any(row[c] for row in matrix.entries)]
     rows = tuple(tuple(row[c] for c in chosen) for row in matrix.entries)
     return Matrix(matrix.name, matrix.arguments, rows, tuple(names[c] for c in chosen))

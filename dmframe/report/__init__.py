@@ -1,4 +1,4 @@
-"""Reports: what was proved, on what it rests, and what was measured, for a reader who does not know the tool."""
+"""Reports on a graph: certificate, assumptions, simulated run and linear analysis as HTML, Markdown, JSON or text."""
 
 from dmframe.report.analysis import Analysis
 from dmframe.report.explanation import Explanation

@@ -1,4 +1,4 @@
-"""The linear analysis of a graph, as a person holds it."""
+"""Linear analysis of a graph, with its terminal page and its notebook view."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ class Analysis:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """What ``dmframe analyse --json`` prints of it."""
+        """Data that ``dmframe analyse --json`` prints."""
         return dict(self._view.numbers)
 
     @property
     def conclusion(self) -> str:
-        """What it comes to, in one sentence."""
+        """Stability of the linearised loop and of the simulated run, in one sentence."""
         return f"{self._near} {self._run}"
 
     @cached_property
@@ -68,7 +68,7 @@ class Analysis:
             if slowest < 0:
                 least = min(found.periods.at_rest, found.periods.moving, key=lambda bracket: bracket.stable)
                 most = plain(least.stable, "s", 4)
-                until = "" if math.isinf(least.unstable) else f", and at the sampling periods looked at up to {most}"
+                until = "" if math.isinf(least.unstable) else f", and at all tested sampling periods up to {most}"
                 return f"Near the set-point the loop is stable in continuous time{until};"
             return f"Near the set-point the loop is unstable: a pole has the real part {slowest:.3g} 1/s;"
         radius = max(linear.spectral_radius(found.clock) for linear in (found.at_rest, found.moving))
@@ -76,13 +76,13 @@ class Analysis:
         clock = plain(found.clock, "s")
         if radius > 1:
             most = plain(least.stable, "s", 4)
-            until = "on no clock that was looked at" if least.stable == 0 else f"at the periods looked at up to {most}"
+            until = "at no tested period" if least.stable == 0 else f"at the tested periods up to {most}"
             return f"Sampled every {clock} the loop is unstable near its set-point; it is stable {until};"
         if math.isinf(least.unstable):
-            return f"Sampled every {clock} the loop is stable near its set-point, as on every clock looked at;"
+            return f"Sampled every {clock} the loop is stable near its set-point, as at every tested period;"
         room = least.stable / found.clock
         return (
-            f"Sampled every {clock} the loop is stable near its set-point, and at each longer period looked at up "
+            f"Sampled every {clock} the loop is stable near its set-point, and at each longer tested period up "
             f"to {plain(least.stable, 's', 4)}, {room:.2g} times as long;"
         )
 
@@ -90,11 +90,11 @@ class Analysis:
     def _run(self) -> str:
         bracket, clock = self.found.periods.simulated, self.found.clock
         if bracket.stable == 0:
-            return "its own run stays bounded on no clock that was looked at."
+            return "the simulated run stays bounded at no tested period."
         if math.isinf(bracket.unstable):
-            return f"its own run stays bounded up to {plain(bracket.stable, 's', 4)}, the longest looked at."
-        text = f"its own run stays bounded up to about {plain(bracket.stable, 's', 4)}"
-        return f"{text}." if clock is None or bracket.stable >= clock else f"{text}, less than its clock."
+            return f"the simulated run stays bounded up to {plain(bracket.stable, 's', 4)}, the longest tested period."
+        text = f"the simulated run stays bounded up to about {plain(bracket.stable, 's', 4)}"
+        return f"{text}." if clock is None or bracket.stable >= clock else f"{text}, less than its sampling period."
 
     def __repr__(self) -> str:
         return f"<Analysis of {self.name}: {self.conclusion}>"
@@ -104,7 +104,7 @@ class Analysis:
         parts = [
             f"{self.name}: {self.experiment.file.title}".rstrip(": "),
             "",
-            "joint loops: servo, motor, diagonal of M and viscous friction at the set-point, other joints held",
+            "joint loops: servo, motor, diagonal of M and viscous friction at the set-point, other joints locked",
             columns([JOINT_HEADS, *view.joints]),
             "",
             "closed loop, linearised at the set-point, estimates at their true values",
@@ -136,7 +136,7 @@ class Analysis:
         )
 
     def _proofs(self) -> Iterator[str]:
-        """What was proved, in words; or why not."""
+        """Stability proofs in words, or why there is none."""
         rows = self._view.periods[2:4]
         meanings = {meaning: name.removeprefix("proved, ") for name, _, meaning in reversed(rows)}
         for meaning, name in reversed(meanings.items()):
@@ -146,7 +146,7 @@ class Analysis:
 
     def _emulation(self) -> Iterator[str]:
         if self._view.emulation:
-            yield "largest adaptation gain that the clock bears, quasi-statically: T λ_max(Γ Y_d' w Y_d) < 2; no proof"
+            yield "largest adaptation gain at this period, quasi-static estimate T λ_max(Γ Y_d' w Y_d) < 2; no proof"
             yield columns([EMULATION_HEADS, *self._view.emulation])
             yield ""
 

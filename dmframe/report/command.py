@@ -1,4 +1,4 @@
-"""The command line that does something with a graph as it stands."""
+"""Command line that reproduces an operation on a graph with its overrides."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ ENDINGS = (".yaml", ".yml")
 
 
 class Command(NamedTuple):
-    """What a shell reads, and what must be done before it; `before` is empty where nothing must.
+    """Shell command, and the text of a file that must be written before it (empty: none).
 
-    ``--set`` reaches the blocks in `swapped` as ``baseline.block.parameter``.
+    ``--set`` addresses the blocks in `swapped` as ``baseline.block.parameter``.
     """
 
     text: str
@@ -25,9 +25,9 @@ class Command(NamedTuple):
 
 
 def command(experiment: Experiment, verb: str) -> Command:
-    """``dmframe VERB GRAPH --set ...``, quoted; of a graph that is no file, for the file into which its text goes.
+    """``dmframe VERB GRAPH --set ...``, quoted; a graph without a file has to be written to one first.
 
-    So it is, too, of a baseline, but where VERB is ``run``, which runs the graph beside it.
+    A baseline has to be written to a file too, except for ``run``, which has the option ``--baseline``.
     """
     own, path, known = experiment.name, experiment.document.name, graphs()
     packaged = [name for name, place in known.items() if str(place) == path]

@@ -1,4 +1,4 @@
-"""Everything that a report says, gathered once for HTML, Markdown and JSON alike."""
+"""Content of a report, collected once for HTML, Markdown and JSON."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from dmframe.parameter import specs
 from dmframe.report.linear import LinearView, linear_view
 from dmframe.report.measured import Measured, measure
 from dmframe.report.notation import marked, marked_prose, signal_latex
+from dmframe.report.parts import Row
 from dmframe.report.planar import RobotModel, robot_model
-from dmframe.report.rows import Row
 from dmframe.report.terms import Terms, parameter_text, rows_of_lines, terms_of
 from dmframe.report.words import Meaning, meaning_of
 from dmframe.units import plain
@@ -30,7 +30,7 @@ from dmframe.units import plain
 @final
 @dataclass(frozen=True)
 class Value:
-    """A parameter of a block in this graph; `says` is marked text."""
+    """Parameter of a block in this graph; `says` is its description, marked text."""
 
     name: str
     value: str
@@ -41,7 +41,7 @@ class Value:
 @final
 @dataclass(frozen=True)
 class BlockLaw:
-    """A block of the graph with its law, printed from its code, and its numbers."""
+    """Block of the graph: equations printed from its code, and parameter values."""
 
     name: str
     type: str
@@ -54,7 +54,7 @@ class BlockLaw:
 @final
 @dataclass(frozen=True)
 class Condition:
-    """A condition with its margin; `text` is marked."""
+    """Condition of the certificate with its margin; `text` is marked."""
 
     text: str
     margin: str
@@ -63,15 +63,15 @@ class Condition:
     source: str
 
     @property
-    def told(self) -> str:
-        """What is said of it where it holds: of samples, no more than that."""
+    def status(self) -> str:
+        """``holds`` only for a proved condition."""
         return "sampled, not proved" if self.how == "sampled" else "holds"
 
 
 @final
 @dataclass(frozen=True)
 class Follows:
-    """What one step says of several signals (LaTeX); `assumes` are marked texts."""
+    """Conclusion of one proof step on several signals (LaTeX); `assumes` are marked texts."""
 
     says: str
     step: str
@@ -82,7 +82,7 @@ class Follows:
 @final
 @dataclass(frozen=True)
 class Witness:
-    """Where a refuted identity fails: signals and residues that are not zero."""
+    """Counterexample of a refuted identity: non-zero signals and the residue."""
 
     blame: tuple[str, ...]
     signals: tuple[str, ...]
@@ -94,7 +94,7 @@ class Witness:
 @final
 @dataclass(frozen=True)
 class Opening:
-    """A report's first page: the verdict, what it means, what follows in the end, and what is assumed."""
+    """First page of a report: verdict, meaning, conclusions and assumptions."""
 
     name: str
     title: str
@@ -107,22 +107,22 @@ class Opening:
 @final
 @dataclass(frozen=True)
 class Content:
-    """One graph's report.
+    """Report on one graph.
 
     Parameters
     ----------
     summary
-        What ``verify --json`` prints of it.
+        Data that ``verify --json`` prints.
     signs
-        Each operation, quantity of the robot and convention that the laws use, with what it means.
+        Legend of the operations, robot quantities and conventions in the laws.
     picture
-        The diagram as stand-alone SVG.
+        Block diagram as stand-alone SVG.
     mermaid
-        The same for Markdown.
+        Block diagram for Markdown.
     provenance
         See `dmframe.results.folder.provenance`.
     resolved
-        The graph with everything said, as YAML.
+        The graph with all defaults written out, as YAML.
     """
 
     name: str
@@ -151,8 +151,8 @@ class Content:
 
 
 def opening(experiment: Experiment, verdict: Verdict) -> Opening:
-    """The first page alone; nothing is simulated for it."""
-    laws = verdict.claim.laws if verdict.claim is not None else {}
+    """First page of a report, without a simulation."""
+    laws = verdict.flow_claim.laws if verdict.flow_claim is not None else {}
     last = [item for item in verdict.statements if item.concludes]
     return Opening(
         name=experiment.name,
@@ -173,13 +173,13 @@ def gather(
     seed: int,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Content:
-    """Everything about one graph; it is simulated for this, and `tell` is called with what is done."""
+    """Collect the report on one graph, which is simulated for it; `tell` receives progress messages."""
     from dmframe.drawing import mermaid, svg
     from dmframe.results.folder import provenance
     from dmframe.results.resolved import resolved_text
 
     resolved = resolved_text(experiment)
-    laws = verdict.claim.laws if verdict.claim is not None else laws_of(diagram)
+    laws = verdict.flow_claim.laws if verdict.flow_claim is not None else laws_of(diagram)
     return Content(
         name=experiment.name,
         title=experiment.file.title,
@@ -190,7 +190,7 @@ def gather(
         mermaid=mermaid(diagram),
         laws=tuple(_law(diagram, name, law) for name, law in laws.items()),
         signs=where(line for law in laws.values() for line in law.lines),
-        terms=terms_of(verdict.claim) if verdict.claim is not None else None,
+        terms=terms_of(verdict.flow_claim) if verdict.flow_claim is not None else None,
         conditions=tuple(map(_condition, verdict.conditions)),
         assumptions=_assumptions(verdict),
         follows=tuple(_follows(verdict.statements, laws)) if verdict.outcome == "proved" else (),
@@ -216,7 +216,7 @@ def _facts(experiment: Experiment, diagram: Diagram) -> list[tuple[str, str]]:
     own = sum(variable.symbol.numel() for variable in diagram.loop.controller)
     facts = [
         ("controller", "in continuous time" if clock is None else f"sampled every {plain(clock, 's')}"),
-        ("states", f"{diagram.loop.state.numel()}, of which the controller's {own}"),
+        ("states", f"{diagram.loop.state.numel()}, of which {own} in the controller"),
     ]
     if diagram.robot is not None:
         robot = diagram.robot
@@ -224,7 +224,7 @@ def _facts(experiment: Experiment, diagram: Diagram) -> list[tuple[str, str]]:
         change = (
             f"the largest change of an entry is {robot.rotation_change:.1e}" if robot.rotation_change else "no change"
         )
-        facts.append(("robot's model", f"its rotations made exactly orthogonal, with rational entries: {change}"))
+        facts.append(("robot model", f"rotations made exactly orthogonal, with rational entries: {change}"))
     return facts
 
 
@@ -252,7 +252,7 @@ def _condition(checked: Checked) -> Condition:
 
 
 def _follows(statements: Sequence[Statement], laws: Mapping[str, PrintedLaw]) -> list[Follows]:
-    """Statements that say the same by the same step, together; conclusions last."""
+    """Statements grouped by text and proof step; conclusions last."""
     grouped = dict[tuple[str, str, bool], list[Statement]]()
     for item in sorted(statements, key=lambda item: item.concludes):
         grouped.setdefault((item.says, item.step, item.concludes), []).append(item)

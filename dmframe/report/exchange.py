@@ -1,4 +1,4 @@
-"""What blocks supply to one another, and which of these supplies add up to zero."""
+"""Power balance between blocks: groups of blocks whose supply rates cancel."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from dmframe.certify.symbols import Symbols, symbols_of
 from dmframe.exact import Tape
 
 _SEEDS: Final = (0, 1)
-"""Of the random points, each in a random prime field of its own."""
+"""Seeds of the random points, each in its own random prime field."""
 
 
 @final
 @dataclass(frozen=True)
 class Exchange:
-    """Supplies of the blocks of a diagram.
+    """Supply rates of the blocks of a diagram.
 
     Parameters
     ----------
     groups
-        Blocks whose supplies add up to zero identically, the fewest together; a group of one supplies nothing.
+        Smallest groups of blocks whose supply rates sum to zero identically; a group of one has a zero supply rate.
     left
-        Blocks whose supplies nothing takes away.
+        Blocks whose supply rate is not cancelled by any other block.
     """
 
     groups: tuple[tuple[str, ...], ...]
@@ -36,10 +36,10 @@ class Exchange:
 
 
 def exchange_of(claim: Claim) -> Exchange:
-    """Find the smallest groups of blocks whose supplies cancel, decided in prime fields, as a verdict is.
+    """Find the smallest groups of blocks whose supply rates cancel, decided in prime fields like a verdict.
 
-    Supplies of different weights in V are never added: they would cancel for one weight alone. Raises `DmframeError`
-    where they hold what no prime field has.
+    Supply rates with different weights in V are not added: they would cancel for one value of kappa only. Raises
+    `DmframeError` for operations that have no prime-field equivalent.
     """
     symbols = symbols_of(claim)
     groups, left = list[tuple[str, ...]](), list[str]()
@@ -59,14 +59,14 @@ def exchange_of(claim: Claim) -> Exchange:
 
 
 def _levels(claim: Claim) -> list[list[Part]]:
-    """The blocks whose storages have one weight in V."""
+    """Blocks grouped by the weight of their storage function in V."""
     if not claim.cascaded:
         return [list(claim.parts)]
     return [[part for part in claim.parts if part.cascade is cascade] for cascade in (False, True)]
 
 
 def _cancelling(parts: Sequence[Part], size: int, symbols: Symbols) -> tuple[Part, ...] | None:
-    """The first so many blocks whose supplies add up to zero at every point."""
+    """First group of `size` blocks whose supply rates sum to zero at every random point."""
     chosen = list(combinations(parts, size))
     sums = [total([ca.SX(part.certificate.supply) for part in some]) for some in chosen]
     tape = Tape.from_function(symbols.function("supplies", sums))

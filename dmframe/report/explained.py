@@ -1,4 +1,4 @@
-"""What there is to say of each block of a graph, as facts: role, signals, states, estimates, law, knowledge."""
+"""Facts about each block of a graph: role, signals, states, estimates, law, robot parameters used."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from dmframe.simulate.start import start_state
 @final
 @dataclass(frozen=True)
 class Estimated:
-    """An estimate: the formula of its true value, that value, and its start; None for what is not known."""
+    """Adapted state: formula and value of its true value, and initial value; None where unknown."""
 
     name: str
     unit: str
@@ -44,19 +44,19 @@ class BlockFacts:
     Parameters
     ----------
     does
-        Its summary, plain text; empty where its file says nothing.
+        Summary of its docstring as plain text; may be empty.
     roles
-        What it is in this graph, in words.
+        Its roles in this graph, in words.
     states
-        Name and unit of each state that is no estimate.
+        Name and unit of each state that is not an estimate.
     law
-        As it prints; None in a graph that claims nothing.
+        Printed law; None in a graph without a certificate.
     certified
-        True for a block that states a certificate.
-    payer
-        The block that pays for what it consumes; empty where it consumes nothing, or nobody could pay.
+        True for a block with a certificate.
+    dominator
+        Block whose dissipation dominates the cross term of this block; empty without a cross term or such a block.
     knows
-        The true numbers of the robot that its equations hold, in words.
+        True robot parameters that its equations contain, in words.
     """
 
     name: str
@@ -70,16 +70,18 @@ class BlockFacts:
     estimates: tuple[Estimated, ...]
     law: PrintedLaw | None
     certified: bool
-    payer: str
+    dominator: str
     knows: tuple[str, ...]
 
 
 def facts_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> tuple[BlockFacts, ...]:
-    """All blocks, in the order in which signals pass them."""
-    claim = verdict.claim
+    """Facts about all blocks, in signal-flow order."""
+    claim = verdict.flow_claim
     claimed = claim.laws if claim is not None else {}
     laws = claimed or _printed(diagram)
-    payers = {} if claim is None else {part.block: payer.block for part, payer in claim.payments if payer is not None}
+    dominators = (
+        {} if claim is None else {part.block: other.block for part, other in claim.cross_terms if other is not None}
+    )
     knows = {known.block: tuple(WORDS.get(group, group) for group in known.groups) for known in known_truths(diagram)}
     true, starts = estimates_of(diagram), _starts(experiment, diagram)
     return tuple(
@@ -95,7 +97,7 @@ def facts_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> tupl
             estimates=tuple(_estimates(diagram, name, laws.get(name), true, starts)),
             law=claimed.get(name),
             certified=type(diagram.blocks[name]).certificate is not AbstractBlock.certificate,
-            payer=payers.get(name, ""),
+            dominator=dominators.get(name, ""),
             knows=knows.get(name, ()),
         )
         for name in order(diagram)
@@ -103,17 +105,17 @@ def facts_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> tupl
 
 
 def exchange(verdict: Verdict) -> Exchange | None:
-    """Which supplies cancel; None where there is no claim, or no way to decide."""
-    if verdict.claim is None:
+    """Groups of cancelling supply rates; None without a certificate, or where the test is not applicable."""
+    if verdict.flow_claim is None:
         return None
     try:
-        return exchange_of(verdict.claim)
+        return exchange_of(verdict.flow_claim)
     except (DmframeError, ZeroDivisionError):
         return None
 
 
 def _printed(diagram: Diagram) -> Mapping[str, PrintedLaw]:
-    """The laws of a diagram that claims nothing; none where what is read is not what runs."""
+    """Printed laws of a diagram without a certificate; empty where source and behaviour differ."""
     try:
         return laws_of(diagram)
     except DmframeError:
@@ -121,7 +123,7 @@ def _printed(diagram: Diagram) -> Mapping[str, PrintedLaw]:
 
 
 def _roles(diagram: Diagram, name: str, *, adapts: bool) -> list[str]:
-    """From what a block reads, hands on and keeps: no block is known by its type."""
+    """Derive the roles of a block from its signals and states, not from its type."""
     block, model = diagram.blocks[name], diagram.models[name]
     if block.side is Side.SOURCE:
         return ["source"]
@@ -166,7 +168,7 @@ def _estimates(
 
 
 def _starts(experiment: Experiment, diagram: Diagram) -> dict[str, np.ndarray]:
-    """Where states start, by label; none of a graph whose start cannot be reached, which a run tells."""
+    """Initial states by label; empty for an unreachable start, which `run` reports."""
     try:
         whole = start_state(diagram, experiment.start)
     except DmframeError:

@@ -1,4 +1,4 @@
-"""A graph in plain sentences: what each block does in it, which signals go where, and what its certificate says."""
+"""Description of a graph in sentences: each block, the signal flow, and the certificate."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from dmframe.port import Access, Side
 from dmframe.report.command import command
 from dmframe.report.explained import BlockFacts, exchange, facts_of
 from dmframe.report.notation import spelled
-from dmframe.report.sentences import Said, signal, supplies, told
+from dmframe.report.sentences import Said, described, signal, supplies
 from dmframe.report.verdict_text import HARD
 from dmframe.report.words import everywhere, meaning_of
 from dmframe.units import plain
 
 _INDENT: Final = 2
 _UNIT: Final = re.compile(r" \[[^\]]*\]")
-"""It stays on the line of its signal."""
+"""Unit of a signal; no line break before it."""
 _RATE: Final = r"\tfrac{d}{d t}"
-"""How `unmarked` leaves the one fraction of a verdict's sentence."""
+"""Fraction that `unmarked` leaves in the sentence of a verdict."""
 
 
 @final
 class Section(NamedTuple):
-    """A heading, and what is said under it."""
+    """Heading with its sentences and formulas."""
 
     heading: str
     said: tuple[Said, ...]
@@ -49,14 +49,14 @@ class Section(NamedTuple):
 @final
 @dataclass(frozen=True, repr=False, eq=False)
 class Explanation:
-    """A graph, explained; ``str`` of it is the terminal's page, and a notebook shows the same.
+    """Description of a graph; ``str`` gives the terminal page, a notebook shows the same content.
 
     Parameters
     ----------
     experiment, diagram
         The graph.
     verdict
-        What was found of its certificate.
+        Result of `verify`.
     """
 
     experiment: Experiment
@@ -70,18 +70,18 @@ class Explanation:
 
     @cached_property
     def blocks(self) -> tuple[BlockFacts, ...]:
-        """What is known of each block, in the order in which signals pass them."""
+        """Facts about each block, in signal-flow order."""
         return facts_of(self.experiment, self.diagram, self.verdict)
 
     @cached_property
     def sections(self) -> tuple[Section, ...]:
-        """All that is said: the whole first, then block by block, then what is hidden, and the certificate."""
+        """Overview, one section a block, measured and hidden signals, certificate."""
         blocks = [
-            Section(f"{place}. {block.name} ({block.type}): {', '.join(block.roles)}", tuple(told(block)))
+            Section(f"{place}. {block.name} ({block.type}): {', '.join(block.roles)}", tuple(described(block)))
             for place, block in enumerate(self.blocks, start=1)
         ]
         head = f"{self.name}: {self.experiment.file.title}".rstrip(": ")
-        seen = Section("What the controller sees of the plant", tuple(map(Said, self._seen())))
+        seen = Section("Signals of the plant that the controller reads", tuple(map(Said, self._seen())))
         return (
             Section(head, tuple(map(Said, self._whole()))),
             *blocks,
@@ -91,7 +91,7 @@ class Explanation:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """What ``dmframe explain --json`` prints: facts by block, and the sentences."""
+        """Data that ``dmframe explain --json`` prints: facts by block, and the sentences."""
         return {
             "graph": self.name,
             "title": self.experiment.file.title,
@@ -106,53 +106,50 @@ class Explanation:
 
     @property
     def command(self) -> str:
-        """The command that says all of the verdict."""
+        """Command that prints the full verdict."""
         return command(self.experiment, "verify").text
 
     def _whole(self) -> Iterator[str]:
         robot, file = self.diagram.robot, self.experiment.file
         if robot is not None:
             many = "joint moves" if robot.n == 1 else "joints move"
-            yield f"The robot is {robot.name}, of which {robot.n} {many}: {listed(list(robot.joint_names))}."
+            yield f"The robot is {robot.name}; {robot.n} {many}: {listed(list(robot.joint_names))}."
         if any(block.side is Side.CONTROLLER for block in self.blocks):
             runs = "in continuous time" if file.clock is None else f"every {plain(file.clock, 's')}"
             yield f"The controller runs {runs}."
         back = list(dict.fromkeys(item.block for b in self.blocks for item in b.taken if item.how == "measured"))
-        closed = f"; what is measured at {listed(back)} goes back to the controller" if back else ""
-        yield f"Signals pass the blocks in this order: {' → '.join(block.name for block in self.blocks)}{closed}."
+        closed = f"; the controller reads measurements of {listed(back)}" if back else ""
+        yield f"Signal flow: {' → '.join(block.name for block in self.blocks)}{closed}."
         if any(block.law is not None and block.law.S is not None for block in self.blocks):
-            yield "V is an energy-like function of the errors; each block states its part of V and of the rate dV/dt."
+            yield "V is an energy-like function of the errors. Each block has a storage function and terms of dV/dt."
 
     def _seen(self) -> Iterator[str]:
         plant = [block for block in self.blocks if block.side is Side.PLANT]
         if not plant:
             return
-        told, unread = (
-            [f"{listed(names)} of {block.name}" for block in plant if (names := self._measured(block, read=read))]
-            for read in (True, False)
+        read, unread = (
+            [f"{listed(names)} of {block.name}" for block in plant if (names := self._measured(block, read=used))]
+            for used in (True, False)
         )
-        yield f"Measured, and told to it: {'; '.join(told)}." if told else "It is told nothing."
+        yield f"Measured and read: {'; '.join(read)}." if read else "The controller reads no measurement."
         if unread:
             yield f"Measured, but read by no block of the controller: {'; '.join(unread)}."
         own = [f"{listed(names)} of {block.name}" for block in plant if (names := self._hidden(block))]
         if own:
-            yield (
-                f"Hidden from it: {'; '.join(own)}. Such signals and true values are there for the plant itself, for "
-                "the proof and for the results."
-            )
+            yield (f"Not available to the controller: {'; '.join(own)}. Only plant, proof and results use them.")
         known = {word for block in self.blocks for word in block.knows}
-        known |= {WORDS["tool_rotation"]}  # the plant's equations do not hold it
+        known |= {WORDS["tool_rotation"]}  # not in the plant's equations
         if self.diagram.robot is not None and (unknown := [word for word in WORDS.values() if word not in known]):
-            yield f"No block of the controller holds these numbers of the robot: {', '.join(unknown)}."
+            yield f"No block of the controller contains these robot parameters: {', '.join(unknown)}."
 
     def _hidden(self, block: BlockFacts) -> list[str]:
-        """Outputs and parameters of a block of the plant that no block of the controller can read."""
+        """Outputs and parameters of a plant block that the controller cannot read."""
         kind = type(self.diagram.blocks[block.name])
         hidden = [unicode_name(item.name) for item in block.given if item.access is not Access.MEASURED]
         return list(dict.fromkeys([*hidden, *map(unicode_name, specs(kind))]))
 
     def _measured(self, block: BlockFacts, *, read: bool) -> list[str]:
-        """Outputs of a block of the plant that the controller may read, and does or does not."""
+        """Outputs of a plant block that the controller may read: those that it does, or does not."""
         sides = {other.name: other.side for other in self.blocks}
         return [
             signal(item.name, item.unit)
@@ -165,50 +162,45 @@ class Explanation:
         verdict = self.verdict
         yield from map(Said, self._energy())
         said = command(self.experiment, "verify")
-        given = f", with {said.before}," if said.before else ""
-        yield Said(f"{said.text}{given} says: {verdict.headline}.".replace("`", ""))
+        given = f", with {said.before}" if said.before else ""
+        yield Said(f"Verdict: {verdict.headline} ({said.text}{given}).".replace("`", ""))
         clock = self.experiment.file.clock
         meaning = unmarked(meaning_of(verdict, clock).sentence).replace(_RATE, "d/dt ")
         yield Said(meaning[:1].upper() + meaning[1:])
         if clock is not None and verdict.outcome == "proved" and verdict.samples is None:
             yield Said(
-                f"The proof is one of continuous time: it does not say what a clock of {plain(clock, 's')} changes."
+                f"The proof holds in continuous time; the effect of sampling every {plain(clock, 's')} is not proved."
             )
         if verdict.conditions:
             failing = [spelled(item.name) for item in verdict.conditions if not item.holds]
-            held = f"All {len(verdict.conditions)} conditions hold {unmarked(everywhere(verdict))}."
-            yield Said(f"Conditions that fail: {listed(failing)}." if failing else held)
+            met = f"All {len(verdict.conditions)} conditions hold {unmarked(everywhere(verdict))}."
+            yield Said(f"Conditions that fail: {listed(failing)}." if failing else met)
         if verdict.assumptions:
-            yield Said("It takes for granted that")
+            yield Said("Assumptions:")
             yield from (Said(f"- {spelled(item.text)}") for item in verdict.assumptions)
 
     def _energy(self) -> Iterator[str]:
-        claim = self.verdict.claim
+        claim = self.verdict.flow_claim
         if claim is None:
             return
         servo = [part.block for part in claim.parts if part.certificate.storage and not part.cascade]
         above = [part.block for part in claim.parts if part.certificate.storage and part.cascade]
-        weighed = f"κ times what {listed(servo)} store{'s' * (len(servo) == 1)}"
-        alone = f"what {listed(above)} store{'s' * (len(above) == 1)}"
-        if claim.cascaded:
-            yield f"V adds up {' and '.join([alone] * bool(above) + [weighed] * bool(servo))}."
-        else:
-            together = [part.block for part in claim.parts if part.certificate.storage]
-            yield f"V adds up what {listed(together)} store{'s' * (len(together) == 1)}."
+        weighted = [f"κ times {_storages(servo)}"] * bool(servo) if claim.cascaded else [_storages(servo + above)]
+        yield f"V is {' plus '.join([_storages(above)] * (claim.cascaded and bool(above)) + weighted)}."
         found = exchange(self.verdict)
         for group in found.groups if found is not None else ():
             if len(group) == 1:
-                yield f"What is supplied to {group[0]} is zero."
+                yield f"The supply rate of {group[0]} is zero."
             else:
-                yield f"The supplies of {listed(group)} add up to zero: what one gives, the others take."
+                yield f"The supply rates of {listed(group)} sum to zero."
         if found is not None and found.left:
-            yield f"What other blocks supply to {listed(found.left)} is not taken from any."
+            yield f"The supply rate of {listed(found.left)} is not cancelled by any other block."
         if self.verdict.kappa is not None:
-            payers = listed(list(dict.fromkeys(payer.block for _, payer in claim.payments if payer is not None)))
-            consumers = [part.block for part, _ in claim.payments]
-            consumed = f"what {listed(consumers)} consume{'s' * (len(consumers) == 1)}"
+            dominators = dict.fromkeys(other.block for _, other in claim.cross_terms if other is not None)
+            consumers = [part.block for part, _ in claim.cross_terms]
+            terms = f"the cross term{'s' * (len(consumers) > 1)} of {listed(consumers)}"
             least = as_float(self.verdict.kappa.least)
-            yield f"With any κ above {least:.4g}, what {payers} spends pays for {consumed}."
+            yield f"With any κ above {least:.4g}, the dissipation of {listed(list(dominators))} dominates {terms}."
 
     def __repr__(self) -> str:
         return f"<Explanation of {self.name}: {len(self.blocks)} blocks, {self.verdict.headline}>"
@@ -226,6 +218,12 @@ class Explanation:
         return "".join(parts)
 
 
+def _storages(blocks: list[str]) -> str:
+    """Sum of storage functions, in words."""
+    many = f"s of {listed(blocks)}" if len(blocks) > 1 else f" of {listed(blocks)}"
+    return f"the {'sum of the ' * (len(blocks) > 1)}storage function{many}"
+
+
 def _lines(section: Section, wide: int) -> Iterator[str]:
     yield from textwrap.wrap(section.heading, wide, subsequent_indent=" " * _INDENT)
     lead, deep = " " * _INDENT, " " * 2 * _INDENT
@@ -235,8 +233,8 @@ def _lines(section: Section, wide: int) -> Iterator[str]:
             yield from (f"{deep}{first}", *(f"{deep}{lead}{text}" for text in more))
         else:
             below = deep if item.text.startswith("- ") else lead
-            held = _UNIT.sub(lambda unit: unit[0].replace(" ", HARD), item.text)
-            lines = textwrap.wrap(held, wide, initial_indent=lead, subsequent_indent=below, break_on_hyphens=False)
+            text = _UNIT.sub(lambda unit: unit[0].replace(" ", HARD), item.text)
+            lines = textwrap.wrap(text, wide, initial_indent=lead, subsequent_indent=below, break_on_hyphens=False)
             yield from (line.replace(HARD, " ") for line in lines)
 
 
@@ -283,6 +281,6 @@ def _data(block: BlockFacts) -> dict[str, Any]:
         "spends": [term.whole.text for term in law.dissipation] if law is not None else [],
         "supply": law.supply.text if law is not None and law.supply is not None and supplies(law) else None,
         "consumes": law.consumption.whole.text if law is not None and law.consumption is not None else None,
-        "payer": block.payer or None,
+        "payer": block.dominator or None,
         "knows": list(block.knows),
     }

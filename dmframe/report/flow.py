@@ -1,4 +1,4 @@
-"""Which way signals go through a diagram: the order of its blocks, and what each takes and hands on."""
+"""Signal flow through a diagram: order of the blocks, and inputs and outputs of each."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from dmframe.diagram.wiring import Ahead, Derived, Drawn, End, Period, Time, Wir
 from dmframe.port import ANY, Access, Side
 
 SIDES: Final = (Side.SOURCE, Side.CONTROLLER, Side.PLANT)
-"""In the order in which signals pass them."""
+"""Sides in signal-flow order."""
 
 
 @final
 @dataclass(frozen=True)
 class Taken:
-    """An input: the block and the output that drive it, empty where no block does, and `how` it comes by its value.
+    """Input of a block, with the block and output that drive it (empty: none).
 
-    `how` is ``measured``, ``commanded``, ``wired``, ``derivative``, ``time``, ``period``, ``drawn``, ``ahead`` or
-    ``zero``; a derivative is that of the input `signal`.
+    `how` names the origin of its value: ``measured``, ``commanded``, ``wired``, ``derivative``, ``time``, ``period``,
+    ``drawn``, ``ahead`` or ``zero``. For a derivative, `signal` is the differentiated input.
     """
 
     name: str
@@ -33,7 +33,7 @@ class Taken:
 @final
 @dataclass(frozen=True)
 class Given:
-    """An output, who may read it, and the inputs that do: pairs of a block and a port."""
+    """Output of a block with its access and its readers (pairs of block and port)."""
 
     name: str
     unit: str
@@ -42,7 +42,7 @@ class Given:
 
 
 def order(diagram: Diagram) -> list[str]:
-    """The blocks as signals pass them: sources, controller, plant, each behind those whose outputs its own need."""
+    """Blocks in signal-flow order: sources, controller, plant; within a side by direct feed-through."""
     known = dict[End, int]()
     places = {name: place for place, name in enumerate(diagram.blocks)}
 
@@ -54,7 +54,7 @@ def order(diagram: Diagram) -> list[str]:
 
 
 def _depth(diagram: Diagram, end: End, known: dict[End, int]) -> int:
-    """How many outputs an output stands behind at one instant; what comes from another side counts as the first."""
+    """Length of the longest direct feed-through chain to an output within its side."""
     if end in known:
         return known[end]
     known[end] = 0  # a derivative may lead back to itself
@@ -72,7 +72,7 @@ def _depth(diagram: Diagram, end: End, known: dict[End, int]) -> int:
 
 
 def taken(diagram: Diagram, name: str) -> list[Taken]:
-    """What a block takes, in the order of its ports."""
+    """Inputs of a block, in the order of its ports."""
     return [_taken(diagram, name, port.name, port.unit) for port in diagram.blocks[name].inputs]
 
 
@@ -104,7 +104,7 @@ def _how(diagram: Diagram, block: str, reader: str) -> str:
 
 
 def given(diagram: Diagram, name: str) -> list[Given]:
-    """What a block hands on, in the order of its ports; an output that it leaves out is not listed."""
+    """Outputs of a block, in the order of its ports, without optional outputs that it omits."""
     there = diagram.models[name].equations.outputs
     return [
         Given(port.name, port.unit, port.access, tuple(_readers(diagram, name, port.name)))

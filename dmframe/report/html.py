@@ -1,4 +1,4 @@
-"""Parts of a page as HTML: formulas in MathML, pictures in SVG, and every text of others escaped."""
+"""HTML of the parts of a page: formulas in MathML, pictures in SVG, user texts escaped."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ from dmframe.report.parts import (
     Part,
     Picture,
     Piece,
+    Row,
     Section,
     Subsection,
     Table,
     Titled,
     Word,
 )
-from dmframe.report.rows import Row
 
 Html = NewType("Html", str)
-"""A text in which all that is not markup of ours is escaped; only `plain`, `tag` and what sets formulas make one."""
+"""Escaped text; only `plain`, `tag` and the formula functions create it."""
 
 SHORT: Final = 48
-"""Characters of LaTeX up to which a formula in a sentence is not broken."""
+"""Length [characters of LaTeX] up to which a formula in a sentence is not broken."""
 _EMPTY: Final = Html("")
 
 
 def plain(text: str) -> Html:
-    """A text as it is."""
+    """Escape a text."""
     return Html(escape(text))
 
 
@@ -58,7 +58,7 @@ def joined(items: Iterable[Html], between: str = "\n") -> Html:
 
 
 def cell(given: Cell) -> Html:
-    """What stands in a cell, a paragraph or an item."""
+    """Content of a table cell, paragraph or list item."""
     pieces = given if isinstance(given, tuple) else (given,)
     return joined(map(_piece, pieces), "")
 
@@ -114,7 +114,7 @@ def _marked(text: str) -> Html:
 
 @final
 class Writer:
-    """Writes parts; `prefix` sets the names of one graph apart from those of others on the page."""
+    """Writer of parts; `prefix` makes the anchors of one graph unique on the page."""
 
     def __init__(self, prefix: str) -> None:
         self.prefix = prefix
@@ -126,7 +126,7 @@ class Writer:
         return tag("section", joined(inside), id=f"{self.prefix}-{given.name}", class_=wide)
 
     def contents(self, name: str, given: Sequence[Section]) -> Html:
-        """The sections' titles, each a way to its section."""
+        """Table of contents with links to the sections."""
         items = [tag("li", cell(Link(each.title, f"{self.prefix}-{each.name}"))) for each in given]
         return tag("nav", tag("ol", joined(items)), aria_label=f"contents of {name}")
 
@@ -167,7 +167,7 @@ class Writer:
 
 
 def lead(given: Lead) -> Html:
-    """The verdict, set apart."""
+    """Verdict as a highlighted section."""
     headline = tag("strong", plain(given.headline))
     line = tag("p", headline, plain(": "), cell(given.sentence), class_="headline")
     return tag("section", line, class_=f"verdict {given.outcome}")
@@ -209,5 +209,5 @@ def _equation(row: Row) -> Html:
 
 
 def _aligned(rows: Sequence[Row]) -> list[Row]:
-    """Rows whose left sides are short enough to be aligned; a longer one joins its right side."""
+    """Rows for alignment; a left side of more than two terms is joined to its right side."""
     return [Row("", f"{row.left} {row.right}", row.tag) if len(terms(row.left)) > 2 else row for row in rows]

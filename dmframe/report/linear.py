@@ -1,4 +1,4 @@
-"""What the linear analysis says of the servo, the poles and the sampling period."""
+"""Tables of the linear analysis: servo margins, poles and largest stable sampling period."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from dmframe.analysis import Bracket, EmulationLimit, JointLoop, Linear, LoopAnalysis, StabilityProof
 
 LONGEST: Final = 20.0
-"""Each simulation that looks for the largest sampling period lasts this long, or as long as the graph [s]."""
+"""Upper limit of the simulated time in the search for the largest stable sampling period [s]."""
 
 EMULATION_HEADS: Final = (
     "gain",
@@ -32,20 +32,20 @@ JOINT_HEADS: Final = ("joint", "inertia", "crossover", "phase margin", "gain mar
 @final
 @dataclass(frozen=True)
 class LinearView:
-    """Tables and pictures of the analysis; where there is none, `sentence` says why.
+    """Tables and figures of the analysis; without an analysis, `sentence` gives the reason.
 
     Parameters
     ----------
     joints
-        A row a joint, under `JOINT_HEADS`.
+        One row a joint, columns `JOINT_HEADS`.
     loop, periods
-        Rows: what, at rest, moving; and which search, what it found, what that means.
+        Rows (quantity, at rest, moving) and (search, result, meaning).
     emulation
-        A row an adapting block, under `EMULATION_HEADS`.
+        One row an adapting block, columns `EMULATION_HEADS`.
     bode, nyquist
         SVG, or empty.
     numbers
-        What ``dmframe analyse --json`` prints.
+        Data that ``dmframe analyse --json`` prints.
     """
 
     sentence: str
@@ -59,7 +59,7 @@ class LinearView:
 
 
 def linear_view(experiment: Experiment, diagram: Diagram, tell: Callable[[str], None] = lambda _: None) -> LinearView:
-    """Linearise at the set-point where the path begins; a fault of the analysis is told, not raised."""
+    """Linearise at the set-point at the start of the path; an analysis error becomes `sentence`."""
     from dmframe.analysis import analyse, bode_svg, nyquist_svg
 
     clock = experiment.file.clock
@@ -79,13 +79,13 @@ def linear_view(experiment: Experiment, diagram: Diagram, tell: Callable[[str], 
 
 
 def rows_of(name: str, found: LoopAnalysis) -> LinearView:
-    """The tables alone, without pictures; `name` is the graph's."""
+    """Tables without figures; `name` is the name of the graph."""
     from dmframe.analysis import summary
 
     return LinearView(
         sentence=(
             "Near the set-point at which the path begins, with every estimate at its true value, the loop was "
-            "linearised. That speaks of small motions there; it is neither the theorem nor the simulated run."
+            "linearised. The result holds for small motions there; it is neither the theorem nor the simulated run."
         ),
         joints=tuple(_joint(joint) for joint in found.joints),
         loop=tuple(_loop(found)),
@@ -130,17 +130,16 @@ def _loop(found: LoopAnalysis) -> Iterator[tuple[str, str, str]]:
         slow, fast = (_pole(linear, place) for linear in both)
         yield name, slow, fast
     resting = "eigenvalues at one" if sampled else "poles at zero"
-    yield f"{resting}, where the loop rests anywhere", str(both[0].at_rest), str(both[1].at_rest)
+    yield f"{resting}, free equilibrium coordinates", str(both[0].at_rest), str(both[1].at_rest)
     if both[0].drifting or both[1].drifting:
-        drifts = "and where it drifts steadily, which nothing brings back"
-        yield drifts, str(both[0].drifting), str(both[1].drifting)
+        yield "Jordan blocks there: ramp modes without a restoring term", str(both[0].drifting), str(both[1].drifting)
     if found.clock is not None:
         at_rest, moving = (f"{linear.spectral_radius(found.clock):.6f}" for linear in both)
         yield f"spectral radius of the loop sampled every {plain(found.clock, 's')}; stable below 1", at_rest, moving
         at_rest, moving = (
             "not proved" if proof.radius is None else f"{proof.radius:.8f}".rstrip("0") for proof in found.proofs
         )
-        yield f"proved, by interval arithmetic, to lie below; {_model(found)}", at_rest, moving
+        yield f"its upper bound, proved by interval arithmetic for {_model(found)}", at_rest, moving
 
 
 def _pole(linear: Linear, place: int) -> str:
@@ -161,30 +160,30 @@ def _periods(found: LoopAnalysis) -> Iterator[tuple[str, str, str]]:
 
 
 def _model(found: LoopAnalysis) -> str:
-    """Of what it is proved: the hash that runs of the graph store."""
-    return f"of the model {short(found.field_hash)}"
+    """Model hash that runs of the graph store."""
+    return f"the model {short(found.field_hash)}"
 
 
 def _meaning(proof: StabilityProof, found: LoopAnalysis, moving: bool) -> str:
-    """What the proof says, in words."""
+    """Statement and assumptions of the proof."""
     if proof.period is None:
         return f"nothing is proved: {proof.reason}" if proof.reason else "nothing is proved"
-    rests = f"; in {proof.resting} more it rests anywhere, exactly" if proof.resting else ""
+    rests = f"; {proof.resting} more directions are exact equilibria" if proof.resting else ""
     if proof.kept:
-        rests += f"; {proof.kept} sums of states, which no sample changes, are taken as they are there"
+        rests += f"; {proof.kept} sums of states are invariant and keep their values there"
     return (
         f"proved by interval arithmetic: an equilibrium lies within {proof.within:.1g} of the set-point, and the loop "
-        f"linearised there, Euler controller, exact zero-order hold, comes to rest from every state, in "
-        f"{proof.directions} directions{rests}. It is proved {_model(found)} and of this period; a shorter one needs "
-        f"another proof. Assumed: {_assumed(found, moving)}"
+        f"linearised there (Euler controller, exact zero-order hold) converges from every state, in "
+        f"{proof.directions} directions{rests}. The proof holds for {_model(found)} and for this period only. "
+        f"Assumed: {_assumed(found, moving)}"
     )
 
 
 def _assumed(found: LoopAnalysis, moving: bool) -> str:
-    """Of what loop the proof is."""
-    parts = ["trajectories and loads as they are at t = 0 s", "nothing drawn, no jitter"]
-    held = f" but for {listed(found.unknown)}" if found.unknown else ""
-    parts.append(f"estimates at their true values{held}")
+    """Assumptions of the proof."""
+    parts = ["trajectories and loads as at t = 0 s", "no random signals, no jitter"]
+    but = f" except {listed(found.unknown)}" if found.unknown else ""
+    parts.append(f"estimates at their true values{but}")
     if found.averaged:
         parts.append(f"{listed(list(found.averaged))} without rounding")
     if moving:
@@ -196,6 +195,6 @@ def _bracket(bracket: Bracket) -> str:
     if bracket.stable == 0:
         return f"none; unstable at {plain(bracket.unstable, 's', 4)}"
     if math.isinf(bracket.unstable):
-        return f"above {plain(bracket.stable, 's', 4)}, the longest looked at"
+        return f"above {plain(bracket.stable, 's', 4)}, the longest tested"
     ends = dict.fromkeys((plain(bracket.stable, "s", 4), plain(bracket.unstable, "s", 4)))
     return " to ".join(ends)

@@ -1,4 +1,4 @@
-"""Parts of a page as Markdown: formulas between dollar signs, and in a picture's place what stands for it."""
+"""Markdown of the parts of a page: formulas between dollar signs, alternatives instead of pictures."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from dmframe.report.parts import (
     Part,
     Picture,
     Piece,
+    Row,
     Section,
     Subsection,
     Table,
     Titled,
     Word,
 )
-from dmframe.report.rows import Row
 
 
 def section(given: Section) -> list[str]:
-    """The blocks of a section, between which blank lines stand."""
+    """Blocks of a section, to be separated by blank lines."""
     return [f"## {given.title}", *blocks(given.parts)]
 
 
@@ -65,7 +65,7 @@ def _part(part: Part) -> list[str]:
 
 
 def table(given: Table) -> str:
-    """A table; one without heads has empty ones, since there is none without."""
+    """Table; Markdown requires heads, so missing ones are empty."""
     heads: Sequence[Cell] = given.heads or [()] * len(given.rows[0])
     rule = ("---:" if column in given.numbers else "---" for column in range(len(heads)))
     return "\n".join([_line(heads), f"|{'|'.join(rule)}|", *map(_line, given.rows)])
@@ -76,7 +76,7 @@ def _line(cells: Sequence[Cell]) -> str:
 
 
 def cell(given: Cell, *, bars: bool = True) -> str:
-    """What stands in a cell, a paragraph or an item; without `bars` where one would end the cell of a table."""
+    """Content of a paragraph, item or table cell; ``bars=False`` escapes bars, for a table cell."""
     pieces = given if isinstance(given, tuple) else (given,)
     return "".join(_piece(piece, bars) for piece in pieces)
 
@@ -98,7 +98,7 @@ def _piece(piece: Piece, bars: bool) -> str:
 
 
 def plain(text: str) -> str:
-    """Text that is shown as it is: no element, formula, code, link or emphasis begins in it."""
+    """Escape a text: it starts no element, formula, code, link or emphasis."""
     return re.sub(r"[`$]|\]\(|\*\*", lambda mark: "\\" + mark[0], re.sub(r"<(?=[A-Za-z/!?])", "&lt;", text))
 
 
@@ -125,7 +125,7 @@ def _unbarred(text: str) -> str:
 
 
 def _vert(latex: str) -> str:
-    r"""Bars as ``\vert``, which tables bear."""
+    r"""Replace bars by ``\vert``, which does not end a table cell."""
     return re.sub(r"(?<!\\)\|", r"\\vert ", latex)
 
 
@@ -135,7 +135,7 @@ def _equation(row: Row) -> str:
 
 
 def _listing(given: Listing) -> str:
-    """Fenced by more backticks than the text itself has in a row."""
+    """Fence with more backticks than the longest run in the text."""
     longest = max((len(run) for run in re.findall("`+", given.text)), default=0)
     fence = "`" * max(3, longest + 1)
     return f"{fence}{given.language}\n{given.text.strip()}\n{fence}"

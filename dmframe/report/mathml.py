@@ -1,4 +1,4 @@
-r"""LaTeX as MathML, in pieces between which a line may break: browsers do not break a formula by themselves."""
+r"""LaTeX as MathML, split into terms with line-break opportunities: browsers do not break formulas."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _TOKEN: Final = re.compile(
 _DEPTH: Final = {"{": 1, "(": 1, "[": 1, "}": -1, ")": -1, "]": -1}
 _BRACES: Final = {"{": 1, "}": -1}
 LONG: Final = 120
-"""Characters of LaTeX beyond which a term may be broken inside of its brackets."""
+"""Length [characters of LaTeX] above which a term may be broken inside its brackets."""
 _WORDS: Final = re.compile(r"(?<=_)\{([A-Za-z]{2,})\}|\\mathrm\{([A-Za-z]+)\}")
 _UNDERSCORED: Final = re.compile(r"\\operatorname\{([A-Za-z0-9]+(?:\\_[A-Za-z0-9]+)+)\}")
 _FUNCTION: Final = re.compile(r"(</m(?:i|n|sub|sup|subsup|frac)>)(<m([io])>(?:sin|cos|tanh|min|max)</m\3>)")
 _ACCENT: Final = re.compile(r"<mo[^>]*>&#x0(007E|02D9|00A8|00AF|005E);</mo></mover>")
 _ACCENTS: Final = {"005E": "&#x02C6;", "007E": "&#x02DC;", "02D9": "&#x02D9;", "00A8": "&#x00A8;", "00AF": "&#x00AF;"}
-"""Accents that are drawn as such, for the signs ^ and ~ of the keyboard."""
+"""Typographic accents instead of the ASCII signs ^ and ~."""
 _LEADING: Final = re.compile(r"^(<math[^>]*><mrow><mo)>(?=&#x0(?:002B|2212|003D|2265|2264|00B1);)")
 _ELEMENTS: Final = frozenset(
     "math menclose mfrac mi mn mo mover mpadded mphantom mroot mrow mspace msqrt mstyle msub msubsup msup mtable mtd "
@@ -35,16 +35,16 @@ _SIGNS: Final = ("+", "-", "=", r"\ge", r"\le", r"\pm")
 
 
 def mathml(latex: str, *, display: bool = False, joined: bool = False) -> str:
-    """One formula as ``<math>``; what cannot be read stays as it was typed, as code.
+    """One formula as ``<math>``; LaTeX that cannot be converted becomes ``<code>``.
 
-    `joined`: it goes on from a formula before it, so that a sign at its beginning stands between two terms.
+    `joined`: the formula continues a previous one, so a leading sign is an infix operator.
     """
     from latex2mathml.converter import convert
 
     try:
         text = convert(_prepared(latex))
         known = _is_mathml(text)
-    except Exception:  # the library raises what it likes, and one formula unset is better than no report
+    except Exception:  # latex2mathml raises various errors; one plain formula is better than no report
         known = False
     if not known:
         return f"<code>{html.escape(latex)}</code>"
@@ -60,19 +60,19 @@ def mathml(latex: str, *, display: bool = False, joined: bool = False) -> str:
 
 
 def _is_mathml(text: str) -> bool:
-    r"""True for elements and attributes that set formulas: the library lets markup in a ``\text`` through."""
+    r"""Check elements and attributes against a white list: latex2mathml passes markup in a ``\text``."""
     elements = list(ET.fromstring(text).iter())
     return all(each.tag.rpartition("}")[2] in _ELEMENTS and set(each.keys()) <= _ATTRIBUTES for each in elements)
 
 
 def breakable(latex: str, *, display: bool = False) -> str:
-    """A formula as several ``<math>``, one a term, with places for a line break between them."""
+    """Formula as one ``<math>`` a term, with line-break opportunities between them."""
     pieces = terms(latex)
     return "<wbr/>".join(mathml(piece, display=display, joined=place > 0) for place, piece in enumerate(pieces))
 
 
 def terms(latex: str) -> list[str]:
-    r"""A formula cut before each sign outside of all brackets, and at each ``\quad``; a long term inside of ( ) too."""
+    r"""Split a formula before signs outside brackets and at each ``\quad``; a long term inside ( ) too."""
     pieces = _cut(latex, _DEPTH)
     return [part for piece in pieces for part in (_cut(piece, _BRACES) if len(piece) > LONG else [piece])]
 
@@ -100,7 +100,7 @@ def _cut(latex: str, brackets: Mapping[str, int]) -> list[str]:
 
 
 def _prepared(latex: str) -> str:
-    """Words in indices upright, bars that grow with what they hold."""
+    """Set words in indices upright, and bars that scale with their content."""
     latex = _UNDERSCORED.sub(lambda found: rf"{{\text{{{found[1]}}}}}".replace(r"\_", "_"), latex)
     latex = _WORDS.sub(lambda found: rf"{{\text{{{found[1] or found[2]}}}}}", latex)
     out, opened = list[str](), False

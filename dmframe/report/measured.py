@@ -1,4 +1,4 @@
-"""The loop as it runs: a simulation of the graph, and V along it."""
+"""Simulation of the graph, and V along it, for a report."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ from dmframe.simulate import Log, Recording
 from dmframe.units import plain
 
 ROUNDING = 1e-6
-"""Of V at the start: rises that an integrator's own error explains."""
+"""Relative increase of V, of its initial value, that the integration error explains."""
 
 INSTANTS = 9
-"""Rows of the table of V over time."""
+"""Rows in the table of V over time."""
 
 
 @final
 @dataclass(frozen=True)
 class Measured:
-    """What a run showed.
+    """Result of the simulated run.
 
     Parameters
     ----------
     sentence
-        Marked text: continuous and sampled time, said plainly.
+        Marked text: relation between theorem and run, and whether V rose.
     facts
         Rows of a table, marked texts.
     numbers
-        The same as plain data.
+        The facts as plain data.
     figure
         SVG, or empty.
     table
-        Instants [s] with V, for a page without pictures.
+        Instants [s] with V, for a page without figures.
     """
 
     sentence: str
@@ -58,7 +58,7 @@ class Measured:
 def measure(
     experiment: Experiment, diagram: Diagram, verdict: Verdict, tell: Callable[[str], None] = lambda _: None
 ) -> Measured:
-    """Simulate the graph as its file says, and evaluate V along it where V means something."""
+    """Simulate the graph for the duration in its file, and evaluate V along the run if it is defined."""
     clock = experiment.file.clock
     tell(f"simulating {plain(experiment.file.duration, 's')}")
     try:
@@ -85,50 +85,50 @@ def measure(
 def _sentence(clock: float | None) -> str:
     if clock is None:
         return (
-            "The theorem speaks of continuous time, and this graph runs in continuous time: its simulation differs "
-            "from the theorem's loop by the integrator's error alone."
+            "The theorem and this graph are in continuous time: the simulation differs from the theorem's loop by the "
+            "integration error only."
         )
     return (
-        f"The theorem speaks of continuous time; this controller runs every {plain(clock, 's')} and holds its commands "
-        "in between. For the sampled loop nothing is proved. What follows was measured on one simulation of it, from "
-        "one start, along one path."
+        f"The theorem holds in continuous time; this controller runs every {plain(clock, 's')} and holds its commands "
+        "in between (zero-order hold). The sampled loop is not proved. The figures below are measured on one "
+        "simulation of it, from one start, along one path."
     )
 
 
 def _judged(found: Along, clock: float | None) -> str:
     if not found.largest_increase:
         return "Along the run $V$ never rose from one sample to the next."
-    share = found.largest_increase / found.V[0] if found.V[0] else float("inf")
+    ratio = found.largest_increase / found.V[0] if found.V[0] else float("inf")
     rose = (
         f"Along the run $V$ rose from one sample to the next in {found.rises} of {found.steps.size} cases, by at most "
-        f"{found.largest_increase:.3g}, which is {100 * share:.2g} % of $V$ at the start. {_climbed(found)}"
+        f"{found.largest_increase:.3g}, which is {100 * ratio:.2g} % of $V$ at the start. {_climbed(found)}"
     )
     if clock is not None:
-        return rose + "The theorem is about continuous time; of a sampled loop it does not say that $V$ never rises."
-    if share <= ROUNDING:
-        return rose + "An integrator that takes finite steps leaves as much."
+        return rose + "The theorem holds in continuous time; in a sampled loop $V$ may rise."
+    if ratio <= ROUNDING:
+        return rose + "An increase of this size is within the integration error."
     return rose + (
-        "**Warning**: where all that the theorem assumes is true, $V$ does not rise. Either an assumption is not true "
-        "of this run, or the integrator's steps are too long: run it with a smaller step to see which."
+        "**Warning**: if all assumptions of the theorem hold, $V$ does not rise. Either this run violates an "
+        "assumption, or the integration step is too long: repeat the run with a smaller step."
     )
 
 
 def _climbed(found: Along) -> str:
-    """By how much V rose altogether, as a share of its fall."""
+    """Largest rise of V above an earlier value, as a fraction of its fall."""
     climb = found.climb
     if climb.since is None or climb.until is None:
         return "That is within rounding. "
-    share = "" if climb.share is None else f", which is {100 * climb.share:.3g} % of its fall"
+    fraction = "" if climb.share is None else f", which is {100 * climb.share:.3g} % of its fall"
     between = f"between {plain(climb.since, 's')} and {plain(climb.until, 's')}"
-    jumps = f"; its {len(found.jumps)} jumps at the steps of a source are left out" if found.jumps else ""
-    return f"It rose by {climb.rise:.3g} {between}{share}{jumps}. "
+    jumps = f"; its {len(found.jumps)} jumps at the steps of a source are excluded" if found.jumps else ""
+    return f"It rose by {climb.rise:.3g} {between}{fraction}{jumps}. "
 
 
 def _run_facts(run: Recording) -> tuple[list[tuple[str, str]], dict[str, Any]]:
-    told, error, turn = "reached its end", tracking_error(run), turn_error(run)
+    end, error, turn = "reached its end", tracking_error(run), turn_error(run)
     if run.divergence is not None:
-        told = f"diverged: `{run.divergence.block}.{run.divergence.state}` {run.divergence.how}"
-    facts = [("simulated time", f"{plain(float(run.time[-1]), 's')} of {plain(run.duration, 's')}; the run {told}")]
+        end = f"diverged: `{run.divergence.block}.{run.divergence.state}` {run.divergence.how}"
+    facts = [("simulated time", f"{plain(float(run.time[-1]), 's')} of {plain(run.duration, 's')}; the run {end}")]
     numbers: dict[str, Any] = {"simulated": float(run.time[-1]), "diverged": run.divergence is not None}
     if error is not None:
         rms = [f"{value:.3g}" if value is not None else "-" for value in error.rms_by_eighth]
@@ -145,14 +145,17 @@ def _run_facts(run: Recording) -> tuple[list[tuple[str, str]], dict[str, Any]]:
 
 def _along(verdict: Verdict, run: Recording) -> tuple[Along | None, str]:
     if verdict.samples is not None:
-        return None, "$V$ holds true values that no run tells, and is not shown."
-    if verdict.claim is None:
-        return None, "Without a certificate there is no $V$ to show."
+        return None, "$V$ contains true values that a run does not record, and is not shown."
+    if verdict.flow_claim is None:
+        return None, "A graph without a certificate has no $V$."
     if verdict.outcome == "refuted":
-        return None, "$V$ is not shown, since what the blocks claim about it is false."
-    if verdict.claim.cascaded and verdict.kappa is None:
-        return None, "$V$ is not shown, since no weight $\\kappa$ makes its derivative negative at these numbers."
-    return along(verdict.claim, run, as_float(verdict.kappa.chosen) if verdict.kappa else 1.0), ""
+        return None, "$V$ is not shown, since its certificate is refuted."
+    if verdict.flow_claim.cascaded and verdict.kappa is None:
+        return (
+            None,
+            "$V$ is not shown, since no weight $\\kappa$ makes its derivative negative at these parameter values.",
+        )
+    return along(verdict.flow_claim, run, as_float(verdict.kappa.chosen) if verdict.kappa else 1.0), ""
 
 
 def _v_facts(found: Along, clock: float | None) -> tuple[list[tuple[str, str]], dict[str, Any]]:

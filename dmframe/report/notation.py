@@ -1,7 +1,7 @@
-r"""What certificates write, ``J'(x - x_d)/2 - sigma/gamma``, as LaTeX; and formulas found in plain sentences.
+r"""Formulas in code notation, ``J'(x - x_d)/2 - sigma/gamma``, as LaTeX or Unicode, alone and within sentences.
 
-A *marked text* is a sentence with its formulas between dollar signs and its code between backticks; both the HTML
-and the Markdown are made from it. A terminal shows the same formulas in Unicode.
+A *marked text* is a sentence with formulas between dollar signs and code between backticks, the source of HTML and
+Markdown. A terminal shows the same formulas in Unicode.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ _TOKEN: Final = re.compile(
 )
 
 _LABEL: Final = re.compile(r"\b[\w-]+\.\w+:\d+|\\[A-Za-z]+[^:\s]*|\b(d )?[A-Za-z]\w*\.[A-Za-z]\w*(?(1)/dt)")
-"""``inverse.w``, ``d inverse.w/dt``, ``my_block.py:12`` and an author's own LaTeX."""
+"""``inverse.w``, ``d inverse.w/dt``, ``my_block.py:12`` and LaTeX of a block author."""
 
 
 def signal_latex(text: str, laws: Mapping[str, PrintedLaw]) -> str:
-    """What a statement is about, as LaTeX: found among the formulas of the laws that print as this text."""
+    """Signal of a statement as LaTeX, looked up among the formulas of the laws by its text."""
     known = _known(laws)
     if text in known:
         return known[text]
@@ -41,7 +41,7 @@ def signal_latex(text: str, laws: Mapping[str, PrintedLaw]) -> str:
 
 
 def _known(laws: Mapping[str, PrintedLaw]) -> dict[str, str]:
-    """The LaTeX of what the terms of certificates are made of, by the text under which they are called."""
+    """LaTeX of the vectors and norms in the terms of the certificates, by their text."""
     formulas = [formula for law in laws.values() for formulas in law.driven for formula in formulas]
     for law in laws.values():
         for term in (*law.storage, *law.dissipation, *law.excess):
@@ -50,7 +50,7 @@ def _known(laws: Mapping[str, PrintedLaw]) -> dict[str, str]:
 
 
 def in_unicode(text: str) -> str:
-    """A formula in the code's names as a terminal shows it; a text that is no formula stays as it is."""
+    """Formula in code notation as Unicode; other text is unchanged."""
     pieces, place = list[str](), 0
     while place < len(text):
         token = _TOKEN.match(text, place)
@@ -79,7 +79,7 @@ def _unicode_piece(token: re.Match[str]) -> str:
 
 
 def latex(text: str) -> str:
-    """A formula in the code's names as LaTeX; a text that is no formula stays text."""
+    r"""Formula in code notation as LaTeX; other text becomes ``\text{}``."""
     pieces, place = list[str](), 0
     while place < len(text):
         token = _TOKEN.match(text, place)
@@ -126,7 +126,7 @@ def _piece(token: re.Match[str]) -> str:
 
 
 def _primed(name: str, primes: int) -> str:
-    """J' is a transpose, z'' a second derivative."""
+    """Name with primes: J' is a transpose, z'' a second derivative."""
     if not primes:
         return latex_name(name)
     if name[0].isupper():
@@ -135,18 +135,18 @@ def _primed(name: str, primes: int) -> str:
 
 
 def marked(text: str) -> str:
-    """A sentence as marked text: its formulas are found among its words, names with an underscore become code."""
+    """Convert a sentence to marked text: detected formulas, names with an underscore as code."""
     signs = {"formula": lambda part: f"${latex(part)}$", "code": lambda part: f"`{part}`"}
     return "".join(signs[kind](part) if kind in signs else part for kind, part in _parts(text))
 
 
 def spelled(text: str) -> str:
-    """A sentence for a terminal: its formulas in Unicode, all else as it is."""
+    """Convert a sentence for a terminal: detected formulas in Unicode."""
     return "".join(in_unicode(part) if kind == "formula" else part for kind, part in _parts(text))
 
 
 def _parts(text: str) -> Iterator[tuple[str, str]]:
-    """A sentence taken apart: formulas, code and words."""
+    """Split a sentence into formulas, code and words."""
     run, place = list[re.Match[str]](), 0
     while place < len(text):
         label = _LABEL.match(text, place)
@@ -165,20 +165,20 @@ def _parts(text: str) -> Iterator[tuple[str, str]]:
         yield from _finished(run)
         run.clear()
         word = re.match(r"[A-Za-z0-9_'-]+|.", text[place:], re.DOTALL)
-        assert word is not None  # the second branch takes any character
+        assert word is not None  # the second alternative matches any character
         yield "code" if "_" in word.group() else "words", word.group()
         place += word.end()
     yield from _finished(run)
 
 
 def marked_prose(text: str) -> str:
-    """Marked text whose unmarked parts may hold formulas too."""
+    """Mark the formulas in the unmarked parts of a marked text."""
     pieces = re.split(r"(\$[^$]+\$|`[^`]+`)", text)
     return "".join(piece if place % 2 else marked(piece) for place, piece in enumerate(pieces))
 
 
 def _goes_on(run: Sequence[re.Match[str]], token: re.Match[str], text: str) -> bool:
-    """True for a token with which a formula begins or goes on; a comma, only while a bracket is open."""
+    """True if a formula can start or continue with this token; a comma only inside brackets."""
     if token["comma"]:
         source = "".join(known.group() for known in run)
         return source.count("(") > source.count(")")
@@ -186,13 +186,13 @@ def _goes_on(run: Sequence[re.Match[str]], token: re.Match[str], text: str) -> b
 
 
 def _ends_a_word(token: re.Match[str], text: str) -> bool:
-    """True for what is only the beginning of a word such as ``x-axis``."""
+    """True for a token that starts a word such as ``x-axis``."""
     rest = text[token.end() :]
     return bool(token["name"]) and re.match(r"-[a-z]{2}|'[a-z]", rest) is not None
 
 
 def _finished(run: list[re.Match[str]]) -> Iterator[tuple[str, str]]:
-    """A stretch of formula tokens, with the blanks and brackets at its ends left to the sentence."""
+    """Formula of a run of tokens; blanks and unmatched brackets at its ends become words."""
     source = "".join(token.group() for token in run)
     names = [token["name"] for token in run if token["name"]]
     signs = any(token["sign"] in ("+", "=", "<", ">", ">=", "<=", "/", "^", "|", "-") for token in run)
@@ -218,7 +218,7 @@ def _finished(run: list[re.Match[str]]) -> Iterator[tuple[str, str]]:
 
 
 def _open(text: str, bracket: str) -> bool:
-    """True for a text that begins with a bracket that it never closes, or ends with one that it never opened."""
+    """True for a text with an unmatched opening bracket at its start, or closing bracket at its end."""
     step = 1 if bracket == "(" else -1
     depth = 0
     for letter in text[::step]:
@@ -231,7 +231,7 @@ def _open(text: str, bracket: str) -> bool:
 
 
 def _encloses(text: str) -> bool:
-    """True where the first bracket closes with the last letter."""
+    """True if the first bracket is closed by the last character."""
     depth = 0
     for place, letter in enumerate(text):
         depth += {"(": 1, ")": -1}.get(letter, 0)

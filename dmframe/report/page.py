@@ -1,4 +1,4 @@
-"""A report as one self-contained web page, and as Markdown; and the frame of any such page."""
+"""Reports as one self-contained web page and as Markdown; frame of such a page."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _NARROW: Final = Html("""\
 
 
 def as_html(contents: Sequence[Content]) -> str:
-    """One file: formulas in MathML, pictures in SVG, nothing fetched from anywhere."""
+    """One file without external resources: formulas in MathML, pictures in SVG."""
     one = contents[0] if len(contents) == 1 else None
     names = ", ".join(content.name for content in contents)
     title = f"{one.name}: {one.meaning.headline.lower()}" if one else f"Certificates of {names}"
@@ -33,7 +33,7 @@ def as_html(contents: Sequence[Content]) -> str:
 
 
 def document(title: str, body: Sequence[Html]) -> str:
-    """A whole page of ours, in one file that fetches nothing; `title` is the browser's."""
+    """Web page in one file without external resources; `title` is the browser title."""
     head = [
         Html('<meta charset="utf-8"/>'),
         Html(f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}"/>'),
@@ -55,7 +55,7 @@ def _overview(contents: Sequence[Content]) -> Table:
         (Link(content.name, f"g{place}"), Badge(content.meaning.headline, content.outcome), content.title)
         for place, content in enumerate(contents, start=1)
     ]
-    return Table(rows, ("graph", "verdict", "what it is"), kind="overview")
+    return Table(rows, ("graph", "verdict", "title"), kind="overview")
 
 
 def _article(content: Content, prefix: str, named: bool) -> Html:
@@ -66,13 +66,13 @@ def _article(content: Content, prefix: str, named: bool) -> Html:
 
 
 def _sources(contents: Sequence[Content]) -> list[Html]:
-    told = [tag("dt", plain(f"[{key}]"), id=key) + tag("dd", plain(text)) for key, text in _cited(contents)]
-    listed = tag("dl", html.joined(map(Html, told)))
-    return [tag("section", tag("h2", plain("Sources")), listed, id="references")] if told else []
+    entries = [tag("dt", plain(f"[{key}]"), id=key) + tag("dd", plain(text)) for key, text in _cited(contents)]
+    listed = tag("dl", html.joined(map(Html, entries)))
+    return [tag("section", tag("h2", plain("Sources")), listed, id="references")] if entries else []
 
 
 def as_markdown(contents: Sequence[Content]) -> str:
-    """The same content, formulas between dollar signs, the diagram as Mermaid."""
+    """Markdown with formulas between dollar signs and the block diagram as Mermaid."""
     one = contents[0] if len(contents) == 1 else None
     title = f"{one.name}: {one.meaning.headline.lower()}" if one else f"Certificates of {len(contents)} graphs"
     out = [f"# {markdown.plain(title)}", *([] if one else [markdown.table(_overview(contents))])]
@@ -87,7 +87,7 @@ def as_markdown(contents: Sequence[Content]) -> str:
 
 
 def first_page(opening: Opening) -> str:
-    """The verdict, what it means and what follows, as a part of a page: for a notebook."""
+    """First page of a report as an HTML fragment for a notebook."""
     said = f": {opening.title}" if opening.title else ""
     name = tag("p", tag("b", plain(opening.name)), plain(said))
     writer = html.Writer("first")
@@ -96,7 +96,7 @@ def first_page(opening: Opening) -> str:
 
 
 def _cited(contents: Sequence[Content]) -> list[tuple[str, str]]:
-    """Keys of the sources that the reports cite, with their full titles."""
+    """Cited sources: keys and full titles."""
     texts = [
         text
         for content in contents

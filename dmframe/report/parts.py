@@ -1,7 +1,7 @@
-"""What a page is made of, as values: said once, and written as HTML or as Markdown.
+"""Elements of a page, independent of HTML and Markdown.
 
-A plain `str` is text of anybody, and stands as it is. Only a `Marked` text is read: its formulas stand between dollar
-signs, its code between backticks, and the keys of its sources in square brackets.
+A plain `str` is escaped. A `Marked` text is parsed: formulas between dollar signs, code between backticks, keys of
+sources in square brackets.
 """
 
 from __future__ import annotations
@@ -11,16 +11,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias, final
 
-from dmframe.report.rows import Row
-
 MARKED: Final = re.compile(r"\$([^$]+)\$|`([^`]+)`|\[([A-Z]\w+\d{4}\w?)\]")
 """A formula, code or a source in a marked text."""
 
 
 @final
 @dataclass(frozen=True)
+class Row:
+    """Line of aligned equations: left side, right side, number."""
+
+    left: str
+    right: str
+    tag: str = ""
+
+
+@final
+@dataclass(frozen=True)
 class Marked:
-    """A sentence with its formulas, code and sources marked."""
+    """Sentence with marked formulas, code and sources."""
 
     text: str
 
@@ -28,7 +36,7 @@ class Marked:
 @final
 @dataclass(frozen=True)
 class Formula:
-    """LaTeX, which may be broken between its terms; `display` with tall fractions, `whole` that and never broken."""
+    """LaTeX formula; `display`: display style, `whole`: display style without line breaks."""
 
     latex: str
     how: Literal["inline", "display", "whole"] = "inline"
@@ -37,10 +45,10 @@ class Formula:
 @final
 @dataclass(frozen=True)
 class Word:
-    """A text of its own kind.
+    """Text with a style.
 
-    `long` has no blanks at which a line could break, `strong` is a warning, `small` is said aside, `next` aside on a
-    line of its own; `command` is long code.
+    `long`: without blanks, may break anywhere; `strong`: warning; `small`: remark; `next`: remark on its own line;
+    `command`: long code.
     """
 
     text: str | Marked
@@ -50,7 +58,7 @@ class Word:
 @final
 @dataclass(frozen=True)
 class Link:
-    """A text that leads to another place of the page."""
+    """Link to another place on the page."""
 
     text: str
     to: str
@@ -59,7 +67,7 @@ class Link:
 @final
 @dataclass(frozen=True)
 class Badge:
-    """An outcome in a word or two, in its colour."""
+    """Coloured label of an outcome."""
 
     text: str
     outcome: str
@@ -67,13 +75,13 @@ class Badge:
 
 Piece: TypeAlias = str | Marked | Formula | Word | Link | Badge
 Cell: TypeAlias = Piece | tuple[Piece, ...]
-"""What stands in a cell, a paragraph or an item: pieces one after another."""
+"""Content of a table cell, paragraph or list item."""
 
 
 @final
 @dataclass(frozen=True)
 class Paragraph:
-    """A paragraph; a note is said in passing."""
+    """Paragraph; a note is set in small type."""
 
     says: Cell
     note: bool = False
@@ -82,7 +90,7 @@ class Paragraph:
 @final
 @dataclass(frozen=True)
 class Bullets:
-    """A list; the items at the places `failing` are what is wrong. A `dense` one has short items."""
+    """List; `failing` are the indices of highlighted items, `dense` reduces the spacing."""
 
     items: Sequence[Cell]
     failing: Sequence[int] = ()
@@ -97,13 +105,13 @@ class Table:
     Parameters
     ----------
     kind
-        Of which tables it is one: the style sheet knows it.
+        Class for the style sheet.
     keys
         Whether the first cell of a row is its head.
     numbers
-        The columns of numbers, which stand to the right.
+        Indices of right-aligned columns.
     failing
-        The rows of what is wrong.
+        Indices of highlighted rows.
     """
 
     rows: Sequence[Sequence[Cell]]
@@ -118,7 +126,7 @@ class Table:
 @final
 @dataclass(frozen=True)
 class Equations:
-    """Lines of aligned equations."""
+    """Aligned equations."""
 
     rows: Sequence[Row]
 
@@ -126,7 +134,7 @@ class Equations:
 @final
 @dataclass(frozen=True)
 class Listing:
-    """A text of some lines in a language of machines."""
+    """Code or data listing."""
 
     text: str
     language: str
@@ -135,9 +143,9 @@ class Listing:
 @final
 @dataclass(frozen=True)
 class Picture:
-    """A stand-alone SVG with its caption; `name` tells it from the others of a graph.
+    """Stand-alone SVG with a caption; `name` is unique within a graph.
 
-    A `wide` one may be wider than the text; `instead` is what a page without pictures has in its place.
+    A `wide` picture may exceed the text width; Markdown shows `instead`.
     """
 
     svg: str
@@ -151,7 +159,7 @@ class Picture:
 @final
 @dataclass(frozen=True)
 class Titled:
-    """A short title, and what belongs to it."""
+    """Part with a short title."""
 
     title: str
     part: Part
@@ -160,7 +168,7 @@ class Titled:
 @final
 @dataclass(frozen=True)
 class Columns:
-    """Two titled parts side by side, where there is room."""
+    """Titled parts side by side on a wide page."""
 
     parts: Sequence[Titled]
 
@@ -168,7 +176,7 @@ class Columns:
 @final
 @dataclass(frozen=True)
 class Subsection:
-    """A part of a section that has a heading; `detail` stands beside it. A `law` is set apart."""
+    """Subsection; `detail` follows its heading, `law` selects the style of a block's law."""
 
     title: str
     parts: Sequence[Part]
@@ -182,7 +190,7 @@ Part: TypeAlias = Paragraph | Bullets | Table | Equations | Listing | Picture | 
 @final
 @dataclass(frozen=True)
 class Section:
-    """A section; `name` is its place in links. A `wide` one is printed across."""
+    """Section; `name` is its anchor, a `wide` one is printed in landscape."""
 
     name: str
     title: str
@@ -193,7 +201,7 @@ class Section:
 @final
 @dataclass(frozen=True)
 class Lead:
-    """A verdict in one sentence."""
+    """Verdict in one sentence."""
 
     outcome: str
     headline: str

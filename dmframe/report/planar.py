@@ -1,4 +1,4 @@
-"""The equations of a planar arm, written out: M, C, g and the regressor Y_d, from the expressions that run."""
+"""Equations of a planar arm, M, C, g and the regressor Y_d, printed from the simulated expressions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Final, final
 
 from dmframe.regressor.readable import Factor, Style, Term, latex_name
 from dmframe.regressor.typeset import MOST_JOINTS, Matrix, write_out
-from dmframe.report.rows import Row
+from dmframe.report.parts import Row
 from dmframe.robot.chain import SerialChain
 
 _MOMENT: Final = "mc_{"
@@ -18,16 +18,16 @@ _MOMENT: Final = "mc_{"
 @final
 @dataclass(frozen=True)
 class RobotModel:
-    """What a report shows of a robot.
+    """Robot model in a report.
 
     Parameters
     ----------
     about
-        Marked text: what the symbols are.
+        Marked text: definitions of the symbols.
     rows
         The entries of M, C and g as equations.
     regressor
-        A row a parameter: its LaTeX, and its column of Y_d, an entry a joint.
+        One row a parameter: LaTeX name and column of Y_d, one entry a joint.
     """
 
     about: str
@@ -36,7 +36,7 @@ class RobotModel:
 
 
 def robot_model(chain: SerialChain | None) -> RobotModel | None:
-    """The equations of an arm of at most three joints whose task lies in a plane; None for any other robot."""
+    """Equations of a planar arm with at most three joints; None for any other robot."""
     if chain is None or chain.n > MOST_JOINTS or chain.m > 2:
         return None
     written = write_out(chain)
@@ -55,7 +55,7 @@ def _printed(matrix: Matrix) -> list[tuple[str, ...]]:
 
 
 def _sum(terms: Sequence[Term]) -> str:
-    """Terms that differ in their rates alone are put in brackets: -p_x2 mc_x2 s_2 (dq_1 + dq_2)."""
+    """Sum that factors out terms with equal non-rate factors: -p_x2 mc_x2 s_2 (dq_1 + dq_2)."""
     style, groups = Style(latex=True), dict[tuple[tuple[str, ...], tuple[Factor, ...]], list[Term]]()
     for term in terms:
         still = tuple(name for name in term.symbols if not _is_rate(name))
@@ -76,12 +76,12 @@ def _is_rate(name: str) -> bool:
 
 
 def _roman(latex: str) -> str:
-    """First moments are one symbol, not a product."""
+    """Set first moments upright, as one symbol."""
     return latex.replace(_MOMENT, rf"\mathrm{{{_MOMENT[:2]}}}_{{")
 
 
 def _entries(matrix: Matrix) -> list[Row]:
-    """Entry by entry; of the symmetric M, each pair once."""
+    """Entries of a matrix; the symmetric M once a pair."""
     rows, printed = list[Row](), _printed(matrix)
     if len(printed) == len(printed[0]) == 1:
         return [Row(matrix.name, f"= {printed[0][0]}")]
@@ -98,9 +98,9 @@ def _entries(matrix: Matrix) -> list[Row]:
 def _about(chain: SerialChain) -> str:
     joints = ", ".join(chain.joint_names)
     return (
-        f"The equations of {chain.name} (joints {joints}), printed from the very expressions that are simulated and "
-        "proved. $c_{12}$ stands for $\\cos(q_1 + q_2)$ and $s_2$ for $\\sin(q_2)$; $m_i$, $\\mathrm{mc}_i$ and $I_i$ "
+        f"The equations of {chain.name} (joints {joints}), printed from the expressions that are simulated and "
+        "proved. $c_{12} = \\cos(q_1 + q_2)$ and $s_2 = \\sin(q_2)$; $m_i$, $\\mathrm{mc}_i$ and $I_i$ "
         "are mass, first moments and inertia of link i about the origin of joint i, in its frame; $p_{x2}$ is the x "
         "coordinate of joint 2 in the frame of joint 1, $g_0$ the gravity. Parameters that are zero in this robot are "
-        "left away in M, C and g, not in the regressor, where $\\dot q_{\\mathrm r} = \\dot q_{ref}$."
+        "omitted in M, C and g, but not in the regressor, where $\\dot q_{\\mathrm r} = \\dot q_{ref}$."
     )

@@ -1,4 +1,4 @@
-"""The sources that blocks cite, in full: from ``references.bib`` of each block package."""
+"""Bibliography of the blocks, from ``references.bib`` of each block package."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _WHERE: Final = ("journal", "booktitle", "publisher", "institution", "school", "
 
 
 def reference(key: str) -> str:
-    """The full title of a source; of one that no bibliography holds, where to look."""
+    """Formatted reference of a source; a hint for a key that is in no bibliography."""
     fields = _bibliography().get(key)
-    return _told(fields) if fields else "see the documentation of the block that cites it"
+    return _formatted(fields) if fields else "see the documentation of the block that cites it"
 
 
 @functools.cache
@@ -28,7 +28,7 @@ def _bibliography() -> dict[str, dict[str, str]]:
     found = dict[str, dict[str, str]]()
     try:
         folders = [Path(folder) for package in packages() for folder in package.__path__]
-    except DmframeError:  # told where blocks are looked for
+    except DmframeError:  # reported by the catalogue
         return found
     for folder in folders:
         file = folder / "references.bib"
@@ -38,8 +38,8 @@ def _bibliography() -> dict[str, dict[str, str]]:
     return found
 
 
-def _told(fields: Mapping[str, str]) -> str:
-    """As a paper tells it: ``H. Wang, W. Ren, “Title”, Journal 65(6), 2020, pp. 1–8``."""
+def _formatted(fields: Mapping[str, str]) -> str:
+    """``H. Wang, W. Ren, “Title”, Journal 65(6), 2020, pp. 1–8``."""
     authors = ", ".join(_forwards(name) for name in fields.get("author", "").split(" and ") if name)
     number = f"({fields['number']})" if "number" in fields else ""
     volume = f" {fields['volume']}{number}" if "volume" in fields else ""

@@ -1,4 +1,4 @@
-"""A report's sections, one after another: the one place that says what a report shows, and in which words."""
+"""Sections of a report, with all their texts."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ _SIDES: Final = {"source": "desired trajectory", "controller": "controller", "pl
 _TERM_HEADS: Final = ("block", "square of", "weight", (), "at this graph's numbers", "times")
 _KAPPA: Final = Formula(r"\kappa")
 WIDE: Final = 900.0
-"""Width of a picture beyond which it is printed across. [px]"""
+"""Width of a picture above which it is printed in landscape [px]."""
 
 
 def sections(content: Content) -> Iterator[Section]:
-    """Everything below the verdict."""
+    """Sections below the verdict."""
     r = content
     yield Section("meaning", "What this means", [*meaning(r), *_witness(r)])
     wide = _width(r.picture) > WIDE
@@ -47,37 +47,37 @@ def sections(content: Content) -> Iterator[Section]:
     yield Section("follows", "What follows", [_follows(r.follows)])
     yield Section("run", "The loop as it runs", [*_run(r)])
     yield Section("linear", "Poles, margins and the sampling period", [*_linear(r)])
-    yield Section("controls", "Negative controls", [*_controls(r)])
+    yield Section("controls", "Fault injection", [*_controls(r)])
     if r.model is not None:
         yield Section("model", "The robot's equations", [*_model(r)])
     yield Section("provenance", "Provenance", [*_provenance(r)])
 
 
 def lead(r: Opening | Content) -> Lead:
-    """The verdict."""
+    """Verdict at the top of the page."""
     return Lead(r.outcome, r.meaning.headline, Marked(r.meaning.sentence))
 
 
 def meaning(r: Opening | Content) -> list[Part]:
-    """What the verdict says, and what it does not."""
-    told = (("It says", r.meaning.means), ("It does not say", r.meaning.means_not))
-    return [Columns([Titled(title, Bullets([*map(Marked, texts)])) for title, texts in told])]
+    """Meaning of the verdict, and its limits."""
+    lists = (("It says", r.meaning.means), ("It does not say", r.meaning.means_not))
+    return [Columns([Titled(title, Bullets([*map(Marked, texts)])) for title, texts in lists])]
 
 
 def first_page(r: Opening) -> list[Part]:
-    """What stands below the verdict where there is room for little: what it means, what follows in the end."""
+    """Short form below the verdict: meaning, conclusions, assumptions."""
     parts = meaning(r)
     if r.follows:
         parts.append(
             Titled("What follows", Bullets([(*_joined(item.signals, ", "), f" {item.says}") for item in r.follows]))
         )
     if r.assumptions:
-        parts.append(Titled("Assumed", Bullets([Marked(text) for text, _ in r.assumptions])))
+        parts.append(Titled("Assumptions", Bullets([Marked(text) for text, _ in r.assumptions])))
     return parts
 
 
 def _joined(formulas: Sequence[str], between: str) -> list[str | Formula]:
-    """Formulas with a text between each two."""
+    """Formulas separated by a text."""
     return [piece for latex in formulas for piece in (between, Formula(latex, "whole"))][1:]
 
 
@@ -85,8 +85,8 @@ def _witness(r: Content) -> Iterator[Part]:
     if r.witness is None:
         return
     rows: list[tuple[Cell, Cell]] = [
-        ("blocks to blame", ", ".join(r.witness.blame) or "none alone; what they exchange differs"),
-        ("fewest signals that still refute it", ", ".join(r.witness.signals) or "none: all can be zero"),
+        ("faulty blocks", ", ".join(r.witness.blame) or "no single block; the exchanged signals differ"),
+        ("smallest set of non-zero signals", ", ".join(r.witness.signals) or "empty: all signals can be zero"),
         ("prime p", Word(r.witness.prime, "long")),
         ("claimed minus true, modulo p", Word(r.witness.residue, "long")),
         *((f"{label}, modulo p", Word(values, "long")) for label, values in r.witness.point),
@@ -97,29 +97,29 @@ def _witness(r: Content) -> Iterator[Part]:
 
 def _diagram(r: Content, wide: bool) -> list[Part]:
     caption = Marked(
-        "Sources, controller and, behind the wall, the servo and the robot, of which the controller sees only what is "
-        "measured. `d/dt` marks an input that is the derivative of the one above it."
+        "Sources, controller and, behind the wall, servo and robot; the controller reads only their measured signals. "
+        "`d/dt` marks an input that is the derivative of the one above it."
     )
     picture = Picture(r.picture, "picture", caption, "diagram", wide, Listing(r.mermaid, "mermaid"))
     return [picture, Table(r.facts, keys=True)]
 
 
 def _width(svg: str) -> float:
-    """Of a picture, as it says itself."""
+    """Width attribute of an SVG [px]."""
     found = re.search(r'<svg[^>]* width="([\d.]+)', svg)
     return float(found[1]) if found else 0.0
 
 
 def _laws(r: Content) -> Iterator[Part]:
     yield Paragraph(
-        "One block after another, printed from the lines of code that are simulated and proved. In a product, a column "
-        "that is not the last factor stands for a diagonal matrix. Numbers in parentheses count within a block; those "
-        "of the sources stand under each."
+        "Block by block, printed from the code that is simulated and proved. In a product, a column that is not the "
+        "last factor denotes a diagonal matrix. Equation numbers count within a block. The laws were compared with "
+        "the code at two points; `dmframe check` compares them, and the docstrings, in full."
     )
     for block in r.laws:
         yield Subsection(block.name, [*_law(block)], f"{block.type}, {_SIDES[block.side]}", law=True)
     if r.signs:
-        yield Table(r.signs, ("sign", "what it means"), "Signs of these laws:")
+        yield Table(r.signs, ("sign", "meaning"), "Signs in these laws:")
 
 
 def _law(block: BlockLaw) -> Iterator[Part]:
@@ -127,7 +127,7 @@ def _law(block: BlockLaw) -> Iterator[Part]:
     yield Equations(block.equations)
     if block.values:
         rows = [(Word(v.name, "code"), v.value, units(v.unit), Marked(v.says)) for v in block.values]
-        yield Table(rows, ("parameter", "in this graph", "unit", "what it is"), kind="values")
+        yield Table(rows, ("parameter", "in this graph", "unit", "description"), kind="values")
     if block.law.notes:
         yield Paragraph(Marked(block.law.notes), note=True)
     if block.law.source:
@@ -146,26 +146,25 @@ def _terms(r: Content) -> Iterator[Part]:
         return
     yield Equations(found.V)
     if r.outcome == "refuted":
-        yield Paragraph("What the blocks claim of its derivative, and what is not true:")
+        yield Paragraph("Derivative according to the certificates; this is refuted:")
     yield Equations(found.rate)
     if found.definitions:
         yield Equations(found.definitions)
     yield Paragraph(Marked(_weights_and_kappa(r, found)))
     stored = [(row.block, _square(row), *_weight(row)) for row in found.storage]
-    others = any(row.beside for row in found.storage)
-    held = "terms, squares but where it is said" if others else "squares"
-    yield Table(stored, _TERM_HEADS, Marked(f"What V holds: $V$ is half the sum of these {held}."))
+    terms = "terms, squares unless noted" if any(row.beside for row in found.storage) else "squares"
+    yield Table(stored, _TERM_HEADS, Marked(f"Storage: $V$ is half the sum of these {terms}."))
     lost = [(row.block, (*_lost(row), *_by(row)), *_weight(row)) for row in found.dissipation]
     lost += [_projected(symbol, name, found) for symbol, name in found.projections]
     consumed: tuple[str | Formula, ...] = (", plus ", Formula(found.consumption)) if found.consumption else ()
-    projected = ", plus what the projections add" if found.projections else ""
+    projected = ", plus the projection terms" if found.projections else ""
     yield Table(
-        lost, _TERM_HEADS, (Marked(r"What is lost: $\dot V$ is minus the sum of these"), *consumed, f"{projected}.")
+        lost, _TERM_HEADS, (Marked(r"Dissipation: $\dot V$ is minus the sum of these"), *consumed, f"{projected}.")
     )
     if found.excess:
         left = [(row.block, (*_left(row), *_by(row)), *_weight(row)) for row in found.excess]
         caption = (
-            r"What is left, above zero or of either sign: $\dot V$ may be above minus what is lost by the sum of these."
+            r"Residual, positive or of either sign: $\dot V$ may exceed minus the dissipation by the sum of these."
         )
         yield Table(left, ("block", "term", *_TERM_HEADS[2:]), Marked(caption))
     legend = [(Formula(i.symbol), Word(i.label, "code"), i.value, units(i.unit)) for i in found.legend]
@@ -178,15 +177,17 @@ def _weights_and_kappa(r: Content, found: Terms) -> str:
     if not found.consumption:
         return text
     text += (
-        " What the reference generator consumes stands last in the derivative. The servo level pays for it if its "
-        r"weight $\kappa$ is large enough; $\kappa$ exists in this analysis alone, nowhere in the controller."
+        " The cross term of the reference generator is the last in the derivative. The servo level dominates it if its "
+        r"weight $\kappa$ is large enough; $\kappa$ is used in this analysis only, not in the controller."
     )
     kappa = r.summary["kappa"]
     if not kappa:
         return text
     where = ", and anywhere in its intervals," if r.uncertain else ""
     least, chosen = f"{kappa['least']:.4g}", f"{kappa['chosen']:.4g}"
-    return f"{text} At the numbers of this graph{where} any $\\kappa$ above {least} will do; {chosen} was chosen."
+    return (
+        f"{text} At the parameter values of this graph{where} any $\\kappa$ above {least} suffices; {chosen} is used."
+    )
 
 
 def _weight(row: TermRow) -> tuple[Cell, ...]:
@@ -197,12 +198,17 @@ def _weight(row: TermRow) -> tuple[Cell, ...]:
 
 def _square(row: TermRow) -> tuple[str | Formula, ...]:
     if row.kind == "potential":
-        return "not a square: springs pulled by ", Formula(row.of), " that give way beyond ", Formula(row.beside)
+        return (
+            "not a square: potential of saturating springs with deflection ",
+            Formula(row.of),
+            " and limit ",
+            Formula(row.beside),
+        )
     if row.kind == "log det":
         return "not a square: the divergence of ", Formula(row.of), " from ", Formula(row.beside)
     if not row.metric:
         return (Formula(row.of),)
-    return Formula(row.of), ", in the metric of the matrix ", Formula("G"), " that the block gathers"
+    return Formula(row.of), ", in the metric of the matrix ", Formula("G"), " of the block (information matrix)"
 
 
 def _by(row: TermRow) -> tuple[str | Formula, ...]:
@@ -211,7 +217,7 @@ def _by(row: TermRow) -> tuple[str | Formula, ...]:
 
 def _lost(row: TermRow) -> tuple[str | Formula, ...]:
     if row.kind == "lemma":
-        return "what a monotone function makes of ", Formula(row.of), "; never negative"
+        return "monotone function of ", Formula(row.of), ", never negative"
     return _square(row)
 
 
@@ -221,7 +227,7 @@ def _left(row: TermRow) -> tuple[str | Formula, ...]:
 
 
 def _projected(symbol: str, name: str, found: Terms) -> tuple[Cell, ...]:
-    says = ("what projecting ", Word(name, "code"), " onto its set adds; not positive by the projection lemma")
+    says = ("projection of ", Word(name, "code"), " onto its set; not positive by the projection lemma")
     return name.partition(".")[0], says, Formula(symbol), (), (), _KAPPA if found.consumption else "1"
 
 
@@ -230,16 +236,15 @@ def _conditions(r: Content) -> Iterator[Part]:
         over = " and over the intervals that the graph gives for uncertain parameters" if r.uncertain else ""
         yield Paragraph(
             Marked(
-                "The identity becomes a theorem where all of these hold. The margin is the least value over all joints"
-                rf"{over}: it must be above zero or, where the condition says $\ge$ or that something lies inside a "
-                "set, not below."
+                "The theorem holds if all these conditions hold. The margin is the least value over all joints"
+                rf"{over}. It must be positive; for a condition with $\ge$ or of membership in a set, not negative."
             )
         )
         rows = [
             (
                 Marked(each.text),
                 each.margin,
-                each.told if each.holds else Word("fails", "strong"),
+                each.status if each.holds else Word("fails", "strong"),
                 "exactly" if each.how == "exact" else each.how,
                 Marked(each.source),
             )
@@ -249,10 +254,10 @@ def _conditions(r: Content) -> Iterator[Part]:
         heads = ("condition", "margin", (), "decided", "needed for")
         yield Table(rows, heads, kind="conditions", numbers=(1,), failing=failing)
     else:
-        yield Paragraph("No condition was decided, since there is no proved identity that they could complete.")
+        yield Paragraph("No condition was evaluated, since there is no proved identity.")
     if r.uncertain:
         items = [(Word(label, "code"), f": {ends}") for label, ends in r.uncertain]
-        yield Titled("True parameters known only up to an interval", Bullets(items))
+        yield Titled("Uncertain true parameters, with intervals", Bullets(items))
     if r.assumptions:
         assumed = [(Marked(text), Word(f" ({source})" if source else "", "small")) for text, source in r.assumptions]
         yield Titled("Assumed, not checked", Bullets(assumed))
@@ -260,10 +265,10 @@ def _conditions(r: Content) -> Iterator[Part]:
 
 def _follows(follows: Sequence[Follows]) -> Part:
     if not follows:
-        return Paragraph("Nothing follows from a claim that is not proved.")
+        return Paragraph("No conclusions: the certificate is not proved.")
     rows = []
     for item in follows:
-        assumed = Word(Marked(f"Assumed: {'; '.join(item.assumes)}."), "next") if item.assumes else ""
+        assumed = Word(Marked(f"Assuming: {'; '.join(item.assumes)}."), "next") if item.assumes else ""
         rows.append((tuple(_joined(item.signals, "; ")), item.says, (Marked(item.step), assumed)))
     return Table(rows, ("signals", "each", "because"), kind="follows")
 
@@ -282,28 +287,28 @@ def _linear(r: Content) -> Iterator[Part]:
     yield Paragraph(Marked(r.linear.sentence))
     if not r.linear.periods:
         return
-    caption = "The largest sampling period up to which the loop stays stable, looked for and proved."
+    caption = "Largest stable sampling period, searched and proved."
     yield Table(r.linear.periods, ("search", "boundary", "what it means"), caption, kind="periods", keys=True)
     caption = "The linearised closed loop, with and without the slope that smooth Coulomb friction has at rest."
     yield Table(r.linear.loop, ((), "at rest", "moving"), caption)
     if r.linear.emulation:
         caption = (
-            "The largest adaptation gain that the clock bears, quasi-statically: T times the largest eigenvalue of "
-            "Γ Y_d′ w Y_d is 2 there. It says what order of gain is too large, and proves nothing."
+            "Largest adaptation gain at this sampling period, quasi-static estimate: T times the largest eigenvalue of "
+            "Γ Y_d′ w Y_d is 2 there. It gives the order of magnitude and is no proof."
         )
         yield Table(r.linear.emulation, EMULATION_HEADS, caption)
     caption = (
-        "Joint by joint, the other joints held: the maker's servo on its joint, and as the controller sees it through "
-        "the inverse with its true values. On the passivity of the latter the certificate rests."
+        "Joint by joint, the other joints locked: the manufacturer's servo alone, and in series with the inverse at "
+        "its true parameters. The certificate requires the passivity of the latter."
     )
     yield Table(r.linear.joints, JOINT_HEADS, caption)
     caption = (
-        "Bode diagrams: the loop gain of each joint (left), and servo with inverse as the controller sees them "
-        "(right), passive where the phase stays between the grey lines."
+        "Bode diagrams: the loop gain of each joint (left), and servo with inverse "
+        "(right), passive if the phase stays between the grey lines."
     )
     yield Picture(r.linear.bode, "bode", caption)
     caption = (
-        "Nyquist diagrams: the loop gain about −1 (left), and servo with inverse (right), passive where the curve "
+        "Nyquist diagrams: the loop gain about −1 (left), and servo with inverse (right), passive if the curve "
         "stays right of the axis."
     )
     yield Picture(r.linear.nyquist, "nyquist", caption)
@@ -311,12 +316,12 @@ def _linear(r: Content) -> Iterator[Part]:
 
 def _controls(r: Content) -> Iterator[Part]:
     if not r.controls:
-        yield Paragraph("None were tried: there was no proof to doubt.")
+        yield Paragraph("No faults were injected: there is no proof.")
         return
     count = r.summary["mutants"]
     yield Paragraph(
-        "A test that never says no proves nothing. So each time these faults are put into the equations on purpose, "
-        f"one at a time; {count['refuted']} of {count['tried']} were refuted."
+        "To check the test itself, each of these faults was injected into the equations, one at a time; "
+        f"{count['refuted']} of {count['tried']} were refuted."
     )
     items: list[Cell] = [
         Marked(text) if refuted else (Marked(text), ": ", Word("not refuted", "strong")) for text, refuted in r.controls
@@ -330,7 +335,7 @@ def _model(r: Content) -> Iterator[Part]:
     yield Paragraph(Marked(r.model.about))
     yield Equations(r.model.rows)
     caption = (
-        "The regressor $Y_d$, a column a parameter, here turned on its side: "
+        "Regressor $Y_d$, transposed, one row a parameter: "
         r"$Y_d a_d = M \ddot q_{\mathrm r} + C \dot q_{\mathrm r} + g$."
     )
     rows = [(Formula(name), *map(Formula, column)) for name, column in r.model.regressor]
@@ -340,7 +345,7 @@ def _model(r: Content) -> Iterator[Part]:
 
 def _provenance(r: Content) -> Iterator[Part]:
     said, made, time = r.summary, r.provenance, r.summary["time"]
-    rows: list[tuple[Cell, Cell]] = [("this report again", Word(r.replay, "command")), ("written", made["time"])]
+    rows: list[tuple[Cell, Cell]] = [("command", Word(r.replay, "command")), ("written", made["time"])]
     if said["primes"]:
         test = f"{said['trials']} random points, seed {said['seed']}, degree at most {said['degree_bound']}"
         bound = said["log2_error_bound"]
@@ -352,6 +357,6 @@ def _provenance(r: Content) -> Iterator[Part]:
         rows.append(("robot", Word(f"{made['urdf']}, SHA-256 {made['urdf_sha256']}", "long")))
     versions = ", ".join(f"{name} {version}" for name, version in made["versions"].items() if version)
     rows += [("software", f"Python {made['python']}; {versions}"), ("machine", made["platform"])]
-    rows.append(("time taken", f"{time['build']:.2f} s to write V and its derivative, {time['check']:.2f} s to decide"))
+    rows.append(("time taken", f"{time['build']:.2f} s to build V and its derivative, {time['check']:.2f} s to decide"))
     yield Table(rows, keys=True)
-    yield Titled("The graph, everything said", Listing(r.resolved, "yaml"))
+    yield Titled("The graph with all defaults", Listing(r.resolved, "yaml"))

@@ -1,4 +1,4 @@
-"""What is known of a block, in sentences for a reader who does not know the tool."""
+"""Facts about a block as sentences."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ FROM: Final = {
     "wired": "{names} from {block}",
     "time": "the time {names}",
     "period": "the sampling period {names}",
-    "drawn": "{names}, drawn anew at each sample",
-    "ahead": "{names}, which {block} will say at samples to come",
+    "drawn": "{names}, random at each sample",
+    "ahead": "{names}, future samples of {block}",
 }
-"""How an input comes by its value, in words."""
+"""Origin of an input, in words."""
 
 
 @final
 class Said(NamedTuple):
-    """A sentence; or a formula, displayed on lines of its own."""
+    """Sentence, or displayed formula."""
 
     text: str
     formula: bool = False
 
 
-def told(block: BlockFacts) -> list[Said]:
-    """All that is said of a block, in order."""
-    said = [Said(block.does or "Its file does not say what it does.")]
+def described(block: BlockFacts) -> list[Said]:
+    """Sentences about a block."""
+    said = [Said(block.does or "Its docstring has no summary.")]
     said += [Said(text) for text in (*_takes(block), *_hands_on(block), *_keeps(block))]
     if block.side is not Side.SOURCE:
         said += _energy(block)
@@ -43,7 +43,7 @@ def told(block: BlockFacts) -> list[Said]:
 
 
 def signal(name: str, unit: str) -> str:
-    """``q̇_r [rad/s]``, in the letters of the printed law."""
+    """``q̇_r [rad/s]``, with the symbols of the printed law."""
     return f"{unicode_name(name)} [{unit}]" if unit else unicode_name(name)
 
 
@@ -58,13 +58,13 @@ def _takes(block: BlockFacts) -> Iterator[str]:
         names[0] if how == "derivative" else FROM[how].format(names=listed(names), block=source)
         for (how, source), names in grouped.items()
     ]
-    yield f"It takes {_joined(clauses)}." if clauses else "It takes no signal."
+    yield f"Inputs: {_joined(clauses)}." if clauses else "It has no inputs."
     if zero := [unicode_name(item.name) for item in block.taken if item.how == "zero"]:
-        yield f"Nothing drives {listed(zero)}, which {'is' if len(zero) == 1 else 'are'} zero here."
+        yield f"Unconnected, so zero: {listed(zero)}."
 
 
 def _named(item: Taken) -> str:
-    """The signal under the name of who hands it on; where the block calls it otherwise, that too."""
+    """Signal under the name of its source, and its port name if different."""
     if item.how == "derivative":
         return f"{signal(item.name, item.unit)}, the time derivative of {unicode_name(item.signal)}"
     if item.signal and item.signal != item.name:
@@ -73,7 +73,7 @@ def _named(item: Taken) -> str:
 
 
 def _joined(clauses: Sequence[str]) -> str:
-    """Clauses as a list; those that hold lists themselves are parted by semicolons."""
+    """List of clauses; semicolons separate clauses that contain lists."""
     if len(clauses) < 2 or not any("," in clause or " and " in clause for clause in clauses):
         return listed(clauses)
     return "; ".join([*clauses[:-1], f"and {clauses[-1]}"])
@@ -86,16 +86,16 @@ def _hands_on(block: BlockFacts) -> Iterator[str]:
         if item.readers:
             readers = tuple(dict.fromkeys(reader for reader, _ in item.readers))
             read.setdefault(readers, []).append(signal(item.name, item.unit))
-        elif block.side is not Side.PLANT:  # of the plant, a page has a paragraph of what is hidden
+        elif block.side is not Side.PLANT:  # the page lists the hidden signals of the plant separately
             unread.append(unicode_name(item.name))
     if read:
-        yield f"It hands on {_joined([f'{listed(names)} to {listed(blocks)}' for blocks, names in read.items()])}."
+        yield f"Outputs: {_joined([f'{listed(names)} to {listed(blocks)}' for blocks, names in read.items()])}."
     if unread:
         yield f"No block reads {_either(unread)}."
 
 
 def _either(names: Sequence[str]) -> str:
-    """As a sentence lists what it denies."""
+    """``a, b or c``."""
     *most, last = names
     return f"{', '.join(most)} or {last}" if most else last
 
@@ -106,57 +106,57 @@ def _keeps(block: BlockFacts) -> Iterator[str]:
         yield f"Its {many} {listed([signal(*state) for state in block.states])}."
     yield from map(_estimate, block.estimates)
     if block.knows:
-        yield f"Its equations hold {listed(block.knows)} of the true robot: the controller has to know them exactly."
+        yield f"Its equations contain {listed(block.knows)} of the true robot: the controller must know them exactly."
 
 
 def _estimate(item: Estimated) -> str:
     name = signal(item.name, item.unit)
-    said = f"It estimates {item.of.unicode} by {name}" if item.of is not None else f"It adapts {name}"
-    said += "" if item.start is None else f", which starts at {shown(item.start)}"
+    text = f"It estimates {item.of.unicode} by {name}" if item.of is not None else f"It adapts {name}"
+    text += "" if item.start is None else f", initially {shown(item.start)}"
     if item.true is not None:
-        return f"{said}; the truth is {shown(item.true)}."
-    return f"{said}; the truth depends on more than parameters." if item.of is not None else f"{said}."
+        return f"{text}; true value {shown(item.true)}."
+    return f"{text}; the true value depends on signals." if item.of is not None else f"{text}."
 
 
 def _energy(block: BlockFacts) -> Iterator[Said]:
     law = block.law
     if not block.certified:
-        yield Said("It states no certificate, so nothing is proved of a graph that holds it.")
+        yield Said("It has no certificate, so a graph with it cannot be proved.")
     if law is None or not block.certified:
         return
     if law.S is not None:
-        yield Said("It stores, as its part of V:")
+        yield Said("Storage function, its part of V:")
         yield Said(f"S = {law.S.right.unicode}", formula=True)
     if law.dissipation:
-        yield Said("It spends, with a minus in dV/dt:")
+        yield Said("Dissipation, negative in dV/dt:")
         yield Said(" + ".join(_bracketed(term.whole.unicode) for term in law.dissipation), formula=True)
     if law.excess:
-        yield Said("Against that, its robust adaptation may add to dV/dt:")
+        yield Said("Residual of the robust adaptation, which may increase dV/dt:")
         yield Said(" + ".join(_bracketed(term.whole.unicode) for term in law.excess), formula=True)
     if supplies(law):
-        yield Said("Other blocks supply to it, in dV/dt:")
+        yield Said("Supply rate from other blocks, in dV/dt:")
         yield Said(law.supply.unicode if law.supply is not None else "0", formula=True)
     if law.consumption is not None:
-        paid = f"for which {block.payer} has to pay" if block.payer else "and no block here can pay for it"
-        yield Said(f"It consumes {law.consumption.whole.unicode}, {paid}.")
+        by = f"the dissipation of {block.dominator} must dominate it" if block.dominator else "no block dominates it"
+        yield Said(f"Its cross term in dV/dt is {law.consumption.whole.unicode}; {by}.")
     if law.S is None and not law.dissipation and not supplies(law) and law.consumption is None:
-        yield Said("It has no part of its own in V and dV/dt.")
+        yield Said("It has no term in V and dV/dt.")
     if parts := _parts(law):
         yield Said(f"where {', '.join(line.whole.unicode for line in parts)}", formula=True)
 
 
 def supplies(law: PrintedLaw) -> bool:
-    """True for a block that is supplied with something, be it below zero."""
+    """True for a block with a non-zero supply rate."""
     return law.supply is not None and law.supply.text != "0"
 
 
 def _bracketed(text: str) -> str:
-    """A term as a summand; one that begins with a minus stands in brackets."""
+    """Term as a summand, in brackets if it starts with a minus."""
     return f"({text})" if text.startswith(("-", "−")) else text
 
 
 def _parts(law: PrintedLaw) -> list[Line]:
-    """What the names in its energy stand for, and the names in those."""
+    """Definitions used, directly or not, in the energy terms of a law."""
     formulas = [term.whole for term in (*law.storage, *law.dissipation, *law.excess)]
     formulas += [item for item in (law.supply, law.consumption and law.consumption.whole) if item is not None]
     formulas += [line.right for line in law.estimates]

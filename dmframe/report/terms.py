@@ -1,4 +1,4 @@
-"""V and dV/dt term by term: each square with its weight in symbols and in numbers."""
+"""V and dV/dt term by term, with symbolic and numeric weights."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from dmframe.formula.robot import CONSTANTS
 from dmframe.formula.tree import Name, Node
 from dmframe.names import latex_name
 from dmframe.parameter import Spec
-from dmframe.port import Port, State
-from dmframe.report.rows import Row
+from dmframe.port import Signal, State
+from dmframe.report.parts import Row
 
 FEW = 4
-"""Elements of a diagonal up to which each is written out."""
+"""Largest number of elements of a diagonal that are listed one by one."""
 FEW_OF_MATRIX = 9
-"""The same of a matrix."""
+"""Largest number of elements of a matrix that are listed one by one."""
 _LETTERS: Final[Mapping[type, str]] = {
     Lemma: r"\ell",
     Clipped: r"\varepsilon",
@@ -33,33 +33,32 @@ _LETTERS: Final[Mapping[type, str]] = {
     LogDet: r"\Delta",
 }
 _WHOLE: Final = ("lemma", "clipped", "potential", "log det")
-"""Terms that the formula calls by a symbol of their own."""
+"""Kinds of terms with their own symbol in the formula."""
 
 
 @final
 @dataclass(frozen=True)
 class TermRow:
-    """One term of V or of the dissipation.
+    """Term of V or of dV/dt.
 
     Parameters
     ----------
     symbol
-        W_i, D_i or l_i, by which the formula calls its weight (or, of a lemma, a potential or a logarithm of
-        determinants, the term itself); LaTeX.
+        Symbol of the weight (W_i, D_i), or of the term itself for a lemma, a potential or a log-det divergence; LaTeX.
     of
-        The vector whose square it is, or the difference of a lemma, LaTeX.
+        Vector in the square, or argument of a lemma, LaTeX.
     factor
         ``kappa`` or ``1``, as in the JSON.
     weight
-        The weight in the block's symbols, LaTeX.
+        Weight in the symbols of the block, LaTeX.
     value
-        The weight at the graph's numbers.
+        Weight at the parameter values of the graph.
     by
-        The norm that multiplies a square, LaTeX; empty for most.
+        Norm that multiplies a square, LaTeX; may be empty.
     metric
-        The matrix that weighs a square beside its weight, LaTeX; empty for most.
+        Information matrix of a square, LaTeX; may be empty.
     beside
-        The width of a potential, the true matrix of a logarithm of determinants, LaTeX; empty for most.
+        Limit of a potential, or true matrix of a log-det divergence, LaTeX; may be empty.
     """
 
     block: str
@@ -77,7 +76,7 @@ class TermRow:
 @final
 @dataclass(frozen=True)
 class Legend:
-    """A symbol of the weights: LaTeX, the parameter or signal that it stands for, its value and unit."""
+    """Symbol in the weights: LaTeX, parameter or signal, value, unit."""
 
     symbol: str
     label: str
@@ -88,7 +87,7 @@ class Legend:
 @final
 @dataclass(frozen=True)
 class Terms:
-    """V and dV/dt as formulas, as tables, and with what their symbols mean."""
+    """V and dV/dt as formulas and tables, with a legend of the symbols."""
 
     V: tuple[Row, ...]
     rate: tuple[Row, ...]
@@ -102,7 +101,7 @@ class Terms:
 
 
 def terms_of(claim: Claim) -> Terms:
-    """Write out what a claim says, in the words of its blocks' laws."""
+    """Print the terms of a certificate in the symbols of its blocks."""
     laws = claim.laws
     storage = _numbered(claim, laws, "storage", "W")
     dissipation = _numbered(claim, laws, "dissipation", "D")
@@ -111,7 +110,8 @@ def terms_of(claim: Claim) -> Terms:
     consumed = [law.consumption.whole.latex for law in laws.values() if law.consumption is not None]
     lost = [(row, _formula(row)) for row in dissipation]
     left = [(row, _formula(row)) for row in excess]
-    gained = [rf"+ {_kappa(claim)}{symbol}" for symbol, _ in projections] + [f"+ {term}" for term in consumed]
+    kappa = "" if claim.kappa.is_constant() else r"\kappa\,"
+    gained = [rf"+ {kappa}{symbol}" for symbol, _ in projections] + [f"+ {term}" for term in consumed]
     named = _used(claim, laws)
     return Terms(
         V=(Row("V", "= " + _sum([(row, rf"\tfrac12 {_formula(row)}") for row in storage], "")),),
@@ -121,13 +121,15 @@ def terms_of(claim: Claim) -> Terms:
         excess=excess,
         projections=projections,
         consumption=" + ".join(consumed),
-        definitions=tuple(rows_of_lines([item for _, law, names in named for item in _definitions(law, names)])),
+        definitions=tuple(
+            rows_of_lines([line for _, law, names in named for line in law.definitions if line.name in names])
+        ),
         legend=tuple(_legend(claim, named)),
     )
 
 
 def rows_of_lines(lines: Sequence[Line]) -> list[Row]:
-    """Equations as rows, each once."""
+    """Equations as rows, without duplicates."""
     rows = (Row(line.left.latex, f"= {line.right.latex}") for line in lines)
     return list(dict.fromkeys(rows))
 
@@ -138,12 +140,8 @@ def _formula(row: TermRow) -> str:
     return rf"{row.by}|{row.of}|^2_{{{row.symbol}{row.metric}}}"
 
 
-def _kappa(claim: Claim) -> str:
-    return "" if claim.kappa.is_constant() else r"\kappa\,"
-
-
 def _sum(rows: Sequence[tuple[TermRow, str]], sign: str) -> str:
-    """Kappa stands with each term of the servo level, so that lines may break between them."""
+    """Sum of terms, kappa written with each term of the servo level so that lines can break."""
     lead, text = sign, ""
     for row, term in rows:
         text += f" {lead} " + (r"\kappa\, " if row.factor == "kappa" else "") + term
@@ -179,7 +177,7 @@ def _row(claim: Claim, part: Part, term: Any, printed: PrintedTerm, symbol: str)
 
 
 def _value(claim: Claim, weight: SX) -> str:
-    """The weight at the graph's numbers, where these are all that it needs."""
+    """Weight at the parameter values of the graph, if it depends on parameters only."""
     loop = claim.loop
     function = ca.Function("value", [loop.p], loop.joined([ca.vec(ca.densify(weight))]), {"allow_free": True})
     if function.has_free():
@@ -189,11 +187,11 @@ def _value(claim: Claim, weight: SX) -> str:
 
 
 Used = tuple[str, PrintedLaw, list[str]]
-"""A block, its law, and the names that its weights hold."""
+"""Block, its law, and the names in its weights."""
 
 
 def _used(claim: Claim, laws: Mapping[str, PrintedLaw]) -> list[Used]:
-    """What the weights of each block are made of, named parts with what they are made of in turn."""
+    """Names in the weights of each block, with those in their definitions."""
     found = list[Used]()
     for part in claim.parts:
         law = laws[part.block]
@@ -208,7 +206,7 @@ def _used(claim: Claim, laws: Mapping[str, PrintedLaw]) -> list[Used]:
 
 
 def names_in(item: Any) -> Iterator[str]:
-    """All names of a formula, from left to right."""
+    """Names in a formula, from left to right."""
     if isinstance(item, Name):
         yield item.name
     elif isinstance(item, tuple):
@@ -219,27 +217,23 @@ def names_in(item: Any) -> Iterator[str]:
             yield from names_in(getattr(item, field.name))
 
 
-def _definitions(law: PrintedLaw, names: Sequence[str]) -> Iterator[Line]:
-    yield from (line for line in law.definitions if line.name in names)
-
-
 def _legend(claim: Claim, used: Sequence[Used]) -> Iterator[Legend]:
-    """What the names of the weights stand for, but for those that a printed definition says."""
-    told, parameters = set[tuple[str, str]](), {item.label: item for item in claim.loop.parameters}
+    """Legend of the names in the weights, except those with a printed definition."""
+    seen, parameters = set[tuple[str, str]](), {item.label: item for item in claim.loop.parameters}
     for block, law, names in used:
         defined, owners = {line.name for line in law.definitions}, owners_of(claim.diagram, block, claim.truths)
         for name in names:
             row = _meaning(claim, parameters, block, name, owners.get(name))
-            if row is None or (name, row.label) in told or (name in defined and row.label not in parameters):
+            if row is None or (name, row.label) in seen or (name in defined and row.label not in parameters):
                 continue
-            told.add((name, row.label))
+            seen.add((name, row.label))
             yield row
 
 
 def _meaning(
     claim: Claim, parameters: Mapping[str, Parameter], block: str, name: str, owner: str | None
 ) -> Legend | None:
-    """A parameter of the block, a true value that another block has, a number of the robot, or a signal."""
+    """Legend of a block parameter, a true value of another block, a robot constant or a signal."""
     model, symbol = claim.diagram.models[block], latex_name(name)
     if name in model.parameters:
         label = f"{block}.{name}"
@@ -254,13 +248,13 @@ def _meaning(
     constant = next((f"robot.{key}" for key, sign in CONSTANTS.items() if sign == name), "")
     if constant in parameters:
         return Legend(symbol, constant, _number(claim, parameters[constant]), parameters[constant].unit)
-    signals: list[Port | State] = [*model.block.inputs, *model.block.outputs, *model.block.states]
+    signals: list[Signal | State] = [*model.block.inputs, *model.block.outputs, *model.block.states]
     units = [item.unit for item in signals if item.name == name]
     return Legend(symbol, f"{block}.{name}", "a signal", units[0]) if units else None
 
 
 def _number(claim: Claim, parameter: Parameter) -> str:
-    """Of a matrix its rows: the loop has each of its elements once, its block's model has it as it was given."""
+    """Value of a parameter; a matrix as given to its block, not as the vector of the loop."""
     block, _, key = parameter.label.partition(".")
     values = claim.diagram.models[block].values if block in claim.diagram.models else {}
     return shown(values.get(key, parameter.value))
@@ -271,7 +265,7 @@ def _is(symbol: SX, value: SX) -> bool:
 
 
 def shown(values: np.ndarray) -> str:
-    """Numbers for a table: one where all are equal, each where they are few, else their range."""
+    """Format numbers: one value if all are equal, a short list, else their range."""
     values = np.atleast_1d(values)
     if values.size == 0:
         return "none"
@@ -286,14 +280,14 @@ def shown(values: np.ndarray) -> str:
 
 
 def _rows(values: np.ndarray) -> str:
-    """A matrix as a graph writes it; of a large one its size, and what stands on its diagonal and beside it."""
+    """Format a matrix: a small one as in a graph, else its size and ranges on and off the diagonal."""
     if values.size <= FEW_OF_MATRIX:
         return "[" + ", ".join("[" + ", ".join(f"{value:.4g}" for value in row) + "]" for row in values) + "]"
     rows, columns = values.shape
     if rows != columns or not np.allclose(values, values.T, rtol=1e-12):
         return f"{rows} x {columns}, {_range(values)}"
-    beside = values[~np.eye(rows, dtype=bool)]
-    return f"{rows} x {columns}, diagonal {_range(np.diag(values))}, off the diagonal {_range(beside)}"
+    others = values[~np.eye(rows, dtype=bool)]
+    return f"{rows} x {columns}, diagonal {_range(np.diag(values))}, off the diagonal {_range(others)}"
 
 
 def _range(values: np.ndarray) -> str:
@@ -302,7 +296,7 @@ def _range(values: np.ndarray) -> str:
 
 
 def parameter_text(value: np.ndarray, spec: Spec) -> str:
-    """A parameter's value for a table; of a box or a ball both of its parts, in brackets where they are lists."""
+    """Format a parameter; a box or a ball with both parts, lists in brackets."""
     between = {"box": "to", "ball": "plus or minus"}.get(spec.form)
     if between is None:
         return shown(value)

@@ -1,4 +1,4 @@
-"""A verdict for a terminal: what was decided, on what it rests, and what follows."""
+"""Terminal page of a verdict: outcome, conditions, assumptions and conclusions."""
 
 from __future__ import annotations
 
@@ -19,42 +19,41 @@ WIDEST: Final = 116
 
 
 def verdict_text(name: str, verdict: Verdict) -> str:
-    """The page; `name` is the graph's."""
+    """Terminal page; `name` is the name of the graph."""
     parts = [f"{name}: {verdict.headline}", fill(f"  {spelled(verdict.reason)}", **_wrapped())]
     if verdict.claim is not None:
-        parts.append(
-            f"  model {short(verdict.claim.diagram.fingerprint)}: runs, exports and pages of it store this hash"
-        )
+        parts.append(f"  model {short(verdict.claim.diagram.fingerprint)}: runs, exports and pages store this hash")
     if verdict.test is not None and verdict.test.zero:
         bound = verdict.test.log2_error_bound
         parts.append(
             f"  wrong with probability below 2^{bound:.0f}, over {verdict.test.trials} random points and primes"
         )
     if verdict.bounds:
-        parts += [spelled("  dV/dt may be above minus the dissipation by"), columns(_bounds(verdict), "    ")]
+        parts += [spelled("  dV/dt may exceed minus the dissipation by"), columns(_bounds(verdict), "    ")]
     if verdict.refutation is not None:
         signals = ", ".join(verdict.refutation.signals)
-        parts.append(f"  fewest signals that refute it: {signals or 'none; it is false with all of them at zero'}")
-        parts.append("  the exact point is in --json")
+        parts.append(f"  smallest set of non-zero signals: {signals or 'empty; refuted with all signals zero'}")
+        parts.append("  exact point: see --json")
     if verdict.conditions:
         rows = [(spelled(c.name), "" if c.value is None else f"{c.value:.4g}", _mark(c)) for c in verdict.conditions]
-        parts.append(f"  conditions{_over(verdict)}; a margin must be above zero, or, with ≥, not below")
+        parts.append(f"  conditions{_over(verdict)}; a margin must be positive (with ≥: not negative)")
         parts.append(columns(rows, "    "))
     if verdict.controls:
         refuted = sum(control.refuted for control in verdict.controls)
-        parts.append(f"  negative controls: {refuted} of {len(verdict.controls)} seeded faults refuted")
+        parts.append(f"  fault injection: {refuted} of {len(verdict.controls)} seeded faults refuted")
+    if verdict.flow_claim is not None:
+        parts.append("  printed laws: compared with the code at two points; `dmframe check` compares them in full")
     if verdict.assumptions:
-        parts += ["  assumed", *(_line(item.text) for item in verdict.assumptions)]
+        parts += ["  assumptions", *(_line(item.text) for item in verdict.assumptions)]
     if verdict.statements and verdict.outcome == "proved":
-        parts += ["  so", *_followed(verdict)]
-    parts += [f"  notice: {notice}" for notice in verdict.notices]
-    if verdict.claim is not None:
-        parts.append(spelled(f"  {verdict.build:.2f} s to write V and dV/dt, {verdict.check:.2f} s to decide"))
+        parts += ["  conclusions", *_followed(verdict)]
+    if verdict.flow_claim is not None:
+        parts.append(spelled(f"  {verdict.build:.2f} s to build V and dV/dt, {verdict.check:.2f} s to decide"))
     return "\n".join(parts)
 
 
 def _followed(verdict: Verdict) -> Iterator[str]:
-    """What follows: the signals of each kind, and last the conclusions, each with its step."""
+    """Signals by proved property, then the final conclusions with their proof steps."""
     for says in dict.fromkeys(item.says for item in verdict.statements):
         found = [item for item in verdict.statements if item.says == says and not item.concludes]
         grouped = dict[tuple[str, ...], list[str]]()
@@ -63,41 +62,43 @@ def _followed(verdict: Verdict) -> Iterator[str]:
             grouped.setdefault(("its own derivative is bounded",) if own else item.assumes, []).append(item.signal)
         for assumes, signals in grouped.items():
             given = f", each if {' and '.join(assumes)}" if assumes else ""
-            yield _told(f"{says.removeprefix('is ')}{given}: ", map(spelled, dict.fromkeys(signals)))
+            yield _items(f"{says.removeprefix('is ')}{given}: ", map(spelled, dict.fromkeys(signals)))
     states = verdict.states
     if states is not None and states.unfelt:
-        yield _told("may drift together unfelt by all else, as joints that turn round and round: ", states.unfelt)
+        yield _items(
+            "may drift together without an effect on other signals, e.g. whole turns of joints: ", states.unfelt
+        )
     if states is not None and states.open:
-        yield _told("not known to be bounded, so that this is not the stability of the whole loop: ", states.open)
-    if verdict.claim is not None:
-        lines = [(block, line) for block, law in verdict.claim.laws.items() for line in law.definitions]
-        told = {line.name: {other.whole.text for _, other in lines if other.name == line.name} for _, line in lines}
+        yield _items("not proved bounded, so stability of the whole loop is not proved: ", states.open)
+    if verdict.flow_claim is not None:
+        lines = [(block, line) for block, law in verdict.flow_claim.laws.items() for line in law.definitions]
+        meanings = {line.name: {other.whole.text for _, other in lines if other.name == line.name} for _, line in lines}
         named = dict.fromkeys(
-            line.whole.unicode + (f" ({block})" if len(told[line.name]) > 1 else "") for block, line in lines
+            line.whole.unicode + (f" ({block})" if len(meanings[line.name]) > 1 else "") for block, line in lines
         )
         named |= dict.fromkeys(f"{name} of {block} is {spelled(goal)}" for block, name, goal in _led(verdict))
         if named:
-            yield _told("where ", named)
+            yield _items("where ", named)
     for item in (item for item in verdict.statements if item.concludes):
         assumed = f", assuming that {' and '.join(item.assumes)}" if item.assumes else ""
         yield _line(f"=> {item.signal} {item.says}: {item.step}{assumed}")
 
 
 def _led(verdict: Verdict) -> Iterator[tuple[str, str, str]]:
-    """Inputs that a graph wires to what another controller makes of the signal of that name."""
-    diagram = verdict.claim.diagram if verdict.claim is not None else None
+    """Inputs ``*_d`` that are wired to an output of another name, with that output."""
+    diagram = verdict.flow_claim.diagram if verdict.flow_claim is not None else None
     for (block, port), source in diagram.sources.items() if diagram is not None else ():
         if isinstance(source, Wire) and port.endswith("_d") and source.port != port:
             yield block, port, f"{source.port} ({source.block})"
 
 
-def _told(lead: str, items: Iterable[str]) -> str:
-    kept = ", ".join(item.replace(" ", HARD) for item in items)  # a formula is not broken between lines
+def _items(lead: str, items: Iterable[str]) -> str:
+    kept = ", ".join(item.replace(" ", HARD) for item in items)  # no line break inside a formula
     return fill(f"    {lead}{kept}", **_wrapped()).replace(HARD, " ")
 
 
 def _line(text: str) -> str:
-    """A sentence, wrapped below itself."""
+    """Indented, wrapped sentence."""
     return fill(f"    {spelled(text)}", **_wrapped())
 
 
@@ -107,12 +108,12 @@ def _wrapped() -> dict[str, Any]:
 
 
 def _over(verdict: Verdict) -> str:
-    """The intervals over which the conditions were decided."""
+    """Uncertain parameters over whose intervals the conditions were decided."""
     return f", over the intervals of {', '.join(verdict.uncertain)}" if verdict.uncertain else ""
 
 
 def _bounds(verdict: Verdict) -> list[tuple[str, str]]:
-    """Each term of the residual with its bound."""
+    """Terms of the residual with their bounds."""
     rows = []
     for bound in verdict.bounds:
         kappa = "kappa * " if bound.weight == "kappa" else ""
@@ -124,7 +125,7 @@ def _bounds(verdict: Verdict) -> list[tuple[str, str]]:
 
 
 def _mark(condition: Checked) -> str:
-    """What samples show is not said to hold."""
+    """Status of a condition; a sampled one is not proved."""
     if condition.holds:
         return "sampled, not proved" if condition.how == "sampled" else "holds"
     return "FAILS"

@@ -1,4 +1,4 @@
-"""A graph's verdict, as a person holds it: the terminal's page, the report's first page, the report."""
+"""Result of `verify` on a graph, with its terminal page, notebook view and report."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ if TYPE_CHECKING:
 @final
 @dataclass(frozen=True, repr=False, eq=False)
 class Verification:
-    """What was found of a graph's certificate.
+    """Verdict on the certificate of a graph.
 
-    ``str`` of it is the terminal's page, a notebook shows the report's first page, and `report` writes all of it.
+    ``str`` gives the terminal page, a notebook shows the first page of the report, `report` writes the whole report.
 
     Parameters
     ----------
     experiment, diagram
-        What was proved.
+        The verified graph.
     verdict
-        The outcome with everything it rests on.
+        Outcome with conditions, assumptions and conclusions.
     seed
-        Of the random points and primes.
+        Seed of the random points and primes.
     label
-        What tells it from others of its graph's name.
+        Distinguishes several verifications of graphs with one name.
     """
 
     experiment: Experiment
@@ -48,7 +48,7 @@ class Verification:
 
     @property
     def name(self) -> str:
-        """What pages call it: the graph's name, or a label that tells it from others of that name."""
+        """Label, or the name of the graph."""
         return self.label or self.experiment.name
 
     @property
@@ -58,46 +58,46 @@ class Verification:
 
     @property
     def proved(self) -> bool:
-        """True for a graph that is proved."""
+        """True if the outcome is ``proved``."""
         return self.verdict.outcome == "proved"
 
     @property
     def headline(self) -> str:
-        """The outcome in words, with what a proof does not reach."""
+        """Outcome in words, with the limits of the proof."""
         return self.verdict.headline
 
     @property
     def reason(self) -> str:
-        """Why the outcome is what it is, in a sentence."""
+        """Reason for the outcome, in a sentence."""
         return self.verdict.reason
 
     @property
     def conditions(self) -> tuple[Checked, ...]:
-        """What had to hold at the graph's numbers, with margins."""
+        """Conditions at the parameter values of the graph, with margins."""
         return self.verdict.conditions
 
     @property
     def assumptions(self) -> tuple[Assumption, ...]:
-        """What is assumed and not proved."""
+        """Assumptions that are not proved."""
         return self.verdict.assumptions
 
     @property
     def conclusions(self) -> tuple[Statement, ...]:
-        """What follows in the end, such as that x - x_d goes to zero; none unless it is proved."""
+        """Final conclusions, such as that x - x_d goes to zero; empty unless proved."""
         return tuple(item for item in self.verdict.statements if item.concludes) if self.proved else ()
 
     @property
     def summary(self) -> dict[str, Any]:
-        """What ``dmframe verify --json`` prints of it."""
+        """Data that ``dmframe verify --json`` prints."""
         return summary(self.name, self.verdict)
 
     def report(self, path: str | Path) -> Path:
-        """Write the report, a web page, Markdown or JSON by the ending of `path`; the graph is simulated for it.
+        """Simulate the graph and write the report: web page, Markdown or JSON by the ending of `path`.
 
         Raises
         ------
         OutputError
-            Another ending, or a file that cannot be written.
+            If the ending is unknown or the file cannot be written.
         """
         from dmframe.report.write import write_report
 
@@ -109,10 +109,10 @@ class Verification:
         return f"<Verification of {self.name}: {self.headline}>"
 
     def __reduce__(self) -> Any:
-        """Pickled without its diagram, which is made anew of the graph; the verdict goes as it was found."""
+        """Pickle without the diagram, which is rebuilt from the graph."""
         import casadi as ca
 
-        with ca.global_pickle_context():  # its margins are expressions
+        with ca.global_pickle_context():  # margins are CasADi expressions
             verdict = pickle.dumps(self.verdict)
         return _again, (self.experiment, verdict, self.seed, self.label)
 
@@ -127,7 +127,7 @@ class Verification:
 
 
 def command(found: Sequence[Verification], path: Path) -> list[str]:
-    """The command that writes the same report, of graphs that have names of their own."""
+    """Command that writes the same report, for graphs with different names."""
     from dmframe.catalogue import graphs
 
     known = graphs()
@@ -148,7 +148,7 @@ def command(found: Sequence[Verification], path: Path) -> list[str]:
 
 
 def _again(experiment: Experiment, verdict: bytes, seed: int, label: str) -> Verification:
-    """A verification that was pickled."""
+    """Restore a pickled verification."""
     import casadi as ca
 
     with ca.global_unpickle_context():

@@ -1,22 +1,25 @@
-"""What a verdict means, and what it does not mean, in sentences for a reader who does not know the tool."""
+"""Meaning of a verdict, and its limits, in sentences."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import final
+from typing import Final, final
 
 from dmframe.certify import Verdict
-from dmframe.certify.sample_states import held_in_v
-from dmframe.certify.samples import SampledClaim
+from dmframe.certify.claim import Claim
+from dmframe.certify.states import held_in_v
 from dmframe.errors import listed
 from dmframe.report.notation import marked, signal_latex
 from dmframe.units import plain
+
+_UNDER: Final = "under the conditions checked and the assumptions listed below."
+_MODEL: Final = "Effects outside the model, excluded by the assumptions, such as flexible joints or a saturated motor."
 
 
 @final
 @dataclass(frozen=True)
 class Meaning:
-    """Marked texts: the verdict in one sentence, what it says and what it does not say."""
+    """Marked texts: verdict in one sentence, its meaning and its limits."""
 
     headline: str
     sentence: str
@@ -25,9 +28,10 @@ class Meaning:
 
 
 def meaning_of(verdict: Verdict, clock: float | None) -> Meaning:
-    """The words for a verdict; `clock` is the graph's sampling period [s], None for continuous time."""
-    writer = {"proved": _proved, "refuted": _refuted, "not_applicable": _not_applicable}[verdict.outcome]
-    return writer(verdict, clock)
+    """Describe a verdict; `clock` is the sampling period of the graph [s], None for continuous time."""
+    if verdict.outcome == "proved":
+        return _proved(verdict, clock)
+    return _refuted(verdict) if verdict.outcome == "refuted" else _not_applicable(verdict)
 
 
 def _proved(verdict: Verdict, clock: float | None) -> Meaning:
@@ -35,141 +39,141 @@ def _proved(verdict: Verdict, clock: float | None) -> Meaning:
         return _proved_over_samples(verdict, verdict.samples)
     sentence = _sentence_with_residual(verdict) if verdict.bounds else _sentence(verdict)
     means = (
-        "The proof is an identity: $\\dot V$, differentiated along the very equations that the simulator integrates, "
-        f"equals exactly minus a sum of terms none of which can be negative{_beside(verdict)}.",
+        "The proof is an identity: $\\dot V$, differentiated along the equations that the simulator integrates, "
+        f"equals minus a sum of non-negative terms{_other_terms(verdict)}.",
         _decided(verdict),
         f"The identity holds for all values of the free symbols, not only for those of this graph; {_where(verdict)}",
-        f"The test can say no: {_controls(verdict)}",
+        _controls(verdict),
     )
     return Meaning(verdict.headline.capitalize(), sentence, means, _limits(clock))
 
 
-def _proved_over_samples(verdict: Verdict, claim: SampledClaim) -> Meaning:
-    held = listed([f"`{label}`" for label in held_in_v(claim)])
+def _proved_over_samples(verdict: Verdict, claim: Claim) -> Meaning:
+    states = listed([f"`{label}`" for label in held_in_v(claim)])
     rises = f"rises by no more than {claim.left}" if claim.left else "never rises"
     sentence = (
-        f"from sample to sample, as a mathematical theorem, an energy-like function $V$ of {held} {rises}, whatever is "
-        f"commanded; that the robot follows its path is not a part of this theorem.{_open(verdict)}"
+        f"from sample to sample, as a mathematical theorem, an energy-like function $V$ of {states} {rises}, for all "
+        f"commands. The theorem does not cover tracking of the path.{_open(verdict)}"
     )
     plus = f", plus squares that are not bounded: {claim.left}" if claim.left else ""
     means = (
-        "The proof is an identity: $V^+ - V$, on the very map that the simulator computes at each sample, equals "
-        f"exactly minus a sum of terms none of which can be negative{plus}.",
+        "The proof is an identity: $V^+ - V$, on the map that the simulator computes at each sample, equals "
+        f"minus a sum of non-negative terms{plus}.",
         _decided(verdict),
         "The identity holds for all values of the free symbols: every measurement, command and sampling period, "
         f"not only for those of this graph; {_where(verdict)}",
-        f"The test can say no: {_controls(verdict)}",
+        _controls(verdict),
     )
     unexplained = (
-        "How large that is which the data leave unexplained: it is there because means over a sample are taken at one "
-        "point of it, and grows with the period, with noise, and with what the plant has and the model has not.",
+        "The size of the residual of the data: it arises because means over a sample are evaluated at one point of it, "
+        "and grows with the sampling period, noise and model error.",
     )
     means_not = (
-        *(unexplained if any(part.steps for part in claim.parts) else ()),
-        "That the robot follows its path, or stays near it: its velocities are assumed to stay bounded.",
-        "Anything beyond the model: whatever the assumptions exclude, such as flexible joints or a saturated motor.",
+        *(unexplained if any(part.certificate.steps for part in claim.parts) else ()),
+        "That the robot tracks its path, or stays near it: its velocities are assumed bounded.",
+        _MODEL,
     )
     return Meaning(verdict.headline.capitalize(), sentence, means, means_not)
 
 
 def everywhere(verdict: Verdict) -> str:
-    """Where conditions that hold do."""
+    """Parameter values for which the satisfied conditions hold."""
     labels = listed([f"`{label}`" for label in verdict.uncertain])
-    return "at the numbers of this graph" + f" and anywhere in the intervals of {labels}" * bool(verdict.uncertain)
+    return "at the parameter values of this graph" + f" and anywhere in the intervals of {labels}" * bool(
+        verdict.uncertain
+    )
 
 
 def somewhere(verdict: Verdict) -> str:
-    """Where conditions that fail do: of intervals, not necessarily at the numbers themselves."""
+    """Parameter values for which conditions fail; with intervals, not necessarily the nominal ones."""
     labels = listed([f"`{label}`" for label in verdict.uncertain])
-    return f"somewhere in the intervals of {labels}" if verdict.uncertain else "at the numbers of this graph"
+    return f"somewhere in the intervals of {labels}" if verdict.uncertain else "at the parameter values of this graph"
 
 
 def _where(verdict: Verdict) -> str:
-    """At which numbers the rest was decided."""
+    """Parameter values at which conditions and conclusions were decided."""
     if not verdict.uncertain:
-        return "the conditions, and what follows, were decided at the numbers of this graph."
-    return f"the conditions were decided {everywhere(verdict)}; what follows, at the numbers."
+        return "the conditions and conclusions were decided at the parameter values of this graph."
+    return f"the conditions were decided {everywhere(verdict)}; the conclusions, at the nominal values."
 
 
 def _open(verdict: Verdict) -> str:
-    """What is not said of a loop of which some state is not known to be bounded."""
+    """Note on states that are not proved bounded."""
     states = verdict.states
     if states is None or not states.open:
         return ""
     left = listed([f"`{label}`" for label in states.open])
-    return f" This is not the stability of the whole loop: neither $V$ nor anything that follows from it bounds {left}."
+    return f" The stability of the whole loop is not proved: neither $V$ nor its consequences bound {left}."
 
 
 def _sentence(verdict: Verdict) -> str:
-    """What V and its derivative bring about, and whether that is the stability of the whole loop."""
-    laws = verdict.claim.laws if verdict.claim is not None else {}
-    told = [f"${signal_latex(item.signal, laws)}$" for item in verdict.statements if item.concludes]
-    if not told:
-        told = [
+    """Consequences of V and its derivative, and whether they include stability of the whole loop."""
+    laws = verdict.flow_claim.laws if verdict.flow_claim is not None else {}
+    signals = [f"${signal_latex(item.signal, laws)}$" for item in verdict.statements if item.concludes]
+    if not signals:
+        signals = [
             f"${signal_latex(item.signal, laws)}$"
             for item in verdict.statements
             if item.says == "goes to zero" and not item.assumes
         ]
-    goes = f" {listed(told)} {'goes' if len(told) == 1 else 'go'} to zero," if told else ""
-    under = "under the conditions checked and the assumptions listed below."
+    goes = f" {listed(signals)} {'goes' if len(signals) == 1 else 'go'} to zero," if signals else ""
     if left_open := _open(verdict):
         return (
-            "in continuous time, as a mathematical theorem, an energy-like function $V$ never grows, so that what it "
-            f"holds stays bounded,{goes} {under}{left_open}"
+            "in continuous time, as a mathematical theorem, an energy-like function $V$ never grows, so its signals "
+            f"stay bounded,{goes} {_UNDER}{left_open}"
         )
     turns, states = "", verdict.states
     if states is not None and states.unfelt:
         left = listed([f"`{label}`" for label in states.unfelt])
-        turns = f", but for a common drift of {left} that no other signal feels, such as whole turns"
+        turns = f", except for a common drift of {left} that affects no other signal, such as whole turns"
     return (
         "in continuous time this control loop is stable, as a mathematical theorem: an energy-like function $V$ never "
-        f"grows, all states stay bounded{turns}, and{goes or ' no more is said of the errors'} {under}"
+        f"grows, all states stay bounded{turns}, {goes and f'and{goes} '}{_UNDER}"
     )
 
 
-def _beside(verdict: Verdict) -> str:
-    """What the derivative holds beside the terms that are lost."""
+def _other_terms(verdict: Verdict) -> str:
+    """Terms of the derivative other than the dissipation."""
     terms = []
-    claim = verdict.claim
+    claim = verdict.flow_claim
     if claim is not None and claim.cascaded:
-        terms.append("what the reference generator consumes, for which the servo level pays")
+        terms.append("the cross term of the reference generator, which the servo level dominates")
     if claim is not None and claim.loop.projections:
-        terms.append("what the projections add, which is never positive")
+        terms.append("the terms of the projections, which are never positive")
     if verdict.bounds:
-        terms.append("the terms listed below that a robust adaptation leaves over")
+        terms.append("the residual of the robust adaptation, listed below")
     return f", plus {listed(terms)}" if terms else ""
 
 
 def _sentence_with_residual(verdict: Verdict) -> str:
-    """What a bounded residual leaves: V may grow, and nothing is said to go to zero."""
+    """Sentence on a loop with a bounded residual: V may grow, no convergence to zero."""
     ultimate = any(item.says == "is ultimately bounded" for item in verdict.statements)
     assumed = list(dict.fromkeys(marked(text) for item in verdict.statements for text in item.assumes))
     provided = f", if {listed(assumed)}," if assumed else ","
     follows = (
-        "every signal that $V$ holds ends up in a bounded set"
+        "every signal in $V$ is ultimately bounded"
         if ultimate
-        else f"what $\\dot V$ spends is bounded in the mean square{provided} but $V$ alone bounds no other signal"
+        else f"the dissipation is bounded in the mean square{provided} but $V$ alone bounds no other signal"
     )
     return (
-        "in continuous time, as a mathematical theorem, an energy-like function $V$ falls wherever what it spends is "
-        f"more than what a robust adaptation leaves over, so {follows}, under the conditions checked and the "
-        f"assumptions listed below.{_open(verdict)}"
+        "in continuous time, as a mathematical theorem, an energy-like function $V$ falls wherever its dissipation "
+        f"exceeds the residual of the robust adaptation, so {follows}, {_UNDER}{_open(verdict)}"
     )
 
 
 def _decided(verdict: Verdict) -> str:
     test = verdict.test
-    assert test is not None  # there is no proof without a test
+    assert test is not None  # every proof has a test
     return (
-        "The identity was not tried out with numbers: it was evaluated exactly, in integer arithmetic modulo "
+        "The identity was evaluated exactly, in integer arithmetic modulo "
         f"{test.trials} random primes, with every state, trajectory, gain and physical parameter a free symbol"
-        f"{_held(verdict)}. If it were false, this would have gone unnoticed with a probability below "
+        f"{_fixed(verdict)}. The probability that a false identity passes is below "
         f"$2^{{{test.log2_error_bound:.0f}}}$."
     )
 
 
-def _held(verdict: Verdict) -> str:
-    """The numbers that were not free."""
+def _fixed(verdict: Verdict) -> str:
+    """Parameters that were not free symbols."""
     if not verdict.fixed:
         return ""
     names = listed([f"`{label}`" for label in verdict.fixed])
@@ -178,62 +182,60 @@ def _held(verdict: Verdict) -> str:
 
 def _controls(verdict: Verdict) -> str:
     refuted, tried = sum(control.refuted for control in verdict.controls), len(verdict.controls)
-    return f"of {tried} faults put into the equations on purpose it refuted {refuted}."
+    return f"Fault injection checks the test itself: it refuted {refuted} of {tried} faults in the equations."
 
 
 def _limits(clock: float | None) -> tuple[str, ...]:
     sampled = (
-        "What a sampled controller does: the theorem is one of continuous time, as is the simulated loop of this graph."
+        "The effect of sampling: the theorem and the simulated loop of this graph are in continuous time."
         if clock is None
-        else "What sampling does: the theorem is one of continuous time, and this controller runs every "
-        f"{plain(clock, 's')}. What that does to $V$ was measured, not proved, and stands under “The loop as it runs”."
+        else "The effect of sampling: the theorem holds in continuous time, and this controller runs every "
+        f"{plain(clock, 's')}. Its effect on $V$ was measured, not proved; see “The loop as it runs”."
     )
     return (
         sampled,
-        "Anything beyond the model: whatever the assumptions exclude, such as flexible joints or a saturated motor.",
-        "How fast, or how accurately, the robot follows its path.",
+        _MODEL,
+        "Rate of convergence and tracking accuracy.",
     )
 
 
-def _refuted(verdict: Verdict, clock: float | None) -> Meaning:
+def _refuted(verdict: Verdict) -> Meaning:
     found = verdict.refutation
     blame = listed([f"`{name}`" for name in found.blame]) if found is not None else ""
     place = (
-        f"the fault lies in the equations or in the certificate of {blame}"
+        f"the fault is in the equations or in the certificate of {blame}"
         if blame
-        else "each block keeps its own claim, but what they exchange differs; the fault lies in how they are wired"
+        else "each block satisfies its own certificate, but the exchanged signals differ; the fault is in the wiring"
     )
     signals = [f"`{name}`" for name in found.signals] if found is not None else []
     means = (
-        "The blocks claim a formula for $\\dot V$. At the exact point below, $\\dot V$ computed from their equations "
-        "differs from it. One such point is enough, and exact arithmetic leaves no room for rounding.",
-        (f"It takes no more than {listed(signals)} to see it; all other signals can be zero."
-         if signals else "All signals can be zero, and it still shows."),
-        "The error is one of signs, factors or signals in a block: mend its equations or its certificate, and verify "
-        "again.",
+        "The certificates give a formula for $\\dot V$. At the exact point below, $\\dot V$ from the equations differs "
+        "from it. One such point suffices, and exact arithmetic has no rounding errors.",
+        (f"Only {listed(signals)} must be non-zero; all other signals can be zero."
+         if signals else "It fails even with all signals zero."),
+        "Check signs, factors and signals in the equations or the certificate of the block, and verify again.",
     )  # fmt: skip
     not_means = (
-        "That the loop is unstable: a false claim is no proof of the contrary.",
-        "That the claim holds for no choice of numbers: they were free symbols, and a single choice is not ruled out.",
+        "That the loop is unstable: a false certificate does not prove instability.",
+        "That the identity fails for all parameter values: they were free symbols, and it may hold for some.",
     )
-    del clock
-    return Meaning("Refuted", f"the blocks' claim about $V$ is false; {place}.", means, not_means)
+    return Meaning("Refuted", f"the certificate is false; {place}.", means, not_means)
 
 
-def _not_applicable(verdict: Verdict, clock: float | None) -> Meaning:
+def _not_applicable(verdict: Verdict) -> Meaning:
     failing = [condition.name for condition in verdict.conditions if not condition.holds]
     means: tuple[str, ...]
-    if verdict.claim is None:
+    if verdict.flow_claim is None:
         means = (
-            "A proof needs a certificate from every block: what it stores and what it loses. Here there is none to be "
-            "had, for the reason given, so nothing was tested.",
+            "A proof requires a certificate (storage function and dissipation) from every block. It is missing for the "
+            "reason given, so nothing was tested.",
         )
-        why = f"this graph makes no claim that could be tested: {marked(verdict.reason)}."
+        why = f"this graph has no certificate to test: {marked(verdict.reason)}."
     elif failing:
         means = (
             f"The identity for $\\dot V$ is exact. {_decided(verdict)}",
-            f"But a theorem needs its conditions too, and {somewhere(verdict)} these fail: "
-            f"{'; '.join(map(marked, failing))}. The margins in the table say by how much.",
+            f"But {somewhere(verdict)} these conditions of the theorem fail: "
+            f"{'; '.join(map(marked, failing))}. The table lists their margins.",
         )
         count = f"{len(failing)} of its {len(verdict.conditions)} conditions"
         fails = "fails" if len(failing) == 1 else "fail"
@@ -242,11 +244,10 @@ def _not_applicable(verdict: Verdict, clock: float | None) -> Meaning:
             f"{marked(failing[0])}."
         )
     else:
-        means = ("The test was not able to tell right from wrong here, so its answer does not count.",)
+        means = ("The test did not detect all injected faults, so its result is not valid.",)
         why = f"{marked(verdict.reason)}."
     not_means = (
         "That the loop is unstable, or that the blocks are wrong.",
         "That the loop is stable.",
     )
-    del clock
     return Meaning("Not proved, and not refuted", why, means, not_means)

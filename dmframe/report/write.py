@@ -1,19 +1,34 @@
-"""Writing a report: its kind by the name's ending, all of it or nothing."""
+"""Write a report; the file name's ending selects the format."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from dmframe.errors import OutputError
 from dmframe.files import check_place as check_file
 from dmframe.files import write_text
 from dmframe.report.content import Content, gather
-from dmframe.report.data import as_data
 from dmframe.report.page import as_html, as_markdown
 from dmframe.report.verification import Verification, command
+
+_OMITTED: Final = ("picture", "mermaid", "summary", "measured", "linear", "name", "title", "outcome")
+
+
+def as_data(contents: Sequence[Content]) -> dict[str, Any]:
+    """Reports as plain data without pictures; formulas are LaTeX, between dollar signs within sentences."""
+    return {"dmframe_report": 1, "graphs": [_graph(content) for content in contents]}
+
+
+def _graph(content: Content) -> dict[str, Any]:
+    whole = asdict(content)
+    measured = {key: whole["measured"][key] for key in ("sentence", "facts", "numbers")}
+    linear = {key: whole["linear"][key] for key in ("sentence", "numbers")}
+    rest = {key: value for key, value in whole.items() if key not in _OMITTED}
+    return {"title": content.title, "verdict": content.summary, "measured": measured, "linear": linear, **rest}
 
 
 def _as_json(contents: Sequence[Content]) -> str:
@@ -34,33 +49,33 @@ def write_report(
     replay: Sequence[str] = (),
     tell: Callable[[str], None] = lambda _: None,
 ) -> None:
-    """Write one report on one or several graphs: a web page, Markdown or JSON, by the ending of `path`.
+    """Write a report on one or several graphs: web page, Markdown or JSON by the ending of `path`.
 
-    Each graph is simulated as its file says, to show V along the run. The file is there in full or not at all.
+    Each graph is simulated to show V along the run. The file is written atomically.
 
     Parameters
     ----------
     path
-        ``.html`` (one file that opens offline and prints), ``.md`` or ``.json``.
+        ``.html`` (one self-contained file), ``.md`` or ``.json``.
     replay
-        The command that writes it again, where it is known.
+        Command that writes the report again; default: derived from the graphs.
     tell
-        Called with what is done, which may take half a minute a graph.
+        Receives progress messages; a graph may take half a minute.
 
     Raises
     ------
     OutputError
-        Another ending, or a file that cannot be written.
+        If the ending is unknown or the file cannot be written.
     """
     path = Path(path)
     check_place(path)
-    said = list(replay) or command(found, path)
+    used = list(replay) or command(found, path)
     contents = [
         gather(
             each.experiment,
             each.diagram,
             each.verdict,
-            command=said,
+            command=used,
             seed=each.seed,
             tell=lambda text, name=each.name: tell(f"{name}: {text}"),  # type: ignore[misc]
         )
@@ -70,12 +85,12 @@ def write_report(
 
 
 def check_place(path: Path) -> None:
-    """Refuse a place where no report can be written; to be asked before anything is computed.
+    """Check before any computation that a report can be written to `path`.
 
     Raises
     ------
     OutputError
-        Another ending than those of `WRITERS`, a folder of that name, or no folder to write in.
+        If the ending is not in `WRITERS`, `path` is a folder, or its folder does not exist.
     """
     if path.suffix.lower() not in WRITERS:
         endings = ", ".join(WRITERS)

@@ -1,4 +1,4 @@
-"""What a run leaves behind: metrics, labelled data, a folder of results, figures."""
+"""Results of a run: metrics, labelled data, figures, results folder."""
 
 from dmframe.results.folder import write_run
 from dmframe.results.metrics import TrackingError, TurnError, tracking_error, turn_error

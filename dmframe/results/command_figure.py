@@ -1,4 +1,4 @@
-"""What was commanded, what the joints did, and the difference that the servo leaves."""
+"""Figure of commanded and measured joint signals, and their difference (servo error)."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from dmframe.results.drawn_runs import (
     joint_slides,
     last_stretch,
     left_out,
+    run_label,
     same_joints,
     short,
     show_stretch,
     shown_unit,
-    told,
 )
 from dmframe.simulate import Recording
 from dmframe.units import sliding
@@ -28,7 +28,7 @@ from dmframe.units import sliding
 def command_figure(runs: Runs) -> Any:
     """Commanded and measured velocity of each joint, and the differences in velocity and in position.
 
-    Over the end of the runs; None where a graph commands nothing.
+    Shows the end of the runs; None without commanded signals.
     """
     pairs = {name: command_pairs(run) for name, run in runs.items()}
     pairs = {name: found for name, found in pairs.items() if found}
@@ -56,7 +56,7 @@ def command_figure(runs: Runs) -> Any:
                     (f"{short(joint)}\n" if column == 0 else "") + f"{about} [{unit_text(unit)}]"
                 )
         without = left_out(
-            runs, names, lambda run: "with other joints" if command_pairs(run) else "which commands nothing"
+            runs, names, lambda run: "with other joints" if command_pairs(run) else "without commanded signals"
         )
         show_stretch(figure, panels[-1], list(names.values()), without, 4)
         names_above(figure, panels[0, 0], PAGE, _explained() if any(kind == "both" for _, kind in shown) else ())
@@ -64,10 +64,9 @@ def command_figure(runs: Runs) -> Any:
 
 
 def command_pairs(run: Recording) -> dict[str, tuple[str, str]]:
-    """Signals ``s`` of the plant that something commands or reports as ``s_c``: their two labels.
+    """Labels of command ``s_c`` and measurement ``s`` of each plant signal that has both.
 
-    Of a robot that was driven the velocity that it was sent stands for the command, which is one of the controller's
-    own time.
+    On hardware, the velocity sent to the robot replaces the command, which refers to the controller's time.
     """
     measured, wanted = dict[str, str](), dict[str, str]()
     for name, block in run.diagram.blocks.items():
@@ -87,7 +86,7 @@ def command_pairs(run: Recording) -> dict[str, tuple[str, str]]:
 
 
 def _columns(pairs: list[dict[str, tuple[str, str]]]) -> list[tuple[str, str]]:
-    """The first signal that all have, in full and as a difference; the others as differences."""
+    """The first common signal in full and as a difference; the others as differences."""
     common = [name for name in pairs[0] if all(name in found for found in pairs)]
     return [(common[0], "both"), *((name, "difference") for name in common)] if common else []
 
@@ -111,10 +110,10 @@ def _panel(
         if not times.size:
             continue
         if kind == "difference":
-            draw_curve(axes, times, (commanded - measured) * scale, most, label=told(name, run), **look(place))
+            draw_curve(axes, times, (commanded - measured) * scale, most, label=run_label(name, run), **look(place))
             curves.append(((commanded - measured) * scale, diverged))
         else:
-            draw_curve(axes, times, measured, most, color=color, linewidth=1.1, label=told(name, run))
+            draw_curve(axes, times, measured, most, color=color, linewidth=1.1, label=run_label(name, run))
             draw_curve(axes, times, commanded, most, color=color, linewidth=0.8, linestyle=(0, (1.2, 1.2)))
             curves += [(commanded, diverged), (measured, diverged)]
         if diverged:

@@ -1,4 +1,4 @@
-"""A run as labelled arrays with units."""
+"""Labelled arrays with units of a run: tables, xarray datasets and NetCDF files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from dmframe.block.faults import told_by
+from dmframe.block.faults import fault_context
 from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.files import encoded, printable
@@ -25,7 +25,7 @@ from dmframe.version import version
 if TYPE_CHECKING:
     import xarray
 
-# HDF5 itself refuses numbers that have changed, whoever reads them
+# with checksums, so that every HDF5 reader detects changed data
 PACKED: Final = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
 _DIMENSIONS = {"n": "joint", "m": "axis", "p": "parameter", "k": "kinematic_parameter"}
 
@@ -33,7 +33,7 @@ _DIMENSIONS = {"n": "joint", "m": "axis", "p": "parameter", "k": "kinematic_para
 @final
 @dataclass(frozen=True)
 class Labelled:
-    """A variable or a coordinate: the names of its dimensions, its values, and what is said of it."""
+    """Variable or coordinate: dimension names, values, attributes."""
 
     dimensions: tuple[str, ...]
     values: Any
@@ -43,7 +43,7 @@ class Labelled:
 @final
 @dataclass(frozen=True)
 class Table:
-    """A run as labelled arrays with units, as xarray and NetCDF have it."""
+    """Labelled arrays of a run, in the data model of xarray and NetCDF."""
 
     coordinates: Mapping[str, Labelled]
     variables: Mapping[str, Labelled]
@@ -53,24 +53,24 @@ class Table:
 def table(run: Recording, experiment: Experiment | None = None, seed: int | None = None) -> Table:
     """Every recorded state and output as a variable ``block.signal`` over time, with its unit.
 
-    The dimensions are named: joint, axis, parameter; a size that is none of these has a dimension of its own.
+    Dimensions are named joint, axis, parameter; any other size gets its own dimension.
 
     Parameters
     ----------
     experiment
-        The graph that ran: its name, its title, the SHA-256 of its resolved text and the hash of the model that ran
-        (`Diagram.fingerprint`) become attributes.
+        The graph of the run; name, title, SHA-256 of the resolved text and model hash (`Diagram.fingerprint`) become
+        attributes.
     seed
-        Of the run's noise, where it has any.
+        Seed of the noise, if any.
     """
     entries, variables = dict[str, tuple[Element, ...]](), dict[str, Labelled]()
     for label, shape, unit, kind in _recorded(run):
         dimensions, values = _labelled(run.diagram, label, shape, run[label], entries)
-        said = {"units": unit or "1", "long_name": f"{label.split('.', 1)[1]}, {kind} of {label.split('.')[0]}"}
-        said |= _prismatic(run.diagram, dimensions, unit)
+        attributes = {"units": unit or "1", "long_name": f"{label.split('.', 1)[1]}, {kind} of {label.split('.')[0]}"}
+        attributes |= _prismatic(run.diagram, dimensions, unit)
         if not unit and dimensions == ("parameter",):
-            said["units"] = "see parameter_unit"
-        variables[label] = Labelled(("time", *dimensions), values, said)
+            attributes["units"] = "see parameter_unit"
+        variables[label] = Labelled(("time", *dimensions), values, attributes)
     for label, item in run.beside.items():
         dimensions, values = _labelled(run.diagram, label, item.shape, item.values, entries)
         variables[label] = Labelled(("time", *dimensions), values, {"units": item.unit or "1", "long_name": item.about})
@@ -86,7 +86,7 @@ def table(run: Recording, experiment: Experiment | None = None, seed: int | None
 
 
 def _attributes(run: Recording, experiment: Experiment | None, seed: int | None) -> dict[str, Any]:
-    said: dict[str, Any] = {
+    attributes: dict[str, Any] = {
         "title": printable(experiment.file.title or experiment.name) if experiment else "dmframe run",
         "graph": printable(experiment.name) if experiment else "",
         "clock": "continuous" if run.clock is None else f"{run.clock!r} s",
@@ -96,44 +96,44 @@ def _attributes(run: Recording, experiment: Experiment | None, seed: int | None)
         "engine": run.engine,
     }
     if run.drive:
-        said["drive"] = json.dumps(dict(run.drive))
+        attributes["drive"] = json.dumps(dict(run.drive))
     if experiment is not None:
-        said["field_hash"] = run.diagram.fingerprint
-        said["graph_sha256"] = hashlib.sha256(encoded(resolved_text(experiment))).hexdigest()
+        attributes["field_hash"] = run.diagram.fingerprint
+        attributes["graph_sha256"] = hashlib.sha256(encoded(resolved_text(experiment))).hexdigest()
     if seed is not None:
-        said["seed"] = seed
+        attributes["seed"] = seed
     if run.divergence is not None:
-        said["divergence"] = str(run.divergence)
-    return said
+        attributes["divergence"] = str(run.divergence)
+    return attributes
 
 
 def dataset(run: Recording, experiment: Experiment | None = None, seed: int | None = None) -> xarray.Dataset:
     """`table` as an xarray dataset."""
     import xarray
 
-    held = table(run, experiment, seed)
+    source = table(run, experiment, seed)
     return xarray.Dataset(
-        {name: (item.dimensions, item.values, dict(item.attributes)) for name, item in held.variables.items()},
-        {name: (item.dimensions, item.values, dict(item.attributes)) for name, item in held.coordinates.items()},
-        dict(held.attributes),
+        {name: (item.dimensions, item.values, dict(item.attributes)) for name, item in source.variables.items()},
+        {name: (item.dimensions, item.values, dict(item.attributes)) for name, item in source.coordinates.items()},
+        dict(source.attributes),
     )
 
 
 def netcdf(run: Recording, experiment: Experiment | None = None, seed: int | None = None) -> bytes:
-    """`table` as a NetCDF file, compressed; without xarray, which takes half a second to import.
+    """`table` as a compressed NetCDF file, without xarray, whose import takes half a second.
 
-    In memory: on a full disk HDF5 itself prints tracebacks and can take the process down.
+    Written in memory: on a full disk HDF5 prints tracebacks and can abort the process.
     """
     import h5netcdf
     import h5py
 
-    held, file = table(run, experiment, seed), io.BytesIO()
+    source, file = table(run, experiment, seed), io.BytesIO()
     with h5netcdf.File(file, "w") as made:
-        for item in (*held.variables.values(), *held.coordinates.values()):
+        for item in (*source.variables.values(), *source.coordinates.values()):
             for name, size in zip(item.dimensions, np.shape(item.values), strict=True):
                 if name not in made.dimensions:
                     made.dimensions[name] = size
-        for name, item in (*held.coordinates.items(), *held.variables.items()):
+        for name, item in (*source.coordinates.items(), *source.variables.items()):
             values = np.asarray(item.values)
             text = values.dtype.kind == "U"
             variable = made.create_variable(
@@ -144,39 +144,36 @@ def netcdf(run: Recording, experiment: Experiment | None = None, seed: int | Non
                 **({} if text else PACKED),
             )
             variable.attrs.update(item.attributes)
-            if name not in held.coordinates:
-                own = [other for other, c in held.coordinates.items() if other not in c.dimensions]
-                beside = [other for other in own if set(held.coordinates[other].dimensions) <= set(item.dimensions)]
-                if beside:
-                    variable.attrs["coordinates"] = " ".join(beside)
-        made.attrs.update(held.attributes)
+            if name not in source.coordinates:
+                known = ((key, c.dimensions) for key, c in source.coordinates.items())
+                auxiliary = [key for key, of in known if key not in of and set(of) <= set(item.dimensions)]
+                if auxiliary:
+                    variable.attrs["coordinates"] = " ".join(auxiliary)
+        made.attrs.update(source.attributes)
     return file.getvalue()
 
 
 def joint_labels(diagram: Diagram) -> tuple[str, ...]:
-    """The joints' names, or ``joint 1`` and so on in a diagram without a robot."""
+    """Joint names, or ``joint 1`` and so on without a robot."""
     if diagram.robot is not None:
         return tuple(diagram.robot.joint_names)
     return tuple(f"joint {i}" for i in range(1, diagram.sizes.bound.get("n", (0, ""))[0] + 1))
 
 
 def axis_labels(diagram: Diagram) -> tuple[str, ...]:
-    """x, y, z: the robot's task coordinates, or the first m."""
+    """Names of the task coordinates, such as x, y, z."""
     m = diagram.sizes.bound.get("m", (0, ""))[0]
     names = diagram.robot.axes if diagram.robot is not None else "xyz"
     return tuple(names) if len(names) == m else tuple(names[:m]) if m <= 3 else tuple(str(i + 1) for i in range(m))
 
 
 def elements(diagram: Diagram, letter: str, size: int) -> tuple[Element, ...]:
-    """What a dimension counts that a shape calls `letter`: joints, axes, or what a block that binds it says of them.
-
-    Numbers where nobody says it.
-    """
+    """Elements of the dimension `letter`: joints, axes, or those that a block declares; else numbers."""
     if letter in ("n", "m"):
         known = [Element(label) for label in (joint_labels if letter == "n" else axis_labels)(diagram)]
         return tuple(known) if len(known) == size else _numbered(size)
     for name, block in diagram.blocks.items():
-        with told_by(name, "elements()"):
+        with fault_context(name, "elements()"):
             found = tuple(Element(each.name, each.unit) for each in block.elements(diagram.robot).get(letter, ()))
         if found and len(found) == size:
             return found
@@ -188,12 +185,12 @@ def _numbered(size: int) -> tuple[Element, ...]:
 
 
 def element_labels(diagram: Diagram, letter: str, size: int) -> tuple[str, ...]:
-    """Their names alone."""
+    """Names of `elements`."""
     return tuple(element.name for element in elements(diagram, letter, size))
 
 
 def _recorded(run: Recording) -> list[tuple[str, str, str, str]]:
-    """Label, shape, unit and kind of all that was recorded, in the order of the diagram."""
+    """Label, shape, unit and kind of the recorded signals, in diagram order."""
     loop = run.diagram.loop
     states = [(v.label, v.shape, v.unit, "state") for v in loop.variables if v.label in run.states]
     outputs = [(s.label, s.shape, s.unit, "output") for s in loop.outputs if s.label in run.outputs]
@@ -207,16 +204,16 @@ def _labelled(
     dimensions = list[str]()
     for word, size in zip(words, sizes, strict=True):
         name = _DIMENSIONS.get(word, f"{label}.{word}")
-        name = f"{name}_{dimensions.count(name) + 1}" if name in dimensions else name  # netCDF wants them distinct
+        name = f"{name}_{dimensions.count(name) + 1}" if name in dimensions else name  # NetCDF requires distinct names
         dimensions.append(name)
         entries[name] = elements(diagram, word, size)
-    # states are kept column by column
+    # column-major
     values = rows.reshape(len(rows), *reversed(sizes)).transpose(0, *range(len(sizes), 0, -1))
     return tuple(dimensions), values
 
 
 def _prismatic(diagram: Diagram, dimensions: tuple[str, ...], unit: str) -> dict[str, str]:
-    """Units joint by joint where some joint slides: a port's unit is a revolute joint's."""
+    """Units joint by joint for a robot with prismatic joints: port units refer to revolute joints."""
     joints = () if diagram.robot is None else diagram.robot.joints
     if "joint" not in dimensions or all(joint.kind == "revolute" for joint in joints):
         return {}

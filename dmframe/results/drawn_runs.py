@@ -1,4 +1,4 @@
-"""What the figures of runs share: names, labels with units, times, and the mark of a run that diverged."""
+"""Helpers shared by the figures of runs: labels, units, time axes, divergence marks."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from dmframe.simulate import Recording
 from dmframe.units import plain, sliding
 
 Runs = Mapping[str, Recording]
-"""Runs by the names that the legends show."""
+"""Runs by legend name."""
 
 STRETCH = 12.0
-"""How much of a run's end is shown where all of a long run would be a band of ink [s]."""
+"""Length of the end of a run shown in figures of fast signals [s]."""
 
 
 def coordinate_labels(run: Recording, error: TrackingError) -> list[tuple[str, str, float]]:
-    """Of each coordinate of the error: its label, the unit in which it is drawn, and the factor to it."""
+    """Label, plotted unit and scale factor of each coordinate of the error."""
     rows, name = error.values.shape[1], error.signal.split(" ")[0]
     diagram, unit = run.diagram, error.unit
     if name == "x" and len(axis_labels(diagram)) == rows:
@@ -36,14 +36,14 @@ def coordinate_labels(run: Recording, error: TrackingError) -> list[tuple[str, s
 
 
 def errors_of(runs: Runs) -> dict[str, TrackingError]:
-    """Tracking errors of the runs that can be drawn beside the first that has one."""
+    """Tracking errors with the signal and unit of the first one."""
     errors = {name: error for name, run in runs.items() if (error := tracking_error(run)) is not None}
     alike = {(error.signal, error.unit) for error in list(errors.values())[:1]}
     return {name: error for name, error in errors.items() if (error.signal, error.unit) in alike}
 
 
 def same_joints(runs: Runs, names: Collection[str]) -> dict[str, Recording]:
-    """Those of the named runs that have the joints of the first of them."""
+    """Named runs with the same joints as the first of them."""
     joints = [joint_labels(runs[name].diagram) for name in names]
     return {name: runs[name] for name, own in zip(names, joints, strict=True) if own == joints[0]}
 
@@ -56,17 +56,17 @@ def joint_slides(run: Recording) -> list[bool]:
 
 
 def shown_unit(unit: str) -> tuple[str, float]:
-    """The unit in which errors are drawn, and the factor to it: millimetres and milliradians."""
+    """Plotted unit of an error and its scale factor: millimetres and milliradians."""
     return (f"m{unit}", 1e3) if unit in ("m", "rad", "m/s", "rad/s") else (unit or "1", 1.0)
 
 
 def short(joint: str) -> str:
-    """A joint's name as it fits beside a panel."""
+    """Short joint name for an axis label."""
     return verbatim(joint.removesuffix("_joint").replace("_", " "))
 
 
-def told(name: str, run: Recording) -> str:
-    """A run's name in a legend, with how it ended where it did not end well."""
+def run_label(name: str, run: Recording) -> str:
+    """Legend name of a run, with the time of divergence or interruption."""
     name = verbatim(name)
     if run.divergence is not None:
         return f"{name} (diverged at {run.divergence.time:.3g} s)"
@@ -74,7 +74,7 @@ def told(name: str, run: Recording) -> str:
 
 
 def mark_divergence(panels: Any, runs: Runs) -> None:
-    """A vertical line where a run left the finite numbers."""
+    """Draw a vertical line at each divergence."""
     for place, run in enumerate(runs.values()):
         if run.divergence is not None:
             for axes in panels:
@@ -87,13 +87,13 @@ def mark_divergence(panels: Any, runs: Runs) -> None:
 
 
 def last_stretch(runs: Collection[Recording]) -> tuple[float, float]:
-    """The last `STRETCH` seconds that all runs went through."""
-    end = min(float(run.time[-1]) for run in runs)  # up to where all of them came
+    """Last `STRETCH` seconds that all runs reached."""
+    end = min(float(run.time[-1]) for run in runs)
     return max(0.0, end - STRETCH), end if end > 0 else 1.0
 
 
 def show_stretch(figure: Any, bottom: Any, runs: list[Recording], without: str, ticks: int) -> None:
-    """Times of `last_stretch` below the panels, and which stretch that is, and which runs are not shown."""
+    """Time axis of `last_stretch`, with a note on the interval and the omitted runs."""
     from matplotlib.ticker import MaxNLocator
 
     begin, end = last_stretch(runs)
@@ -105,7 +105,7 @@ def show_stretch(figure: Any, bottom: Any, runs: list[Recording], without: str, 
 
 
 def set_times(axes: Any, runs: list[Recording]) -> None:
-    """The time axis from 0 to the longest run's planned end."""
+    """Time axis from 0 to the longest planned end."""
     from matplotlib.ticker import MaxNLocator
 
     axes.set_xlim(0.0, max(run.duration if run.divergence is None else run.divergence.time * 1.02 for run in runs))
@@ -114,7 +114,7 @@ def set_times(axes: Any, runs: list[Recording]) -> None:
 
 
 def window_text(begin: float, end: float, runs: list[Recording]) -> str:
-    """Which stretch of the runs is shown, ``the last 12 s of 200 s, sampled every 8 ms``."""
+    """Interval shown and sampling, ``from 188 s to 200 s of 200 s; controller every 8 ms``."""
     whole = max(run.duration for run in runs)
     shown = "" if begin <= 0 else f"from {plain(begin, 's')} to {plain(end, 's')} of {plain(whole, 's')}"
     clocks = dict.fromkeys("continuous" if run.clock is None else f"every {plain(run.clock, 's')}" for run in runs)
@@ -123,20 +123,19 @@ def window_text(begin: float, end: float, runs: list[Recording]) -> str:
 
 
 def left_out(runs: Runs, shown: Collection[str], why: Callable[[Recording], str]) -> str:
-    """Which runs are not in a figure, each with the reason; empty where all are."""
+    """Note on runs omitted from a figure, with reasons; may be empty."""
     texts = [f"{verbatim(name)}, {why(run)}" for name, run in runs.items() if name not in shown]
     return f"not shown: {'; '.join(texts)}" if texts else ""
 
 
 def note_below(figure: Any, *texts: str) -> None:
-    """Small words below all panels."""
-    said = [text for text in texts if text]
-    if said:
-        figure.supxlabel("\n".join(said), fontsize=7, x=0.01, ha="left")
+    """Add a note below all panels."""
+    if note := "\n".join(filter(None, texts)):
+        figure.supxlabel(note, fontsize=7, x=0.01, ha="left")
 
 
 def why_not_with(signal: str) -> Callable[[Recording], str]:
-    """Why a run is not drawn beside one whose error is `signal`."""
+    """Reason to omit a run from a figure of the error `signal`."""
 
     def why(run: Recording) -> str:
         error = tracking_error(run)

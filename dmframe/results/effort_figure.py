@@ -1,4 +1,4 @@
-"""What moves the joints: the servo's voltage, and the torques that the controller thinks of."""
+"""Figure of the efforts: servo voltages and controller torques."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from dmframe.results.drawn_runs import (
     joint_slides,
     last_stretch,
     left_out,
+    run_label,
     same_joints,
     short,
     show_stretch,
-    told,
 )
 from dmframe.simulate import Recording
 from dmframe.units import sliding
@@ -25,9 +25,9 @@ UNITS = ("V", "N m")
 
 
 def effort_figure(runs: Runs) -> Any:
-    """Voltages and torques of each joint over the end of the runs; None where no signal is one.
+    """Voltages and torques of each joint over the end of the runs; None without such signals.
 
-    A colour a run, a dash a signal.
+    Colours distinguish runs, dashes signals.
     """
     from matplotlib.lines import Line2D
 
@@ -59,7 +59,7 @@ def effort_figure(runs: Runs) -> Any:
                 axes.set_ylabel((f"{short(joint)}\n" if column == 0 else "") + f"[{unit_text(shown)}]")
         keys = [Line2D([], [], color="black", linestyle=_dash(labels, label), label=label) for label in labels]
         runs_too = [
-            Line2D([], [], color=look(place)["color"], label=told(name, run))
+            Line2D([], [], color=look(place)["color"], label=run_label(name, run))
             for place, (name, run) in enumerate(names.items())
             if len(names) > 1
         ]
@@ -70,7 +70,7 @@ def effort_figure(runs: Runs) -> Any:
 
 
 def efforts(run: Recording) -> dict[str, str]:
-    """The run's voltages and torques, one a joint, by label with their units."""
+    """Units of the recorded joint voltages and torques, by label."""
     loop = run.diagram.loop
     return {
         signal.label: signal.unit

@@ -27,8 +27,8 @@ from dmframe.results.drawn_runs import (
     left_out,
     mark_divergence,
     note_below,
+    run_label,
     set_times,
-    told,
     why_not_with,
 )
 from dmframe.results.metrics import turn_error
@@ -36,9 +36,7 @@ from dmframe.simulate import Recording
 
 
 def error_figure(runs: Runs) -> Any:
-    """Tracking error against time, a panel a coordinate, and its norm on a logarithmic scale, with the angle by which a
-    tool is turned from its orientation; None without a goal.
-    """
+    """Tracking error by coordinate, its norm on a logarithmic scale, and the orientation error; None without a goal."""
     same = errors_of(runs)
     if not same:
         return None
@@ -112,4 +110,4 @@ def log_ticks(axes: Any) -> None:
 
 
 def _kind(place: int, name: str, run: Recording) -> dict[str, Any]:
-    return {"label": told(name, run), **look(place)}
+    return {"label": run_label(name, run), **look(place)}

@@ -1,4 +1,4 @@
-"""What the controller has learned, over time."""
+"""Figure of the adapted parameters over time."""
 
 from __future__ import annotations
 
@@ -24,20 +24,19 @@ from dmframe.plotting import (
 )
 from dmframe.port import Element
 from dmframe.results.dataset import elements
-from dmframe.results.drawn_runs import mark_divergence, set_times, short, told
+from dmframe.results.drawn_runs import mark_divergence, run_label, set_times, short
 from dmframe.simulate import Recording
 
 WIDTH = 5.4
 NAMED = 7
-"""How many curves of a panel a legend names."""
+"""Number of curves with a legend entry in a panel."""
 
 
 def estimate_figure(name: str, run: Recording) -> Any:
-    """One panel for each estimated quantity; None where the controller estimates nothing.
+    """One panel for each estimate; None for a controller without estimates.
 
-    Of many elements those that move most are named, the others stay grey, and those that never move are left out. The
-    true values, which the controller does not know, stand beside the names, and as marks where a panel reaches them.
-    Of a robot that was driven they are told as the graph's own, for its true ones may be others.
+    Of many elements those with the largest changes are named, the others are grey, constant ones omitted. Legend and
+    marks show the true values; for a run on hardware those of the graph, since the true ones may differ.
     """
     truths = estimates_of(run.diagram)
     shown = [item for item in run.diagram.loop.controller if item.label in truths and item.label in run.states]
@@ -54,7 +53,7 @@ def estimate_figure(name: str, run: Recording) -> Any:
             _panel(axes, run, variable, most, truth, legend=not repeated)
         mark_divergence(panels, {name: run})
         set_times(panels[-1], [run])
-        panels[0].set_title(told(name, run), loc="left")
+        panels[0].set_title(run_label(name, run), loc="left")
         settle(figure)
     return figure
 
@@ -94,7 +93,7 @@ def _panel(axes: Any, run: Recording, variable: Variable, most: int, truth: np.n
 
 
 def _truths(axes: Any, truth: np.ndarray, named: list[int]) -> None:
-    """A mark at the right edge where a true value lies within the panel: far ones would dwarf the curves."""
+    """Mark true values within the panel at its right edge; others would compress the curves."""
     low, high = axes.get_ylim()
     for place, row in enumerate(named):
         if low <= truth[row] <= high:
@@ -103,13 +102,13 @@ def _truths(axes: Any, truth: np.ndarray, named: list[int]) -> None:
 
 
 def element(counted: Element, letter: str, unit: str) -> str:
-    """One of `elements` as a legend shows it, with its unit where the signal has no `unit` for all of them."""
+    """Legend entry of an element, with its unit if the signal has no common `unit`."""
     name = counted.name
     if letter == "n":
-        said = short(name)
+        text = short(name)
     elif letter == "h":
         place, _, axis = name.rpartition(" ")
-        said = f"{short(place)} {axis}".strip()
+        text = f"{short(place)} {axis}".strip()
     else:
-        said = unicode_name(name) if name.isidentifier() else verbatim(name)
-    return f"{said} [{unit_text(counted.unit)}]" if counted.unit and not unit else said
+        text = unicode_name(name) if name.isidentifier() else verbatim(name)
+    return f"{text} [{unit_text(counted.unit)}]" if counted.unit and not unit else text

@@ -1,4 +1,4 @@
-"""The figures of a run, and of several runs overlaid."""
+"""Figures of one run or of several runs overlaid."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from dmframe.results.error_figure import error_figure
 from dmframe.results.estimate_figure import estimate_figure
 from dmframe.results.path_figure import path_figure
 from dmframe.results.place import FIGURES, OF_EACH
-from dmframe.results.ran import Ran
+from dmframe.results.run_like import RunLike
 from dmframe.results.signal_figure import signal_figure
 from dmframe.results.storage_figure import storage_figure
 
@@ -34,20 +34,18 @@ class Figures(Mapping[str, Any]):
     Parameters
     ----------
     about
-        What they show: the runs' names.
+        Names of the runs.
     """
 
     made: Mapping[str, Any]
     about: str
 
     def save(self, folder: str | Path, formats: Sequence[str] = FORMATS[:1]) -> list[Path]:
-        """Write each to a folder, as ``svg``, ``png`` or ``pdf``. Raises `OutputError` where that cannot be done."""
+        """Write the figures to a folder as ``svg``, ``png`` or ``pdf``; raises `OutputError` on failure."""
         place, files = expanded(folder), list[Path]()
         formats = checked_formats("save", formats)
         if place.suffix in (".png", ".svg", ".pdf"):
-            raise OutputError(
-                f"{place}: expected a folder, found the name of a file; each figure has a savefig of its own"
-            )
+            raise OutputError(f"{place}: expected a folder, found the name of a file; use savefig of a single figure")
         with writing(place, "figures"):
             place.mkdir(parents=True, exist_ok=True)
         for name, figure in self.items():
@@ -72,39 +70,52 @@ class Figures(Mapping[str, Any]):
         return "".join(notebook.picture(figure, f"{name} of {self.about}") for name, figure in self.items())
 
 
-def figures_of(runs: Mapping[str, Ran]) -> Figures:
-    """Every figure that the runs allow.
+def figures_of(runs: Mapping[str, RunLike]) -> Figures:
+    """All applicable figures: ``error``, ``path``, ``commands``, ``effort``, and by run ``storage`` and ``estimates``.
 
-    ``error``, ``path``, ``commands``, ``effort``, and for each run with a certificate ``storage``, and that estimates
-    something ``estimates`` (``storage_<name>``, ``estimates_<name>`` where there are several runs).
+    With several runs, the last two are ``storage_<name>`` and ``estimates_<name>``.
     """
     made = {name: make() for name, make in _makers(runs).items()}
     return Figures({name: figure for name, figure in made.items() if figure is not None}, ", ".join(runs))
 
 
-@contextmanager
-def drawing(runs: Mapping[str, Ran], formats: Sequence[str]) -> Iterator[Callable[[], dict[str, bytes]]]:
-    """Begin to draw `figures_of`, on other cores where there are some; what is yielded returns their files.
+Drawn = Callable[[Mapping[str, RunLike]], dict[str, bytes]]
+"""Function from the runs, maybe with V added, to the contents of all figure files."""
 
-    Matplotlib takes most of a short run's time: within, the data may be written meanwhile.
+
+@contextmanager
+def drawing(runs: Mapping[str, RunLike], formats: Sequence[str]) -> Iterator[Drawn]:
+    """Start drawing `figures_of` on other cores; yields a function that returns the figure files.
+
+    Matplotlib takes most of the time of a short run, so data can be written in the meantime. V is drawn last and in
+    this process, which computes it once for the figure, the notices and the data.
     """
 
-    def job(name: str, make: Callable[[], Any]) -> Callable[[], dict[str, bytes]]:
-        def draw() -> dict[str, bytes]:
-            figure = make()
-            return {} if figure is None else files_of(figure, name, ", ".join(runs), formats)
+    def drawn(name: str, make: Callable[[], Any]) -> dict[str, bytes]:
+        figure = make()
+        return {} if figure is None else files_of(figure, name, ", ".join(runs), formats)
 
-        return draw
+    def jobs(of: Mapping[str, RunLike], *, stored: bool) -> list[Callable[[], dict[str, bytes]]]:
+        wanted = {name: make for name, make in _makers(of).items() if (make.func is storage_figure) is stored}
+        return [partial(drawn, name, make) for name, make in wanted.items()]
 
-    jobs = [job(name, make) for name, make in _makers(runs).items()] if runs else []
-    with shared(jobs[::-1]) as finished:  # the first ones take least, which evens out what the two do last
-        yield lambda: {name: content for files in finished() for name, content in files.items()}
+    if not runs:
+        yield lambda _: {}
+        return
+    early = jobs(runs, stored=False)
+    with shared(early[::-1]) as finished:  # the first ones are the fastest, so the processes end together
+
+        def files(known: Mapping[str, RunLike]) -> dict[str, bytes]:
+            own = [job() for job in jobs(known, stored=True)]
+            return {name: content for found in (*own, *finished()) for name, content in found.items()}
+
+        yield files
 
 
-def _makers(runs: Mapping[str, Ran]) -> dict[str, Callable[[], Any]]:
-    """How each figure is made."""
+def _makers(runs: Mapping[str, RunLike]) -> dict[str, partial[Any]]:
+    """Functions that draw the figures, by name."""
     recordings = _recordings(runs)
-    made: dict[str, Callable[[], Any]] = {
+    made: dict[str, partial[Any]] = {
         name: partial(figure, recordings)
         for name, figure in zip(FIGURES, (error_figure, path_figure, command_figure, effort_figure), strict=True)
     }
@@ -114,16 +125,16 @@ def _makers(runs: Mapping[str, Ran]) -> dict[str, Callable[[], Any]]:
     return made
 
 
-def _recordings(runs: Mapping[str, Ran]) -> Runs:
+def _recordings(runs: Mapping[str, RunLike]) -> Runs:
     return {name: run.recording for name, run in runs.items()}
 
 
-def signals_figure(runs: Mapping[str, Ran], labels: Sequence[str]) -> Figures:
-    """One figure of some signals over time, a panel each. Raises `UnknownNameError` for one that no run recorded."""
+def signals_figure(runs: Mapping[str, RunLike], labels: Sequence[str]) -> Figures:
+    """Figure of signals over time, a panel each; raises `UnknownNameError` for a signal that no run recorded."""
     return Figures({"signals": signal_figure(_recordings(runs), labels)}, ", ".join(runs))
 
 
-def error_picture(runs: Mapping[str, Ran]) -> str:
-    """The tracking error for a notebook; empty without a goal."""
+def error_picture(runs: Mapping[str, RunLike]) -> str:
+    """HTML picture of the tracking error; empty without a goal."""
     figure = error_figure(_recordings(runs))
     return "" if figure is None else notebook.picture(figure, f"tracking error of {', '.join(runs)}")

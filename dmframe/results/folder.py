@@ -1,4 +1,4 @@
-"""A folder of results: all of it, or nothing."""
+"""Write a results folder atomically: signals, graph, summary, provenance, figures."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from typing import Any, Final
 
 from dmframe.config.experiment import Experiment
 from dmframe.errors import OutputError
-from dmframe.files import encoded, told_apart, write_bytes, writing
+from dmframe.files import encoded, made_distinct, write_bytes, writing
 from dmframe.plotting import FORMATS, checked_formats
 from dmframe.results import figures
 from dmframe.results.dataset import netcdf
 from dmframe.results.place import SAMPLES, Place, built, clear_figures, complete, reserved
-from dmframe.results.ran import Ran
 from dmframe.results.resolved import companions, resolved_text, robot_source
+from dmframe.results.run_like import RunLike
 from dmframe.results.summary import summary_of
 
 _PACKAGES = (
@@ -40,12 +40,12 @@ _PACKAGES = (
     "xarray",
 )
 _LONGEST: Final = 150
-"""Bytes of a graph's name in that of a folder or figure; a file system takes 255."""
+"""Maximum bytes of a graph's name in a file name; file systems allow 255."""
 
 
 def write_run(
     path: str | Path | Place,
-    runs: Sequence[Ran],
+    runs: Sequence[RunLike],
     *,
     plots: bool = True,
     formats: Sequence[str] = FORMATS[:1],
@@ -56,79 +56,80 @@ def write_run(
 ) -> list[dict[str, Any]]:
     """Write runs to a new folder, and return their summaries.
 
-    One graph's files lie in the folder itself, several graphs' in a folder for each; figures, in which they are
-    overlaid, lie in the folder itself. Data are built in a hidden folder and moved when they are whole, so that they
-    are there in full or not at all. Figures come after them: what cannot be drawn loses nothing.
+    The files of one graph are in the folder itself, those of several graphs in subfolders; overlaid figures are in the
+    folder itself. Data are built in a hidden folder and moved when complete. Figures are written after them, so that a
+    plotting error loses no data.
 
     Parameters
     ----------
     path
-        A new or an empty folder, or one held by `reserved`.
+        A new or empty folder, or one locked by `reserved`.
     plots
         Draw the figures.
     formats
-        In which: ``svg``, ``png``, ``pdf``.
+        Formats of the figures: ``svg``, ``png``, ``pdf``.
     force
-        The folder may hold files; those of the same names are replaced.
+        Allow a folder with files; those of the same names are replaced.
     seed
-        Of the runs' noise, for the record.
+        Seed of the noise, for the provenance.
     command, now
-        The command line and the time that the record states; by default those of this process.
+        Command line and time for the provenance; default: those of this process.
 
     Raises
     ------
     OutputError
-        The folder has files in it, or cannot be written.
+        If the folder is not empty or cannot be written.
     """
     folders = folders_of([run.name for run in runs])
-    held = nullcontext(path) if isinstance(path, Place) else reserved(path, force=force, folders=folders)
-    with held as place, drawing(runs if plots else (), checked_formats("formats", formats)) as draw:
+    reservation = nullcontext(path) if isinstance(path, Place) else reserved(path, force=force, folders=folders)
+    with reservation as place, drawing(runs if plots else (), checked_formats("formats", formats)) as draw:
         summaries = write_data(place, runs, seed=seed, command=command, now=now)
-        draw(place)
+        draw(place, runs)
         complete(place)
     return summaries
 
 
 def write_data(
     place: Place,
-    runs: Sequence[Ran],
+    runs: Sequence[RunLike],
     *,
     seed: int | None = None,
     command: Sequence[str] | None = None,
     now: datetime | None = None,
 ) -> list[dict[str, Any]]:
-    """All of `write_run` but the figures and the note, `complete`, that nothing is still to come."""
+    """`write_run` without the figures and the final seal of `complete`."""
     below = folders_of([run.name for run in runs])
     folders = [place.path / name for name in below] or [place.path]
     summaries = [{**summary_of(run, str(folder)), "graph": run.name} for run, folder in zip(runs, folders, strict=True)]
     with built(place) as building:
-        for run, folder, told in zip(runs, folders, summaries, strict=True):
+        for run, folder, data in zip(runs, folders, summaries, strict=True):
             own = building / folder.relative_to(place.path)
             own.mkdir(exist_ok=True)
-            _write_one(own, run, told, seed, command, now)
+            _write_one(own, run, data, seed, command, now)
     with writing(place.path, "folder"):
         clear_figures(place.folder)
-        if all(run.recording.drive.get("every", 1) == 1 for run in runs):  # signals.nc holds every sample
+        if all(run.recording.drive.get("every", 1) == 1 for run in runs):  # signals.nc contains every sample
             (place.folder / SAMPLES).unlink(missing_ok=True)
     return summaries
 
 
 @contextmanager
-def drawing(runs: Sequence[Ran], formats: Sequence[str]) -> Iterator[Callable[[Place], None]]:
-    """Begin to draw figures; what is yielded writes them beside their data.
+def drawing(runs: Sequence[RunLike], formats: Sequence[str]) -> Iterator[Callable[[Place, Sequence[RunLike]], None]]:
+    """Start drawing figures; yields a function that writes them next to the data, or raises `OutputError`."""
 
-    That raises `OutputError` where it cannot be done; where it is not called, there are none.
-    """
-    with figures.drawing(dict(zip(_names([run.name for run in runs]), runs, strict=True)), formats) as drawn:
+    def named(items: Sequence[RunLike]) -> dict[str, RunLike]:
+        return dict(zip(_names([run.name for run in items]), items, strict=True))
 
-        def write(place: Place) -> None:
+    with figures.drawing(named(runs), formats) as drawn:
+
+        def write(place: Place, known: Sequence[RunLike]) -> None:
             try:
                 with writing(place.path, "figures"):
-                    for name, content in drawn().items():
+                    for name, content in drawn(named(known)).items():
                         write_bytes(place.folder / name, content)
             except OutputError:
                 raise
-            except Exception as error:  # whatever a plotting library raises at names and numbers of others
+            except Exception as error:  # plotting libraries raise various errors for user names and values
                 reason = (str(error).splitlines() or [""])[0]
                 raise OutputError(
                     f"{place.path}: signals and summary are written, the figures are not: "
@@ -139,27 +140,24 @@ def drawing(runs: Sequence[Ran], formats: Sequence[str]) -> Iterator[Callable[[P
 
 
 def safe_name(name: str) -> str:
-    """A graph's name as that of a folder on any system: letters, digits, - and _.
-
-    Without a dot, it is no figure's file.
-    """
+    """Portable folder name of a graph: letters, digits, - and _, no dot, so that it is no figure file."""
     return re.sub(r"[^\w-]", "_", name).strip("_-").encode()[:_LONGEST].decode(errors="ignore") or "graph"
 
 
 def folders_of(labels: Sequence[str]) -> list[str]:
-    """The folders in a folder of results, one a run; none where there is one run alone, whose files lie in it."""
+    """Subfolders of several runs; empty for a single run."""
     return _names(labels) if len(labels) > 1 else []
 
 
 def _names(labels: Sequence[str]) -> list[str]:
-    """Names for the graphs' folders and curves."""
-    return told_apart(map(safe_name, labels), lambda name, count: f"{name}_{count}")
+    """Distinct names of folders and curves."""
+    return made_distinct(map(safe_name, labels), lambda name, count: f"{name}_{count}")
 
 
 def _write_one(
     place: Path,
-    run: Ran,
-    told: dict[str, Any],
+    run: RunLike,
+    data: dict[str, Any],
     seed: int | None,
     command: Sequence[str] | None,
     now: datetime | None,
@@ -168,18 +166,14 @@ def _write_one(
     (place / "graph.yaml").write_bytes(encoded(text))
     for name, source in companions(run.experiment).items():
         shutil.copyfile(source, place / name)
-    _write_json(place / "summary.json", told)
-    # of the diagram that ran, not of the graph: what `verify --json` says of the same loop is the same
+    _write_json(place / "summary.json", data)
+    # hash of the diagram that ran, not of the graph, as in `verify --json`
     field_hash = run.recording.diagram.fingerprint
     made = provenance(run.experiment, text, field_hash=field_hash, seed=seed, command=command, now=now)
     if run.recording.drive:
         made["drive"] = dict(run.recording.drive)
     _write_json(place / "provenance.json", made)
-    _write_signals(place / "signals.nc", run, seed)
-
-
-def _write_signals(file: Path, run: Ran, seed: int | None) -> None:
-    file.write_bytes(netcdf(run.whole, run.experiment, seed))
+    (place / "signals.nc").write_bytes(netcdf(run.whole, run.experiment, seed))
 
 
 def _write_json(file: Path, data: dict[str, Any]) -> None:
@@ -195,9 +189,7 @@ def provenance(
     command: Sequence[str] | None = None,
     now: datetime | None = None,
 ) -> dict[str, Any]:
-    """What it takes to have the same run again: versions, machine, command, time, digests, seed; and the model's hash,
-    `Diagram.fingerprint`.
-    """
+    """Data to reproduce a run: versions, machine, command, time, digests, seed, model hash `Diagram.fingerprint`."""
     source = robot_source(experiment)
     return {
         "time": (now or datetime.now(UTC)).astimezone(UTC).isoformat(timespec="seconds"),

@@ -1,4 +1,4 @@
-"""How well a run followed its goal."""
+"""Tracking and orientation errors of a run, with RMS values by eighth of its duration."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from dmframe.units import plain
 
 EIGHTHS = 8
 FARTHEST = 8.0
-"""The square of the distance of two rotation matrices that are half a turn from one another."""
-_ROUNDING = 1e-9  # an instant k T that should open an eighth may lie this much of an eighth before it
+"""Squared Frobenius distance of two rotation matrices half a turn apart."""
+_ROUNDING = 1e-9  # tolerance, in eighths, for an instant k T at the start of an eighth
 
 
 @final
@@ -29,9 +29,9 @@ class TrackingError:
     Parameters
     ----------
     signal
-        ``"x - x_d"``, or what a block makes of x_d.
+        ``"x - x_d"``, or a signal that a block derives from x_d.
     unit
-        Of `values`, `norm` and the RMS figures.
+        Unit of `values`, `norm` and the RMS values.
     times
         (N,) [s].
     values
@@ -39,9 +39,9 @@ class TrackingError:
     norm
         (N,), Euclidean.
     rms_by_eighth
-        The norm's root mean square over each eighth of the planned duration; None where the run never came.
+        RMS of the norm over each eighth of the planned duration; None for eighths that were not reached.
     desired, actual
-        The labels ``block.port`` of the two signals.
+        Labels ``block.port`` of the two signals.
     """
 
     signal: str
@@ -55,7 +55,7 @@ class TrackingError:
 
     @property
     def rms_final(self) -> float | None:
-        """Over the last eighth; None where the run did not reach it."""
+        """RMS over the last eighth; None if the run did not reach it."""
         return self.rms_by_eighth[-1]
 
     def __repr__(self) -> str:
@@ -66,7 +66,7 @@ class TrackingError:
 @final
 @dataclass(frozen=True, repr=False)
 class TurnError:
-    r"""The angle by which a tool is turned from its desired orientation, :math:`2 \arcsin(|R - R_d| / \sqrt 8)`.
+    r"""Angle between actual and desired tool orientation, :math:`2 \arcsin(|R - R_d| / \sqrt 8)`.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class TurnError:
     angle
         (N,), from 0 to 180 [deg].
     rms_by_eighth
-        Its root mean square over each eighth of the planned duration [deg]; None where the run never came.
+        RMS over each eighth of the planned duration [deg]; None for eighths that were not reached.
     """
 
     signal: str
@@ -89,7 +89,7 @@ class TurnError:
 
     @property
     def rms_final(self) -> float | None:
-        """Over the last eighth [deg]; None where the run did not reach it."""
+        """RMS over the last eighth [deg]; None if the run did not reach it."""
         return self.rms_by_eighth[-1]
 
     def __repr__(self) -> str:
@@ -98,7 +98,7 @@ class TurnError:
 
 
 def turn_error(run: Recording) -> TurnError | None:
-    """The error of a tool's orientation in a run; None for a task without one."""
+    """Orientation error of a run; None for a task without orientation."""
     label = apart_of(run.diagram.loop)
     if label is None:
         return None
@@ -108,7 +108,7 @@ def turn_error(run: Recording) -> TurnError | None:
 
 
 def turn_of(loop: ClosedLoop) -> SX | None:
-    """The angle of `turn_error` [deg], as an expression; None for a task without an orientation."""
+    """Angle of `turn_error` [deg] as an expression; None for a task without orientation."""
     label = apart_of(loop)
     if label is None:
         return None
@@ -122,7 +122,7 @@ def goal_of(loop: ClosedLoop) -> Followed | None:
 
 
 def tracking_error(run: Recording) -> TrackingError | None:
-    """The tracking error of a run: at the task where there is one, else at the joints; None without a goal."""
+    """Tracking error of a run, at the task if there is one, else at the joints; None without a goal."""
     goal = goal_of(run.diagram.loop)
     if goal is None:
         return None
@@ -144,23 +144,23 @@ def tracking_error(run: Recording) -> TrackingError | None:
 
 
 def euclidean(values: np.ndarray) -> np.ndarray:
-    """The norm of each row, also of numbers whose squares overflow, as before a divergence."""
+    """Euclidean norm of each row, without overflow of the squares."""
     scale = np.max(np.abs(values), axis=1, initial=0.0)
     safe = np.where((scale > 0) & np.isfinite(scale), scale, 1.0)
     return np.asarray(scale * np.sqrt(np.sum((values / safe[:, None]) ** 2, axis=1)))
 
 
 def rms_by_eighth(times: np.ndarray, norm: np.ndarray, duration: float) -> tuple[float | None, ...]:
-    """Root mean square over the eighths ``[k, k + 1) duration / 8``; the last one holds its end.
+    """RMS over the eighths ``[k, k + 1) duration / 8``, the last one with its end.
 
-    None of an eighth that no instant is in, or where a number is not finite.
+    None for an eighth without instants or with non-finite values.
     """
     part = eighth_of(times, duration)
     return tuple(_rms(norm[part == k]) if np.any(part == k) else None for k in range(EIGHTHS))
 
 
 def eighth_of(times: np.ndarray, duration: float) -> np.ndarray:
-    """Which eighth of the planned duration each instant is in, from 0."""
+    """Index of the eighth of the planned duration for each instant, from 0."""
     return np.floor(times * EIGHTHS / duration + _ROUNDING).astype(np.int64).clip(0, EIGHTHS - 1)
 
 

@@ -1,4 +1,4 @@
-"""Desired and actual path over the last lap, and the deviation magnified until one sees it."""
+"""Figure of desired and actual path over the last lap, with magnified deviation."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ import numpy as np
 
 from dmframe.plotting import GREY, PAGE, draw_curve, frame, look, names_above, page, tame, unit_text
 from dmframe.results.dataset import axis_labels
-from dmframe.results.drawn_runs import Runs, coordinate_labels, errors_of, left_out, note_below, told, why_not_with
+from dmframe.results.drawn_runs import Runs, coordinate_labels, errors_of, left_out, note_below, run_label, why_not_with
 from dmframe.results.metrics import TrackingError
 from dmframe.simulate import Recording
 from dmframe.units import plain
 
 MOST = 2000
 _VISIBLE = 0.35
-"""How much of the path's extent the largest deviation shall take up, magnified."""
+"""Magnified largest deviation as a fraction of the extent of the path."""
 
 
 def path_figure(runs: Runs) -> Any:
-    """The path in the plane in which it is widest; over time where it has no plane. None without a goal."""
+    """Path in its plane of largest extent, or over time for a joint goal; None without a goal."""
     errors = errors_of(runs)
     if not errors:
         return None
@@ -29,11 +29,11 @@ def path_figure(runs: Runs) -> Any:
 
 
 def last_lap(times: np.ndarray, path: np.ndarray) -> int:
-    """Index at which the last lap of a closed path begins: 0 where it does not come back to where it ends.
+    """Index at which the last lap of a closed path begins; 0 for a path that does not return to its end point.
 
-    It comes back where it also moves as it does in the end: one that only crosses that point begins no lap.
+    A return requires the same velocity, so that crossing the point does not count.
     """
-    times, kept = np.unique(times, return_index=True)  # the path's time stands still while a robot is kept waiting
+    times, kept = np.unique(times, return_index=True)  # path time stops while a robot waits
     path = path[kept]
     if len(path) < 3:
         return 0
@@ -54,7 +54,7 @@ def last_lap(times: np.ndarray, path: np.ndarray) -> int:
 
 
 def magnification(extent: float, deviation: float) -> float:
-    """1, 2, 5, 10, ...: how much larger than life a deviation must be drawn to be seen beside the path."""
+    """Factor 1, 2, 5, 10, ... that makes a deviation visible next to the path."""
     if deviation <= 0 or extent <= 0:
         return 1.0
     wanted = _VISIBLE * extent / deviation
@@ -123,7 +123,7 @@ def _plane_panel(
     for place, name in enumerate(actual):
         path = _magnified(desired[name], actual[name], factor)
         kept = _thin(path)
-        axes.plot(path[kept, plane[0]], path[kept, plane[1]], label=told(name, runs[name]), **look(place))
+        axes.plot(path[kept, plane[0]], path[kept, plane[1]], label=run_label(name, runs[name]), **look(place))
         if runs[name].divergence is not None:
             axes.plot(path[-1, plane[0]], path[-1, plane[1]], "x", color=look(place)["color"], markersize=5)
     axes.set_aspect("equal", adjustable="box")
@@ -152,7 +152,7 @@ def _fit(
 
 
 def _scale_bar(axes: Any, factor: float, deviation: float) -> None:
-    """How long so many millimetres of deviation are, in the middle of the panel, where the path is not."""
+    """Draw a scale bar of the deviation in the middle of the panel."""
     decade = 10.0 ** np.floor(np.log10(deviation))
     length = float(decade * max(step for step in (1, 2, 5) if step * decade <= deviation))
     (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
@@ -178,13 +178,13 @@ def _over_time(runs: Runs, errors: Mapping[str, TrackingError]) -> Any:
                 desired = runs[name][error.desired][inside, row]
                 draw_curve(axes, error.times[inside], desired, MOST, color=GREY, linewidth=2.4)
                 actual = desired + tame(error.values[inside, row])
-                draw_curve(axes, error.times[inside], actual, MOST, label=told(name, runs[name]), **look(place))
+                draw_curve(axes, error.times[inside], actual, MOST, label=run_label(name, runs[name]), **look(place))
                 curves += [(desired, False), (actual, runs[name].divergence is not None)]
             frame(axes, curves)
             axes.set_ylabel(f"{labels[row]} [{unit_text(errors[first].unit)}]")
             axes.set_xlim(begin, end)
         if begin > 0:
-            panels[0].set_title(f"from {plain(begin, 's')}, where the last lap begins")
+            panels[0].set_title(f"last lap, from {plain(begin, 's')}")
         panels[-1].set_xlabel("time [s]")
         note_below(figure, left_out(runs, errors, why_not_with(errors[first].signal)))
         names_above(figure, panels[0], PAGE / 2, [Line2D([], [], color=GREY, linewidth=2.4, label="desired")])
@@ -192,7 +192,7 @@ def _over_time(runs: Runs, errors: Mapping[str, TrackingError]) -> Any:
 
 
 def _last_laps(runs: list[Recording], paths: list[np.ndarray]) -> tuple[float, float]:
-    """The last laps that all runs went through, or all of the time."""
+    """Time interval with the last laps of all runs, or the whole time."""
     begin = min(float(run.time[last_lap(run.time, path)]) for run, path in zip(runs, paths, strict=True))
     end = max(float(run.time[-1]) for run in runs)
     return begin, end if end > begin else begin + 1.0

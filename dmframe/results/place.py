@@ -1,4 +1,4 @@
-"""The folder of a run's results: held while the run lasts, and filled in one step."""
+"""Results folder of a run: locked during the run and filled atomically."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from dmframe.plotting import FORMATS
 from dmframe.seal import SEAL, BrokenSeal, FolderSeal, digest_of, seal_of
 
 SAMPLES: Final = "samples.bin"
-"""Every sample of a drive: while it lasts, and of a long one for good."""
+"""Every sample of a drive; kept after a long one."""
 FILES: Final = ("graph.yaml", "provenance.json", SAMPLES, SEAL, "signals.nc", "summary.json")
 PAGE: Final = "page.html"
 FIGURES: Final = ("error", "path", "commands", "effort")
 OF_EACH: Final = ("storage", "estimates")
-"""Figures of one run: of several runs each has its own, ``estimates_<name>``."""
+"""Figures by run; with several runs ``estimates_<name>``."""
 
 
 @final
 @dataclass(frozen=True)
 class Place:
-    """A folder that is held for results.
+    """Folder reserved for results.
 
     Parameters
     ----------
     path, folder
-        As the user names it, and where it really lies.
+        Path given by the user, and resolved path.
     new
-        It was made for them.
+        True for a folder that was created.
     locks
-        Held until the place is given back: of what was renamed to the folder, too.
+        File locks until release, including those of a folder renamed to this one.
     """
 
     path: Path
@@ -48,27 +48,27 @@ class Place:
 
 @contextmanager
 def reserved(path: str | Path, *, force: bool = False, folders: Collection[str] = ()) -> Iterator[Place]:
-    """Make and hold a folder for results; where nothing was written to it, what was made goes again.
+    """Create and lock a folder for results; created folders that stay empty are removed.
 
-    A long simulation is held within, so that it does not end in a place that cannot be used.
+    Used around a long simulation, so that it does not end with an unusable folder.
 
     Parameters
     ----------
     force
-        The folder may hold files; those of the same names will be replaced.
+        Allow a folder with files; those of the same names will be replaced.
     folders
-        Those in it to which results will be written.
+        Subfolders to which results will be written.
 
     Raises
     ------
     OutputError
-        It exists and is not empty, or is no folder, or cannot be written, or another run is about to write there; or,
-        with `force`, what would be replaced in it is not ours.
+        If the folder is not empty, not a folder, not writable or locked by another run; with `force`, if a file to be
+        replaced is not a results file.
     """
     path = Path(path)
-    with held(path) as (folder, locked, made):
+    with locked(path) as (folder, is_locked, made):
         with writing(path, "folder"):
-            _check_usable(folder, path, folders, ours=locked, force=force)
+            _check_usable(folder, path, folders, ours=is_locked, force=force)
         place = Place(path, folder, folder in made)
         try:
             yield place
@@ -78,10 +78,10 @@ def reserved(path: str | Path, *, force: bool = False, folders: Collection[str] 
 
 
 @contextmanager
-def held(path: Path) -> Iterator[tuple[Path, bool, list[Path]]]:
-    """Make a folder and lock it; yields where it really lies, whether it is locked, and the folders that are new.
+def locked(path: Path) -> Iterator[tuple[Path, bool, list[Path]]]:
+    """Create and lock a folder; yields its resolved path, whether it is locked, and the new folders.
 
-    Of the new folders those that are still empty at the end are removed. Raises `OutputError`.
+    New folders that are still empty at the end are removed. Raises `OutputError`.
     """
     made = list[Path]()
     try:
@@ -96,12 +96,12 @@ def held(path: Path) -> Iterator[tuple[Path, bool, list[Path]]]:
                 os.close(lock)
     finally:
         for each in reversed(made):
-            with contextlib.suppress(OSError):  # results lie there
+            with contextlib.suppress(OSError):  # not empty
                 each.rmdir()
 
 
 def _make(folder: Path, path: Path, made: list[Path]) -> None:
-    """Make a folder and those above it; the new ones are added to `made`."""
+    """Create a folder with its parents; new ones are appended to `made`."""
     for each in (*reversed(folder.parents), folder):
         try:
             each.mkdir()
@@ -114,50 +114,54 @@ def _make(folder: Path, path: Path, made: list[Path]) -> None:
 
 
 def _check_usable(folder: Path, path: Path, folders: Collection[str], *, ours: bool, force: bool) -> None:
-    """The folder is empty, and what is done at the end can be done."""
+    """Check that the folder is empty and writable."""
     for item in list(folder.iterdir()):
         if not (ours and is_hidden(item.name)):
             if force:
                 _check_replaceable(item, path, folder=item.name in folders)
                 continue
             raise OutputError(
-                f"{path}: expected an empty or a new folder, found one with files; name another folder, or take --force"
+                f"{path}: expected an empty or a new folder, found one with files; name another folder, or use --force"
             )
-        shutil.rmtree(item)  # of a run that was killed, for nobody else holds this folder
+        shutil.rmtree(item)  # of a killed run: this process has the lock
     trial = folder / hidden_name()
     trial.mkdir()
     trial.rmdir()
 
 
 def is_ours(name: str) -> bool:
-    """True for the name of a file that a run writes."""
+    """True for the name of a results file."""
     stem, _, ending = name.rpartition(".")
     return name in (*FILES, PAGE) or (ending in FORMATS and (stem in FIGURES or stem.startswith(OF_EACH)))
 
 
 def _check_replaceable(item: Path, path: Path, *, folder: bool) -> None:
-    """With --force: refuse a folder where a file of ours is to be, and where `folder` is to be what holds no results.
+    """With --force: refuse a folder in place of a results file, and a subfolder without results.
 
-    Anything else is replaced, or stays beside the results.
+    Other items are replaced or kept.
     """
     real = item.is_dir() and not item.is_symlink()
     if real and is_ours(item.name):
-        raise OutputError(f"{path}: {item.name} is a folder, where a file is to be written; move it, or name another")
+        raise OutputError(
+            f"{path}: {item.name} is a folder, but a file has to be written; move it, or name another folder"
+        )
     if folder and not real:
-        raise OutputError(f"{path}: {item.name} is a file, where a folder is to be made; move it, or name another")
+        raise OutputError(
+            f"{path}: {item.name} is a file, but a folder has to be created; move it, or name another folder"
+        )
     if folder and not (item / FILES[0]).is_file() and any(item.iterdir()):
-        raise OutputError(f"{path}: the folder {item.name} holds no results; move it, or name another")
+        raise OutputError(f"{path}: the folder {item.name} contains no results; move it, or name another folder")
 
 
 def clear_figures(folder: Path) -> None:
-    """Take away an earlier run's figures, links among them: beside new data they would tell another story."""
+    """Remove figures (and links) of an earlier run, which do not match the new data."""
     for item in folder.iterdir():
         if is_ours(item.name) and item.name not in FILES and (item.is_symlink() or item.is_file()):
             item.unlink()
 
 
 def _locked(folder: Path, path: Path) -> int | None:
-    """Hold a folder as long as this process lives; None where the system cannot."""
+    """Lock a folder for the life of this process; None on systems without locks."""
     try:
         import fcntl
     except ImportError:
@@ -175,7 +179,7 @@ def _locked(folder: Path, path: Path) -> int | None:
         same = os.path.samestat(os.fstat(lock), folder.stat())
     except FileNotFoundError:
         same = False
-    if not same:  # its results came between the look at it and the lock
+    if not same:  # replaced before it was locked
         os.close(lock)
         raise OutputError(f"{path}: another process writes there; name another folder")
     return lock
@@ -183,9 +187,9 @@ def _locked(folder: Path, path: Path) -> int | None:
 
 @contextmanager
 def built(place: Place) -> Iterator[Path]:
-    """A hidden folder that takes its place when all went well, and vanishes when not.
+    """Hidden folder that replaces `place` on success and is removed on failure.
 
-    In the place itself where that was there before: nothing can be renamed over the working folder or a whole drive.
+    It is inside an existing `place`, since a working directory or a mount point cannot be replaced.
     """
     building, moved = (place.folder.parent if place.new else place.folder) / hidden_name(), list[Path]()
     with writing(place.path, "folder"):
@@ -194,7 +198,7 @@ def built(place: Place) -> Iterator[Path]:
             yield building
             _seal_data(building)
             sync_below(building)
-            lock = _locked(building, place.path)  # a lock is that of a folder, not of its name
+            lock = _locked(building, place.path)  # a lock belongs to a folder, not to its name
             if lock is not None:
                 place.locks.append(lock)
             with contextlib.suppress(OSError):
@@ -202,12 +206,12 @@ def built(place: Place) -> Iterator[Path]:
             if not building.exists():
                 sync(place.folder.parent)
                 return
-            (place.folder / SEAL).unlink(missing_ok=True)  # until all files are there, there is no seal
+            (place.folder / SEAL).unlink(missing_ok=True)  # no seal until all files are moved
             for item in sorted(building.iterdir(), key=lambda item: item.name == SEAL):
                 target = place.folder / item.name
-                if target.exists() or target.is_symlink():  # --force, and it may have come since
+                if target.exists() or target.is_symlink():  # with --force, or created meanwhile
                     _check_replaceable(target, place.path, folder=item.is_dir())
-                if target.is_dir() and not target.is_symlink():  # results of before
+                if target.is_dir() and not target.is_symlink():  # earlier results
                     shutil.rmtree(target)
                 item.replace(target)
                 moved.append(target)
@@ -222,25 +226,25 @@ def built(place: Place) -> Iterator[Path]:
 
 
 def _seal_data(folder: Path) -> None:
-    """Note the digests of all files below, which are not all that will be written."""
+    """Seal the data files; figures and pages are added by `complete`."""
     files = {path.relative_to(folder).as_posix(): digest_of(path) for path in folder.rglob("*") if path.is_file()}
     (folder / SEAL).write_text(FolderSeal(files, complete=False).text, encoding="utf-8")
 
 
 def complete(place: Place) -> None:
-    """Note that all is written, with the digests of figures and pages too: the last file of a folder of results.
+    """Write the final seal with the digests of all files, figures and pages included.
 
     Raises
     ------
     OutputError
-        It cannot be written, or the data have no seal any more.
+        If it cannot be written, or the seal of the data is missing.
     """
     try:
         seal = seal_of(place.folder)
     except BrokenSeal as error:
         raise OutputError(f"{place.path}: {error}") from None
     if seal is None:
-        raise OutputError(f"{place.path}: {SEAL} is gone, which was written with the data")
+        raise OutputError(f"{place.path}: {SEAL}, written with the data, is missing")
     files = dict(seal.files)
     for folder in {place.folder, *((place.folder / name).parent for name in seal.files)}:
         for item in folder.iterdir():

@@ -1,4 +1,4 @@
-"""A graph with everything said that its file leaves unsaid, as a text that loads again and gives the same run."""
+"""Graph with overrides applied and defaults written out, as a text that reproduces the run."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from pathlib import Path
 from typing import Any
 
 from dmframe.config.experiment import Experiment
-from dmframe.files import told_apart
+from dmframe.files import made_distinct
 from dmframe.robot.library import RobotSource, find_robot
 from dmframe.units import Stated
 
 _AFTER = ("wires", "baseline", "uncertain")
-"""Keys that stand after the blocks, where a file has them."""
+"""Optional keys after the blocks."""
 
 
 def resolved(experiment: Experiment) -> dict[str, Any]:
-    """The graph as plain data: overrides applied, defaults filled in, quantities as numbers in their own units.
+    """Graph as plain data: overrides applied, defaults filled in, quantities as numbers in their declared units.
 
-    A user's own block files and URDF files are named as if they lay beside the graph; `companions` says which.
+    User block files and URDF files are named as if they were next to the graph, see `companions`.
     """
     file = experiment.file
     data: dict[str, Any] = {"dmframe": file.dmframe}
@@ -40,7 +40,7 @@ def resolved(experiment: Experiment) -> dict[str, Any]:
     for name, block in experiment.blocks.items():
         kind = str(file.blocks[name]["type"])
         path, colon, class_name = kind.rpartition(":")
-        kind = f"{names[_beside(experiment, path)]}:{class_name}" if colon else kind
+        kind = f"{names[_located(experiment, path)]}:{class_name}" if colon else kind
         values = {key: value for key, value in block.model_dump().items() if value is not None}
         data["blocks"][name] = {"type": kind, **_plain(values)}
     for key in _AFTER:
@@ -50,7 +50,7 @@ def resolved(experiment: Experiment) -> dict[str, Any]:
 
 
 def resolved_text(experiment: Experiment) -> str:
-    """`resolved` as YAML, a block a line."""
+    """`resolved` as YAML, one line a block."""
     from ruamel.yaml import YAML
     from ruamel.yaml.comments import CommentedMap
 
@@ -74,18 +74,18 @@ def resolved_text(experiment: Experiment) -> str:
 
 
 def companions(experiment: Experiment) -> dict[str, Path]:
-    """Files that the graph names by path, by the name under which they must lie beside the resolved graph."""
+    """Files referenced by the graph, by the name they need next to the resolved graph."""
     return {name: path for path, name in _file_names(experiment).items()}
 
 
 def robot_source(experiment: Experiment) -> RobotSource | None:
-    """Where the graph's robot comes from."""
+    """Source of the robot of a graph."""
     return find_robot(experiment.file.robot.model, _base(experiment)) if experiment.file.robot else None
 
 
 def _robot(experiment: Experiment) -> dict[str, Any]:
     section, source = experiment.file.robot, robot_source(experiment)
-    assert section is not None  # the caller looked
+    assert section is not None  # checked by the caller
     assert source is not None
     free = list(experiment.robot.joint_names)
     hold = {joint: angle for joint, angle in source.hold.items() if joint not in free} | section.hold
@@ -102,13 +102,13 @@ def _robot(experiment: Experiment) -> dict[str, Any]:
 
 
 def _file_names(experiment: Experiment) -> dict[Path, str]:
-    """Each file that the graph names by path, with a name of its own."""
+    """Files referenced by path, with distinct names."""
     kinds = (str(spec["type"]).rpartition(":") for spec in experiment.file.blocks.values())
-    files = [_beside(experiment, path) for path, colon, _ in kinds if colon]
+    files = [_located(experiment, path) for path, colon, _ in kinds if colon]
     if experiment.file.robot is not None and experiment.file.robot.model.endswith(".urdf"):
         files.append(find_robot(experiment.file.robot.model, _base(experiment)).urdf.resolve())
     paths = list(dict.fromkeys(files))
-    names = told_apart((path.name for path in paths), lambda name, k: f"{Path(name).stem}_{k}{Path(name).suffix}")
+    names = made_distinct((path.name for path in paths), lambda name, k: f"{Path(name).stem}_{k}{Path(name).suffix}")
     return dict(zip(paths, names, strict=True))
 
 
@@ -116,7 +116,7 @@ def _base(experiment: Experiment) -> Path:
     return Path(experiment.document.name).parent
 
 
-def _beside(experiment: Experiment, path: str) -> Path:
+def _located(experiment: Experiment, path: str) -> Path:
     return (_base(experiment) / path).resolve()
 
 

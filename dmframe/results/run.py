@@ -1,9 +1,9 @@
-"""A graph that has run, as a person holds it: numbers with names and units, figures, files."""
+"""Run of a graph: labelled signals, metrics, figures, files."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
@@ -37,11 +37,11 @@ NOTE = "error: root mean square of its Euclidean norm; speed: times real time"
 @final
 @dataclass(frozen=True, repr=False, eq=False)
 class Run:
-    """A graph with what its run recorded.
+    """Graph with the recording of its run.
 
-    ``run["arm.q"]`` is a signal as an xarray, time by joint, with its unit; ``run.data`` holds all of them.
-    ``run["V"]`` is the Lyapunov function that its blocks claim, ``run["V.dynamics"]`` the part of one block,
-    ``run["V_rate"]`` dV/dt as the claim states it. V is computed when it or the notices are read: it takes a fraction
+    ``run["arm.q"]`` is a signal as an xarray, time by joint, with its unit; ``run.data`` contains all of them.
+    ``run["V"]`` is the Lyapunov function of the certificates, ``run["V.dynamics"]`` the storage function of one block,
+    ``run["V_rate"]`` dV/dt according to the certificates. V is computed when it or the notices are read, in a fraction
     of a second.
 
     Parameters
@@ -49,9 +49,9 @@ class Run:
     experiment
         The graph that ran.
     recording
-        Its states and outputs as plain arrays.
+        States and outputs as plain arrays.
     label
-        What tables and legends call it; the graph's name.
+        Name in tables and legends; default: the name of the graph.
     """
 
     experiment: Experiment
@@ -60,44 +60,51 @@ class Run:
 
     @property
     def name(self) -> str:
-        """What tables and legends call it."""
+        """Name in tables and legends."""
         return self.label or self.experiment.name
 
     @property
     def time(self) -> np.ndarray:
-        """(N,), the instants that were kept [s]."""
+        """(N,), recorded instants [s]."""
         return self.recording.time
 
     @property
     def divergence(self) -> Divergence | None:
-        """Where the run left the finite numbers first, if it did."""
+        """First non-finite state, if any."""
         return self.recording.divergence
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """What the run has to say of itself, the rise of V last."""
+        """Warnings of the run, that on V last."""
         storage, own = self._storage, self.recording.notices
         return (*own, storage.notice) if isinstance(storage, Storage) and storage.notice else own
 
+    def noticed(self, *texts: str) -> Run:
+        """The same run with more notices of its own; V is not computed again."""
+        again = Run(self.experiment, replace(self.recording, notices=(*self.recording.notices, *texts)), self.label)
+        if "_storage" in vars(self):
+            vars(again)["_storage"] = self._storage
+        return again
+
     @cached_property
     def data(self) -> xarray.Dataset:
-        """Every recorded signal ``block.signal`` over time, with its unit and the names of its elements; V, if any."""
+        """Recorded signals ``block.signal`` over time with units and element names, and V if defined."""
         return dataset(self.whole, self.experiment)
 
     @property
     def whole(self) -> Recording:
-        """The recording with V among its signals, where there is a V."""
+        """Recording with V among its signals, if defined."""
         storage = self._storage
         return with_storage(self.recording, storage if isinstance(storage, Storage) else None)
 
     @property
     def storage(self) -> Storage:
-        """V along the run, how far it rose, and what is known of the reason.
+        """V along the run, its rise and possible causes.
 
         Raises
         ------
         DmframeError
-            The graph has no V, or the run did not keep what V holds: with the reason.
+            If the graph has no V, or the run did not record the signals in V.
         """
         if isinstance(self._storage, DmframeError):
             raise self._storage
@@ -112,27 +119,27 @@ class Run:
 
     @cached_property
     def _recorded(self) -> xarray.Dataset:
-        """`data` without V, which takes time."""
+        """`data` without V, whose evaluation takes time."""
         return dataset(self.recording, self.experiment)
 
     @cached_property
     def error(self) -> TrackingError | None:
-        """The tracking error, actual minus desired; None for a graph without a goal."""
+        """Tracking error, actual minus desired; None for a graph without a goal."""
         return tracking_error(self.recording)
 
     @cached_property
     def turn(self) -> TurnError | None:
-        """The angle between the tool's orientation and the desired one; None for a task without one."""
+        """Angle between actual and desired tool orientation; None for a task without orientation."""
         return turn_error(self.recording)
 
     @cached_property
     def shown(self) -> list[Shown]:
-        """What its blocks show of their estimates at its end, with how much of it was felt."""
+        """Estimates that blocks report at the end of the run, with their excitation."""
         return shown_by(self.recording)
 
     @property
     def summary(self) -> dict[str, Any]:
-        """What ``dmframe run --json`` prints of it."""
+        """Data that ``dmframe run --json`` prints."""
         return summary_of(self)
 
     def __getitem__(self, label: str) -> xarray.DataArray:
@@ -140,13 +147,13 @@ class Run:
             raise ValueFault(
                 f"run[{label!r:.40}]: expected a signal's name such as arm.q, found {type(label).__name__}"
             )
-        if label not in self and _of_storage(label):
+        if label not in self and (label in SIGNALS or label.startswith("V.")):
             if isinstance(self._storage, DmframeError):
                 reason = self._storage.text
-                raise ValueFault(f"run[{label!r}]: expected a graph with a claim about V, found none: {reason}")
-            held = self._storage.signals
-            if label not in held:
-                raise UnknownNameError(f"run[{label!r}]", "signal", label, held)
+                raise ValueFault(f"run[{label!r}]: expected a graph with a certificate, found none: {reason}")
+            signals = self._storage.signals
+            if label not in signals:
+                raise UnknownNameError(f"run[{label!r}]", "signal", label, signals)
             return self.data[label]
         if label not in self:
             own = [name for name in self if name.startswith(f"{label}.")]
@@ -154,9 +161,6 @@ class Run:
         return self._recorded[label]
 
     def __contains__(self, label: object) -> bool:
-        return isinstance(label, str) and self._has(label)
-
-    def _has(self, label: str) -> bool:
         return label in self.recording.states or label in self.recording.outputs
 
     def __iter__(self) -> Iterator[str]:
@@ -167,35 +171,33 @@ class Run:
         return list(self)
 
     def plot(self, *signals: str | Sequence[str]) -> Figures:
-        """The figures of the command line, or one of some signals, ``run.plot("arm.q", "dynamics.tau_dc")``.
+        """Default figures, or a figure of the given signals, ``run.plot("arm.q", "dynamics.tau_dc")``.
 
         Raises
         ------
         UnknownNameError
-            The run recorded no such signal.
+            If a signal was not recorded.
         """
         return drawn([self], signals)
 
     def save(
         self, folder: str | Path, *, plots: bool = True, formats: Sequence[str] = FORMATS[:1], force: bool = False
     ) -> Path:
-        """Write signals, graph, summary and figures to a new or an empty folder, all of it or nothing.
+        """Write signals, graph, summary and figures (``svg``, ``png``, ``pdf``) atomically to a new or empty folder.
 
-        Figures in the formats that are named: ``svg``, ``png``, ``pdf``.
-
-        With `force` the folder may hold files; those of the same names are replaced.
+        With `force` the folder may contain files; those of the same names are replaced.
 
         Raises
         ------
         OutputError
-            The folder has files in it, or cannot be written.
+            If the folder is not empty or cannot be written.
         """
         return saved([self], folder, plots=plots, formats=formats, force=force)
 
     def __reduce__(self) -> Any:
-        """Pickled with its arrays; its diagram is made anew when it is read."""
-        held = {name: value for name, value in vars(self.recording).items() if name != "diagram"}
-        return _again, (self.experiment, held, self.label)
+        """Pickle without the diagram, which is rebuilt from the graph."""
+        arrays = {name: value for name, value in vars(self.recording).items() if name != "diagram"}
+        return _again, (self.experiment, arrays, self.label)
 
     def __repr__(self) -> str:
         lasted = self.divergence or self.recording.interrupted
@@ -209,11 +211,11 @@ class Run:
         from dmframe.results.figures import error_picture
 
         rows = [row(self)]
-        told = [*(f"notice: {notice}" for notice in self.notices), *map(str, self.shown), *ended(self)]
+        notes = [*(f"notice: {notice}" for notice in self.notices), *map(str, self.shown), *ended(self)]
         return (
             notebook.heading(self.name, self.experiment.file.title)
             + notebook.table(rows, HEADS)
-            + notebook.paragraphs([NOTE, *told])
+            + notebook.paragraphs([NOTE, *notes])
             + error_picture({self.name: self})
         )
 
@@ -228,10 +230,6 @@ class Run:
             return ""
         turned = "" if self.turn is None else f" and turned by {_shown(self.turn.rms_final, self.turn.unit)}"
         return f", |{error.signal}| {plain(error.rms_final, error.unit)}{turned} RMS in the last eighth"
-
-
-def _of_storage(label: str) -> bool:
-    return label in SIGNALS or label.startswith("V.")
 
 
 def drawn(runs: Sequence[Run], signals: Sequence[str | Sequence[str]]) -> Figures:
@@ -253,15 +251,15 @@ def saved(runs: Sequence[Run], folder: str | Path, *, plots: bool, formats: Sequ
 
 
 def row(run: Run) -> tuple[str, ...]:
-    """A run under `HEADS`."""
-    told = summary(run.experiment.name, run.recording)
-    error, turn = told["error"], told["turn"]
-    clock = told["clock"] if told["clock"] == "continuous" else plain(told["clock"], "s")
+    """Table row of a run, columns `HEADS`."""
+    data = summary(run.experiment.name, run.recording)
+    error, turn = data["error"], data["turn"]
+    clock = data["clock"] if data["clock"] == "continuous" else plain(data["clock"], "s")
     first, last = (", ".join(_rms(each, index) for each in (error, turn) if each) or "-" for index in (0, -1))
     signal = (error["signal"] if error else "-") + (", turn" if turn else "")
-    factor = told["real_time_factor"]
+    factor = data["real_time_factor"]
     speed = "-" if factor is None else f"{factor:.0f} x"
-    return run.name, clock, signal, first, last, speed, told["engine"]
+    return run.name, clock, signal, first, last, speed, data["engine"]
 
 
 def _rms(error: Mapping[str, Any], index: int) -> str:
@@ -273,25 +271,35 @@ def _shown(value: float | None, unit: str) -> str:
 
 
 def ended(run: Run) -> list[str]:
-    """How a run ended, where it did not end well."""
-    told = list[str]()
+    """Notes on divergence and interruption of a run."""
+    notes = list[str]()
     if run.divergence is not None:
-        told.append(f"diverged: {run.divergence}")
+        notes.append(f"diverged: {run.divergence}")
     if run.recording.interrupted:
-        told.append(f"stopped at {plain(float(run.time[-1]), 's')}; what was done is kept")
-    return told
+        notes.append(f"stopped at {plain(float(run.time[-1]), 's')}; the results so far are kept")
+    return notes
 
 
 def table_of(runs: Sequence[Run]) -> str:
-    """Runs for a terminal: a line each, then their notices."""
-    lines = [columns([HEADS, *map(row, runs)], indent="", right=RIGHT), NOTE]
+    """Terminal table of runs, followed by their notes."""
+    return "\n".join([numbers_of(runs), *notes_of(runs)])
+
+
+def numbers_of(runs: Sequence[Run]) -> str:
+    """Table of runs without V, whose evaluation takes longer than a short run."""
+    return "\n".join([columns([HEADS, *map(row, runs)], indent="", right=RIGHT), NOTE])
+
+
+def notes_of(runs: Sequence[Run]) -> list[str]:
+    """Warnings, reported estimates and end of each run."""
+    lines = list[str]()
     for run in runs:
         lines += [f"{run.name}: notice: {notice}" for notice in run.notices]
         lines += [f"{run.name}: {item}" for item in run.shown]
         lines += [f"{run.name}: {text}" for text in ended(run)]
-    return "\n".join(lines)
+    return lines
 
 
-def _again(experiment: Experiment, held: dict[str, Any], label: str) -> Run:
-    """A run that was pickled."""
-    return Run(experiment, Recording(diagram=experiment.diagram(), **held), label)
+def _again(experiment: Experiment, arrays: dict[str, Any], label: str) -> Run:
+    """Restore a pickled run."""
+    return Run(experiment, Recording(diagram=experiment.diagram(), **arrays), label)

@@ -1,13 +1,13 @@
-r"""What a run says of its estimates: their mean over the last eighth, and how much of them the motion felt.
+r"""Reported estimates of a run: mean over the last eighth, and excitation by the motion.
 
-An adapting block moves its estimates :math:`\hat\theta` along :math:`-W^\top s`, s being the error that drives it, and
-an error :math:`\tilde\theta` acts on the loop by :math:`W \tilde\theta`. Over the last eighth of a run,
+An adapting block updates its estimates :math:`\hat\theta` along :math:`-W^\top s` with the driving error s, and an
+estimation error :math:`\tilde\theta` acts on the loop by :math:`W \tilde\theta`. Over the last eighth of a run,
 
 .. math:: F = \overline{W^\top W}, \quad \mathrm{felt}(y) = (g^\top F^{+} g)^{-1/2}, \quad
     g = \partial y/\partial\hat\theta
 
-is the root mean square of what a unit of y more does, after all that the other estimates of the block could do in its
-place: zero where the motion says nothing of y. For a sliding variable in rad/s it is a torque, N m a unit of y.
+is the RMS effect of a unit change of y that the other estimates of the block cannot compensate; zero where the motion
+does not excite y. For a sliding variable in rad/s it is a torque in N m per unit of y.
 """
 
 from __future__ import annotations
@@ -31,26 +31,26 @@ from dmframe.simulate import Recording
 from dmframe.units import plain
 
 MOST: Final = 400
-"""Instants at which W is looked at."""
+"""Maximum number of instants at which W is evaluated."""
 
 SMALL: Final = 1e-9
-"""Of the largest eigenvalue of F, in parameters scaled to unit columns: what is below counts as not felt."""
+"""Eigenvalue of F, relative to the largest, below which a direction counts as not excited."""
 
 
 @final
 @dataclass(frozen=True)
 class Shown:
-    """An output that a block shows, over the last eighth of a run.
+    """Reported output of a block, over the last eighth of a run.
 
     Parameters
     ----------
     label, words, unit
-        ``block.port``, what it is, and its unit.
+        ``block.port``, description and unit.
     values
-        Its means.
+        Mean values.
     felt
-        What a unit more of each does, root mean square [N m, where the error is in rad/s]; None where no estimate, or
-        those of several blocks, stand behind it.
+        RMS effect of a unit change of each value [N m for an error in rad/s]; None if the output depends on no
+        estimate, or on those of several blocks.
     """
 
     label: str
@@ -69,7 +69,7 @@ class Shown:
 
 
 def shown_by(run: Recording) -> list[Shown]:
-    """What the blocks of a diagram show, in its order; of a run that did not reach its last eighth nothing."""
+    """Reported outputs in diagram order; empty for a run that did not reach its last eighth."""
     last = np.flatnonzero(run.time >= run.duration * (1 - 1 / EIGHTHS))
     if (
         run.divergence is not None
@@ -81,8 +81,8 @@ def shown_by(run: Recording) -> list[Shown]:
     for signal, words in _showing(run.diagram):
         values = _at(run, signal.expression, chosen).mean(axis=0)
         felt = _felt(run, signal, chosen)
-        told = None if felt is None else tuple(map(float, felt))
-        found.append(Shown(signal.label, words, signal.unit, tuple(map(float, values.ravel())), told))
+        effect = None if felt is None else tuple(map(float, felt))
+        found.append(Shown(signal.label, words, signal.unit, tuple(map(float, values.ravel())), effect))
     return found
 
 
@@ -92,7 +92,7 @@ def _showing(diagram: Diagram) -> Iterator[tuple[Signal, str]]:
 
 
 def _felt(run: Recording, signal: Signal, chosen: np.ndarray) -> np.ndarray | None:
-    """See the module's text."""
+    """Excitation of a reported output, see the module docstring."""
     behind = [
         (name, item.name)
         for name, model in run.diagram.models.items()
@@ -114,7 +114,7 @@ def _felt(run: Recording, signal: Signal, chosen: np.ndarray) -> np.ndarray | No
 
 
 def felt(rows: np.ndarray, instants: int, gradients: np.ndarray) -> np.ndarray:
-    """Of the stacked W of some instants, and of a row of gradients each, what a unit more does."""
+    """RMS effect of unit changes along `gradients`, from the stacked W of some instants."""
     sizes = np.linalg.norm(rows, axis=0)
     sizes[sizes == 0] = 1.0
     _, values, axes = np.linalg.svd(rows / sizes, full_matrices=False)
@@ -128,7 +128,7 @@ def felt(rows: np.ndarray, instants: int, gradients: np.ndarray) -> np.ndarray:
 
 
 def _regressor(diagram: Diagram, name: str, block: AdaptingBlock, estimate: str) -> Any:
-    """W, in the leaves of the closed loop; None where nobody says which error drives the block."""
+    """W in the independent variables of the closed loop; None without a declared driving error."""
     seen = view(diagram, name)
     ports = {port.name: port for port in (*block.inputs, *block.outputs)}
     if block.driven_by not in ports:
@@ -140,7 +140,7 @@ def _regressor(diagram: Diagram, name: str, block: AdaptingBlock, estimate: str)
 
 
 def _at(run: Recording, expression: Any, which: np.ndarray) -> np.ndarray:
-    """A matrix at some of a run's instants: (instants, rows, columns)."""
+    """Values of a matrix at some instants of a run: (instants, rows, columns)."""
     loop, shape = run.diagram.loop, expression.shape
     column = loop.on_path(loop.acting([ca.vec(ca.densify(expression))])[0])
     states = np.hstack([run.states[variable.label] for variable in loop.variables])[which].T

@@ -1,4 +1,4 @@
-"""Signals that a user asks for, over time: a panel each, a curve for each element of each run."""
+"""Figure of selected signals over time: a panel a signal, a curve an element and run."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from dmframe.diagram.closed_loop import Signal, Variable
 from dmframe.errors import UnknownNameError, raise_all
 from dmframe.plotting import PAGE, POINTS, draw_curve, frame, look, page, tame, unit_text
 from dmframe.results.dataset import elements
-from dmframe.results.drawn_runs import Runs, mark_divergence, set_times, told
+from dmframe.results.drawn_runs import Runs, mark_divergence, run_label, set_times
 from dmframe.results.estimate_figure import element
 from dmframe.simulate import Recording
 
 NAMED = 12
-"""How many curves of a panel a legend names."""
+"""Largest number of curves with legend entries in a panel."""
 
 
 def signal_figure(runs: Runs, labels: Sequence[str]) -> Any:
-    """The figure; raises `UnknownNameError` for a signal that no run recorded."""
+    """Draw the signals; raises `UnknownNameError` for a signal that no run recorded."""
     known = {label for run in runs.values() for label in (*run.states, *run.outputs)}
     strangers = [label for label in dict.fromkeys(labels) if label not in known]
     raise_all([UnknownNameError(f"plot {label}", "signal", label, known) for label in strangers])
@@ -54,7 +54,7 @@ def _panel(axes: Any, runs: Runs, label: str, most: int) -> None:
         mixed = mixed or any(each.unit for each in counted)
         for column in range(values.shape[1]):
             part = element(counted[column], letter, unit) if values.shape[1] > 1 else ""
-            said = " ".join(word for word in (told(name, run) if len(runs) > 1 else "", part) if word)
+            said = " ".join(word for word in (run_label(name, run) if len(runs) > 1 else "", part) if word)
             draw_curve(axes, run.time, values[:, column], most, label=said or None, **look(count))
             curves.append((values[:, column], run.divergence is not None))
             count += 1

@@ -1,4 +1,4 @@
-"""V of a run: its value at each kept instant, how far it rose, and what is known of the reason."""
+"""V along a run: its values, its rise and possible causes."""
 
 from __future__ import annotations
 
@@ -11,94 +11,100 @@ import numpy as np
 
 from dmframe.certify.along import Along
 from dmframe.certify.claim import Claim
-from dmframe.certify.samples import SampledClaim
+from dmframe.certify.storage_unit import StorageUnit, storage_unit
 from dmframe.certify.unproved import claimed_along
 from dmframe.config import Experiment
 from dmframe.errors import DmframeError, listed
 from dmframe.simulate import Recording
-from dmframe.simulate.run import Beside
-from dmframe.simulate.told import between
+from dmframe.simulate.run import ExtraSignal
+from dmframe.simulate.warnings import between
 from dmframe.units import plain
 
 SIGNALS: Final = ("V", "V_rate", "V_dissipation")
-"""What a run has beside the signals of its blocks; the part of one block is ``V.block``."""
+"""Labels of V, its rate and dissipation; the storage function of a block is ``V.block``."""
 
 UNIT: Final = "unknown"
-"""The claim's weights give all terms of V one unit, which is not derived."""
+"""Where V has no one unit, or none was derived."""
 
 
 @final
 @dataclass(frozen=True)
 class Storage:
-    """V along a run, with the claim that it is taken from.
+    """V along a run, with its certificate.
 
-    The claim is not tested here, but for the conditions that numbers decide: `verify` proves it or does not.
+    Only the numeric conditions of the certificate are checked here; `verify` proves it.
 
     Parameters
     ----------
     along
-        V, its terms, dV/dt and what is dissipated.
+        V, its terms, dV/dt and the dissipation.
     """
 
-    claim: Claim | SampledClaim
+    claim: Claim
     along: Along
     recording: Recording
 
     @cached_property
-    def signals(self) -> Mapping[str, Beside]:
-        """V, dV/dt, the dissipation, and the part of each block that stores something, each over time."""
-        along, over = self.along, isinstance(self.claim, SampledClaim)
-        about = "V of the claim over samples" if over else "V of the claim in continuous time"
-        found = {"V": Beside(along.V[:, None], "", UNIT, f"{about}, kappa = {along.kappa:.6g}")}
+    def signals(self) -> Mapping[str, ExtraSignal]:
+        """V, dV/dt, the dissipation and the storage function of each block over time."""
+        along, over = self.along, self.claim.over_samples
+        about = "V of the discrete-time certificate" if over else "V of the continuous-time certificate"
+        unit, rated = self.unit.unit or UNIT, self.unit.rate or UNIT
+        about += f", kappa = {along.kappa:.6g}" + f"; {self.unit.about}" * bool(self.unit.several)
+        found = {"V": ExtraSignal(along.V[:, None], "", unit, about)}
         for block in dict.fromkeys(term.block for term in along.terms):
             part = np.sum([term.values for term in along.terms if term.block == block], axis=0)
-            found[f"V.{block}"] = Beside(part[:, None], "", UNIT, f"the part of V that {block} stores")
+            about = f"storage function of {block} in V"
+            found[f"V.{block}"] = ExtraSignal(part[:, None], "", self._of_part(block), about)
         if along.rate.size:
-            rate = "dV/dt that the claim states for continuous time at these states"
-            found["V_rate"] = Beside(along.rate[:, None], "", f"{UNIT}/s", rate)
-            spent = "the squares that dV/dt spends in continuous time, each with its weight"
-            found["V_dissipation"] = Beside(along.dissipation[:, None], "", f"{UNIT}/s", spent)
+            about = "dV/dt of the continuous-time certificate at these states"
+            found["V_rate"] = ExtraSignal(along.rate[:, None], "", rated, about)
+            about = "weighted squares dissipated in dV/dt, continuous time"
+            found["V_dissipation"] = ExtraSignal(along.dissipation[:, None], "", rated, about)
         return {label: item for label, item in found.items() if label not in self._taken}
+
+    def _of_part(self, block: str) -> str:
+        """Of what a block adds to V; kappa turns the unit of one on the servo level into V's."""
+        return self.unit.unit or ("" if self.claim.cascaded else self.unit.parts.get(block, "")) or UNIT
+
+    @cached_property
+    def unit(self) -> StorageUnit:
+        """V's unit, or those of its terms."""
+        return storage_unit(self.claim)
 
     @property
     def _taken(self) -> set[str]:
-        """Labels of a block that is itself called V."""
+        """Labels of the recording, which take precedence for a block named V."""
         return {*self.recording.states, *self.recording.outputs}
 
     @cached_property
     def causes(self) -> Mapping[str, str]:
-        """What is known to differ between this run and a claim that V does not rise: a word, and a sentence.
-
-        None of these was computed to be the cause of a rise: that takes another run.
-        """
+        """Differences between this run and the theorem, by keyword: possible, not computed causes of a rise of V."""
         return dict(_causes(self.claim, self.recording))
 
     @property
     def notice(self) -> str:
-        """By how much V rose and what is known of the reason, and where an assumed weight is not above zero.
-
-        Empty where nothing of this happened.
-        """
+        """Warning about a rise of V with possible causes, or about a non-positive assumed weight; may be empty."""
         climb, jumps = self.along.climb, [jump for jump in self.along.jumps if jump.change > 0]
-        said = list(self.along.crossings)
+        notes = list(self.along.crossings)
         if climb.rise:
-            share = "it never came below its start" if climb.share is None else (
+            fraction = "it never fell below its start" if climb.share is None else (
                 f"{100 * climb.share:.3g} % of its fall, which is {climb.fall:.3g}"
             )  # fmt: skip
             assert climb.since is not None
             assert climb.until is not None
-            said.append(
-                f"V rose by {climb.rise:.3g} between t = {climb.since:.6g} s and t = {climb.until:.6g} s, {share}; "
+            notes.append(
+                f"V rose by {climb.rise:.3g} between t = {climb.since:.6g} s and t = {climb.until:.6g} s, {fraction}; "
                 f"it rose at {climb.rises} of {climb.steps} {self._instants}"
             )
-            said += self.causes.values()
+            notes += self.causes.values()
             if "sampling" in self.causes:
-                said.append("whether a faster clock takes the rise away was not computed: run it with another `clock`")
+                notes.append("whether a shorter period removes the rise was not computed: run it with another `clock`")
         if jumps:
             where = listed([f"{jump.change:.3g} at t = {jump.time:.6g} s" for jump in jumps[:3]])
             more = f" and {len(jumps) - 3} more times" if len(jumps) > 3 else ""
-            said.append(f"a source that steps raised V by {where}{more}, while no state moved")
-        return "; ".join(said)
+            notes.append(f"steps of a source raised V by {where}{more} at constant states")
+        return "; ".join(notes)
 
     @property
     def _instants(self) -> str:
@@ -106,10 +112,11 @@ class Storage:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """As plain data, for ``run --json``."""
+        """Data for ``run --json``."""
         climb = self.along.climb
         return {
-            "unit": None,
+            "unit": self.unit.unit or None,
+            "units": list(self.unit.several),
             "start": _number(climb.start),
             "end": _number(climb.end),
             "least": _number(climb.least),
@@ -129,16 +136,17 @@ class Storage:
 
 
 def storage_of(recording: Recording, experiment: Experiment) -> Storage:
-    """V of a run. Raises `DmframeError` with the reason where there is none."""
+    """V of a run; raises `DmframeError` if it is not defined."""
     intervals = experiment.intervals(recording.diagram)
     return Storage(*claimed_along(recording, intervals, experiment.start), recording)
 
 
 def no_storage(error: DmframeError) -> dict[str, Any]:
-    """The keys of `Storage.summary` of a run without V, with the reason."""
+    """`Storage.summary` of a run without V, with the reason."""
     keys = ("unit", "start", "end", "least", "fall", "rise", "share", "at", "until", "rises", "steps")
     return {
         **dict.fromkeys(keys),
+        "units": [],
         "jumps": [],
         "cause": [],
         "cause_computed": False,
@@ -148,36 +156,39 @@ def no_storage(error: DmframeError) -> dict[str, Any]:
 
 
 def with_storage(recording: Recording, storage: Storage | None) -> Recording:
-    """The recording with V among what stands beside the signals of its blocks."""
+    """Add V to the extra signals of a recording."""
     return recording if storage is None else replace(recording, beside={**recording.beside, **storage.signals})
 
 
-def _causes(claim: Claim | SampledClaim, run: Recording) -> Iterator[tuple[str, str]]:
-    if isinstance(claim, SampledClaim):
+def _causes(claim: Claim, run: Recording) -> Iterator[tuple[str, str]]:
+    if claim.over_samples:
         if claim.left == "nothing":
-            yield "assumption", "the claim over samples lets V never rise, so that this run breaks an assumption of it"
+            yield (
+                "assumption",
+                "the discrete-time certificate excludes a rise of V, so this run violates one of its assumptions",
+            )
         else:
-            yield "residual", f"the claim over samples lets V rise by {claim.left}"
+            yield "residual", f"the discrete-time certificate allows V to rise by {claim.left}"
     else:
         blocks = [part.block for part in claim.parts if part.certificate.excess]
         if blocks:
-            yield "residual", f"the claim lets V rise by the residual of {listed(blocks)}"
+            yield "residual", f"the certificate allows V to rise by the residual of {listed(blocks)}"
         if run.clock is not None:
             yield (
                 "sampling",
-                f"the claim is for continuous time, and this run samples every {plain(run.clock, 's')}",
+                f"the certificate is for continuous time, and this run samples every {plain(run.clock, 's')}",
             )
         elif not blocks:
             yield (
                 "integrator or assumption",
-                "the claim lets V never rise: the integrator's error, or an assumption that this run breaks",
+                "the certificate excludes a rise of V: integration error, or a violated assumption",
             )
     if way := between(run.diagram):
         yield "channels", way
     if run.clock is not None and run.time.size > 1:
         apart = round(float(run.time[1] - run.time[0]) / run.clock)
         if apart > 1:
-            yield "log", f"one of {apart} samples was kept, and V between two kept ones is not seen"
+            yield "log", f"one of {apart} samples was recorded; V between them is not evaluated"
 
 
 def _number(value: float) -> float | None:

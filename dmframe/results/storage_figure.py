@@ -1,4 +1,4 @@
-"""V of a run, and what it is the sum of."""
+"""Figure of V along a run and its largest terms."""
 
 from __future__ import annotations
 
@@ -11,36 +11,36 @@ import numpy as np
 from dmframe.certify.along import Along
 from dmframe.errors import DmframeError
 from dmframe.plotting import draw_curve, frame, look, page, span, tame, verbatim
-from dmframe.results.drawn_runs import note_below, told
-from dmframe.results.ran import Ran
+from dmframe.results.drawn_runs import note_below, run_label
+from dmframe.results.run_like import RunLike
 from dmframe.simulate import Recording
 
 CURVES = 6
-"""Terms of V that are shown, the largest ones."""
+"""Number of terms of V shown."""
 
 NOTE_WIDTH = 115
-"""Characters of a line below the panels."""
+"""Line length below the panels [characters]."""
 
 FAINT = 1e-9
-"""Of the largest value of a term: what is smaller lies below the panel."""
+"""Lower limit of the axis relative to the largest value of a term."""
 
 
-def storage_figure(name: str, run: Ran) -> Any:
-    """V and its largest terms over time, as the blocks' certificates claim it; None where they claim nothing.
-
-    That dV/dt is what they claim is for `verify` to prove: the figure only shows V.
-    """
+def storage_figure(name: str, run: RunLike) -> Any:
+    """V of the certificates and its largest terms over time; None without a certificate."""
     try:
         storage = run.storage
     except DmframeError:
         return None
     found = storage.along
     names = [f"{term.drawn} ({verbatim(term.block)})" for term in found.terms]
-    return storage_picture(found, names, run.recording, title=told(name, run.recording), note=storage.notice)
+    title = run_label(name, run.recording)
+    return storage_picture(found, names, run.recording, title, storage.notice, storage.unit.unit)
 
 
-def storage_picture(found: Along, names: Sequence[str], run: Recording, title: str = "", note: str = "") -> Any:
-    """V above, its largest terms below on a logarithmic axis, each under its name; where V rises, that is shaded."""
+def storage_picture(
+    found: Along, names: Sequence[str], run: Recording, title: str = "", note: str = "", unit: str = ""
+) -> Any:
+    """V above, its largest terms below on a logarithmic axis; the largest rise of V is shaded."""
     diverged = run.divergence is not None
     tops = [span(tame(term.values), diverged)[1] for term in found.terms]
     largest = sorted(range(len(tops)), key=lambda k: -tops[k])[:CURVES]
@@ -48,7 +48,7 @@ def storage_picture(found: Along, names: Sequence[str], run: Recording, title: s
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=[1.0, 1.3])
         draw_curve(above, found.time, found.V, 800, color="#1a1a1a")
         frame(above, [(tame(found.V), diverged)])
-        above.set_ylabel("$V$")
+        above.set_ylabel(f"$V$ [{verbatim(unit)}]" if unit not in ("", "1") else "$V$")
         above.set_title(title, loc="left")
         climb = found.climb
         if climb.since is not None and climb.until is not None:
@@ -69,5 +69,5 @@ def storage_picture(found: Along, names: Sequence[str], run: Recording, title: s
 
 
 def wrapped_note(note: str) -> list[str]:
-    """A notice as lines that fit below the panels."""
+    """Wrap a note to the width of the figure."""
     return textwrap.wrap(note, NOTE_WIDTH)

@@ -1,4 +1,4 @@
-"""A run in a few numbers: what ``run --json`` prints and ``summary.json`` holds."""
+"""Summary of a run, as in ``run --json`` and ``summary.json``."""
 
 from __future__ import annotations
 
@@ -6,33 +6,33 @@ import math
 from typing import Any
 
 from dmframe.errors import DmframeError
-from dmframe.results.metrics import tracking_error, turn_error
-from dmframe.results.ran import Ran
+from dmframe.results.metrics import TrackingError, TurnError, tracking_error, turn_error
+from dmframe.results.run_like import RunLike
 from dmframe.results.shown import shown_by
 from dmframe.results.storage import no_storage
 from dmframe.simulate import Recording
 
 
-def summary_of(run: Ran, out: str | None = None) -> dict[str, Any]:
-    """`summary` with V: by how much it rose, and the notice of it."""
+def summary_of(run: RunLike, out: str | None = None) -> dict[str, Any]:
+    """`summary` with V and its warning."""
     try:
         storage = run.storage.summary
     except DmframeError as error:
         storage = no_storage(error)
-    told = summary(run.experiment.name, run.recording, out)
-    out = told.pop("out")
-    return {**told, "storage": storage, "notices": list(run.notices), "out": out}
+    data = summary(run.experiment.name, run.recording, out)
+    out = data.pop("out")
+    return {**data, "storage": storage, "notices": list(run.notices), "out": out}
 
 
 def summary(name: str, run: Recording, out: str | None = None) -> dict[str, Any]:
-    """Plain data that JSON can hold: what is not a finite number is None.
+    """Metrics of a run as JSON data; non-finite numbers become None.
 
     Parameters
     ----------
     name
-        The graph's name.
+        Name of the graph.
     out
-        The folder that holds the run's files, where there is one.
+        Results folder, if any.
     """
     error, turn = tracking_error(run), turn_error(run)
     return {
@@ -42,22 +42,8 @@ def summary(name: str, run: Recording, out: str | None = None) -> dict[str, Any]
         "diverged": run.divergence is not None,
         "divergence": None if run.divergence is None else str(run.divergence),
         "interrupted": run.interrupted,
-        "error": None
-        if error is None
-        else {
-            "signal": error.signal,
-            "unit": error.unit,
-            "rms_by_eighth": [_number(value) for value in error.rms_by_eighth],
-            "rms_final": _number(error.rms_final),
-        },
-        "turn": None
-        if turn is None
-        else {
-            "signal": turn.signal,
-            "unit": turn.unit,
-            "rms_by_eighth": [_number(value) for value in turn.rms_by_eighth],
-            "rms_final": _number(turn.rms_final),
-        },
+        "error": _error(error),
+        "turn": _error(turn),
         "rank": [
             {"signal": rank.signal, "unit": rank.unit}
             | {key: _number(getattr(rank, key)) for key in ("smallest", "time", "share", "since")}
@@ -74,6 +60,13 @@ def summary(name: str, run: Recording, out: str | None = None) -> dict[str, Any]
         "notices": list(run.notices),
         "out": out,
     }
+
+
+def _error(error: TrackingError | TurnError | None) -> dict[str, Any] | None:
+    if error is None:
+        return None
+    rms = [_number(value) for value in error.rms_by_eighth]
+    return {"signal": error.signal, "unit": error.unit, "rms_by_eighth": rms, "rms_final": rms[-1]}
 
 
 def _number(value: float | None) -> float | None:

@@ -1,1 +1,1 @@
-"""Serial robots: read from URDF, made exactly rational, and written as symbolic equations of motion."""
+"""Serial robots: URDF reader, exact rational parameters, and symbolic equations of motion."""

@@ -1,4 +1,4 @@
-"""A chain's joints and the bodies behind them, as expressions: what recursions from the base to the tool go through."""
+"""Joints and bodies of a chain as expressions, for recursive algorithms from the base to the tool."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dmframe.robot.rational import Matrix
 @final
 @dataclass(frozen=True, eq=False)
 class Link:
-    """One joint and the body behind it, at q: what every recursion needs.
+    """One joint and its body at q.
 
     `rotation` carries the joint frame's coordinates to the parent's; `offset` is the joint frame's origin there.
     """

@@ -21,7 +21,7 @@ from dmframe.robot.reduction import check_inertia, model_configuration, motion_s
 from dmframe.robot.urdf import read_urdf
 
 AXES = ("x", "y", "z", "xy", "xz", "yz", "xyz")
-# What a quarter turn written with ten digits leaves of a translation that is meant as 0. [m]
+# Translations below this are rounding errors of a quarter turn with ten digits. [m]
 NOTHING = 1e-11
 
 
@@ -171,16 +171,16 @@ class SerialChain:
             Default: the last body frame of the only chain.
         axes : one of x, y, z, xy, xz, yz, xyz
         mimics : joints that follow another, with their laws
-            They are not free: where the leader is held, they are where it puts them.
+            They are not free: if the leader is held, their law determines their angle.
 
         Raises
         ------
         UnknownNameError
-            A joint or a frame that the robot has not.
+            The robot does not have a joint or a frame of this name.
         ValueFault
-            An argument out of range.
+            An argument is out of range.
         RobotError
-            Free joints that are no chain of revolute and prismatic joints, or a robot without inertia.
+            The free joints are not a chain of revolute and prismatic joints, or the robot has no inertia.
         """
         name = name or model.name
         _check_numbers(name, axes, friction_velocity)
@@ -222,7 +222,7 @@ def _check_numbers(name: str, axes: str, friction_velocity: float) -> None:
 
 
 def _joint(model: Any, index: int) -> tuple[Joint, float]:
-    """A joint of a reduced model, and the largest change that rational numbers made to it."""
+    """A joint of a reduced model, and its largest change by making it rational."""
     joint, placement = model.joints[index], model.jointPlacements[index]
     subspace = motion_subspace(joint)
     revolute = bool(np.any(subspace[3:]))
@@ -250,7 +250,7 @@ def _rotation(placement: Any) -> tuple[Matrix, float]:
 
 
 def _limit(value: float) -> float:
-    """A limit, infinite where Pinocchio's largest double says that there is none."""
+    """A limit; infinite for Pinocchio's largest double, which means no limit."""
     return float(value) if abs(value) < 1e300 else math.copysign(math.inf, value)
 
 

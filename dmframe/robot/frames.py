@@ -1,4 +1,4 @@
-"""Where the joints and the tool of a robot are, for whoever draws it."""
+"""Frames of a robot's joints and tool, for drawings."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dmframe.robot.symbolic import SymbolicRobot
 
 
 def frames(robot: SymbolicRobot, q: Any) -> Any:
-    """Each joint's frame at q in the base's: its rotation, column by column, and its origin [m], SX (12, n)."""
+    """Joint frames at q in the base's frame: rotation, column by column, and origin [m], SX (12, n)."""
     rotation, origin, found = ca.SX.eye(3), ca.SX(3, 1), []
     for link in robot.links(q):
         origin = origin + rotation @ link.offset
@@ -20,6 +20,6 @@ def frames(robot: SymbolicRobot, q: Any) -> Any:
 
 
 def tool(robot: SymbolicRobot, q: Any) -> Any:
-    """The tool in the base's frame [m], with the coordinates that are no task, too, SX (3)."""
+    """Tool position in the base's frame [m], including coordinates that are not part of the task, SX (3)."""
     last = frames(robot, q)[:, -1]
     return last[9:] + ca.reshape(last[:9], 3, 3) @ robot.a_k[-3:]

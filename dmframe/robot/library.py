@@ -1,7 +1,7 @@
-"""The robots that installed packages offer by name, and URDF files by path.
+"""Robots of installed packages by name, and URDF files by path.
 
-A package joins in through the entry-point group `dmframe.robots`, whose value is the package's name: each of its
-folders that holds a `robot.toml` is a robot of the folder's name.
+A package registers robots through the entry-point group `dmframe.robots`, whose value is the package's name: each of
+its folders with a `robot.toml` is a robot of the folder's name.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, final
 
 from dmframe.errors import RobotError, UnknownNameError
+from dmframe.files import probed
 from dmframe.robot.chain import SerialChain
 
 GROUP = "dmframe.robots"
@@ -28,7 +29,7 @@ MODEL_PATH = ("robot", "model")
 @final
 @dataclass(frozen=True)
 class RobotSource:
-    """Where a robot's model lies, and what a graph gets that says no more than its name.
+    """Location of a robot's model, and its defaults.
 
     `tool`, `axes`, `free` and `hold` (rad) are the defaults of :meth:`dmframe.robot.chain.SerialChain.from_urdf`.
     """
@@ -49,7 +50,7 @@ def robots() -> dict[str, RobotSource]:
     Raises
     ------
     RobotError
-        A registered package that cannot be found, a bad `robot.toml`, or two robots of one name.
+        A registered package is missing, a `robot.toml` is invalid, or two robots have the same name.
     """
     found: dict[str, RobotSource] = {}
     for entry in sorted(set(_points(tuple(sys.path))), key=lambda entry: entry.value):
@@ -68,7 +69,7 @@ def robots() -> dict[str, RobotSource]:
 
 @functools.lru_cache(maxsize=8)
 def _points(path: tuple[str, ...]) -> tuple[metadata.EntryPoint, ...]:
-    """The entry points of what is installed along a path, which takes milliseconds to read."""
+    """Entry points of the packages on a path; cached, since reading them takes milliseconds."""
     return tuple(metadata.entry_points(group=GROUP))
 
 
@@ -78,7 +79,7 @@ def robots_in(folder: Path) -> list[RobotSource]:
     Raises
     ------
     RobotError
-        A `robot.toml` that cannot be read, or with keys or types that are not the expected ones.
+        A `robot.toml` cannot be read, or has unexpected keys or types.
     """
     return [_read_source(file) for file in sorted(folder.glob("*/robot.toml"))]
 
@@ -100,8 +101,9 @@ def find_robot(name_or_path: str, base: Path | None = None) -> RobotSource:
     """
     if name_or_path.endswith(".urdf"):
         path = Path(name_or_path).expanduser()
-        beside = (base or Path()) / path
-        path = beside if beside.is_file() else path
+        local = (base or Path()) / path
+        probed(local)
+        path = local if local.is_file() else path
         return RobotSource(name=path.stem, urdf=path, folder=path.parent)
     known = robots()
     if name_or_path not in known:
@@ -126,10 +128,9 @@ def load(
     axes: str | None = None,
     friction_velocity: float = 0.005,
 ) -> SerialChain:
-    """The chain of a robot by name or path; what is given here goes before the robot's own defaults.
+    """Chain of a robot by name or path; arguments override the robot's defaults.
 
-    A joint in `free` is no longer held by default; a joint in `hold` (rad) is no longer free by default, and the other
-    defaults of `hold` stay.
+    A joint in `free` is removed from the default `hold`, and a joint in `hold` (rad) from the default `free`.
 
     Raises
     ------
@@ -193,7 +194,7 @@ def _hold(table: Any, where: str) -> dict[str, float]:
 
 
 def _locate(urdf: str, folder: Path) -> Path:
-    """The file that `urdf` names; left as it is where its package is missing, so that the other robots stay usable."""
+    """File that `urdf` names; unresolved if its package is missing, so that other robots stay usable."""
     package, colon, inside = urdf.partition(":")
     if not colon:
         return folder / urdf

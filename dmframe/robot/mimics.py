@@ -1,4 +1,4 @@
-"""Joints that follow another one, as a URDF's `mimic` says: q = multiplier q_leader + offset."""
+"""Mimic joints of a URDF: q = multiplier q_leader + offset."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import NamedTuple, final
 from dmframe.errors import RobotError
 
 SAME = 1e-9
-"""Of a held angle: nearer than this it is where its leader puts it [rad or m]."""
+"""Tolerance between a held angle and the one that the leader determines [rad or m]."""
 
 
 @final
 class Mimic(NamedTuple):
-    """A joint's law."""
+    """Law of a mimic joint."""
 
     leader: str
     multiplier: float
@@ -24,13 +24,12 @@ class Mimic(NamedTuple):
 def with_mimics(
     mimics: Mapping[str, Mimic], hold: Mapping[str, float], kept: Collection[str], where: str
 ) -> dict[str, float]:
-    """Where joints are held, those that follow one among them; a joint that nothing holds is at 0.
+    """Angles of held joints, including mimic joints; a joint without an angle is held at 0.
 
     Raises
     ------
     RobotError
-        A joint follows a free one, so that no number holds it; it is held elsewhere than its leader puts it; or joints
-        follow one another in a circle.
+        A mimic joint follows a free joint, is held at another angle than its leader determines, or follows itself.
     """
     found = dict(hold)
     for name, law in mimics.items():

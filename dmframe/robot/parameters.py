@@ -1,4 +1,4 @@
-"""The dynamic parameters a_d of a robot: which there are, in which order, their names, units and values."""
+"""Dynamic parameters a_d of a robot: their order, names, units and values."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 
 class Inertial(NamedTuple):
-    """A link's ten inertial parameters, or what belongs to each, in the order of Pinocchio's `toDynamicParameters`.
+    """A link's ten inertial parameters, or a value for each, in the order of Pinocchio's `toDynamicParameters`.
 
     Mass, first moments, and inertia about the joint frame's origin, in its frame.
     """
@@ -40,7 +40,7 @@ class Inertial(NamedTuple):
 
 INERTIAL: Final = Inertial._fields
 WEIGHING: Final = 4
-"""Of a link's ten parameters, the first ones alone weigh anything: mass and first moments."""
+"""Number of a link's parameters on which gravity depends: mass and first moments, which are the first."""
 
 _UNITS: Final = {"m": "kg", "mc": "kg m", "I": "kg m^2"}
 # A joint's: the name and, at a revolute joint, the unit.
@@ -56,9 +56,8 @@ _OF_JOINTS: Final[Mapping[Part, tuple[str, str]]] = {
 class DynamicParameters:
     """The layout of a_d, and of the columns of its regressor.
 
-    First ten inertial parameters a link, link by link. Then, where `gravity_apart`, the masses and first moments that
-    weigh, link by link; then a parameter a joint for viscous friction, for Coulomb friction, and for a constant torque,
-    where asked for.
+    Ten inertial parameters for each link; then, with `gravity_apart`, mass and first moments of each link for gravity;
+    then, if enabled, one parameter for each joint for viscous friction, Coulomb friction, and a constant torque.
 
     Parameters
     ----------
@@ -67,9 +66,9 @@ class DynamicParameters:
     friction
         Any of "viscous", "coulomb", in any order.
     gravity_apart
-        Whether masses and first moments count a second time, in gravity alone.
+        True if gravity has its own masses and first moments.
     bias
-        Whether a constant torque a joint is a parameter too.
+        True if each joint has a constant torque as a parameter.
 
     Raises `UnknownNameError` for another kind of friction.
     """
@@ -87,18 +86,18 @@ class DynamicParameters:
 
     @property
     def parts(self) -> tuple[Part, ...]:
-        """The parts that there are, in their order."""
-        asked: dict[Part, bool] = {
+        """Parts in their order."""
+        enabled: dict[Part, bool] = {
             "inertial": True,
             "weighing": self.gravity_apart,
             "viscous": "viscous" in self.friction,
             "coulomb": "coulomb" in self.friction,
             "bias": self.bias,
         }
-        return tuple(part for part, wanted in asked.items() if wanted)
+        return tuple(part for part, wanted in enabled.items() if wanted)
 
     def in_order(self, given: Mapping[Part, T]) -> list[T]:
-        """What is given for the parts, without those that there are not: columns of a regressor, true values."""
+        """Values of the parts in their order, such as columns of a regressor."""
         return [given[part] for part in self.parts]
 
     @cached_property
@@ -122,7 +121,7 @@ class DynamicParameters:
         return self.places("inertial")
 
     def places(self, part: Part) -> slice:
-        """The places of a part; none where there is no such part."""
+        """The places of a part; empty if it is not enabled."""
         if part not in self.parts:
             return slice(0, 0)
         start = sum(len(self._of(other)) for other in self.parts[: self.parts.index(part)])
@@ -138,7 +137,7 @@ class DynamicParameters:
 
     @property
     def values(self) -> tuple[Fraction | None, ...]:
-        """What the robot's model states; of friction and of the bias, nothing."""
+        """Values in the robot's model; None for friction and bias."""
         rows = self.chain.inertia
         known: Mapping[Part, list[Fraction]] = {
             "inertial": [value for row in rows for value in row],

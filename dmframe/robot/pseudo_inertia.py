@@ -1,4 +1,4 @@
-r"""The pseudo-inertia of a body, and the gain for which relative errors of its parameters count alike."""
+r"""Pseudo-inertia of a body, and the natural adaptation gain that follows from it."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ def natural_gain(row: Sequence[Fraction]) -> Rows:
     .. math:: \Gamma_{ij} = \mathrm{tr}(P A_i P A_j)
 
     The metric is, up to a constant factor, that of [LeeKwonPark2018]_, held constant at P; with this factor
-    :math:`\Gamma_{mm} = m^2`. No choice of units or frames changes what an error costs, and a body that is wrong by all
-    of itself costs 4, whatever the body. The gain is positive definite iff P is.
+    :math:`\Gamma_{mm} = m^2`. The metric is independent of units and frames, and the error of 100 % of all parameters
+    has the value 4 for every body. The gain is positive definite iff P is.
 
     Parameters
     ----------

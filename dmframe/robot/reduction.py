@@ -1,4 +1,4 @@
-"""From a robot with any joints to the one chain of free joints that a graph drives."""
+"""Reduction of a robot model to the chain of free joints that a graph drives."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dmframe.robot.mimics import Mimic, with_mimics
 
 TOOL_FRAME = "dmframe_tool"
 FARTHEST = 1e100
-"""Where a tool's coordinates overflow once they are multiplied. [m]"""
+"""Tool coordinates from this size on overflow in products. [m]"""
 
 
 def reduce_model(
@@ -111,11 +111,11 @@ def _check_kinds(
 
 
 def _check_unit(where: str, name: str, value: float, unit: str) -> None:
-    """Refuse an angle for a joint that slides, and a length for one that turns. A plain number has no unit."""
+    """Refuse an angle for a prismatic joint, and a length for a revolute one. A plain number has no unit."""
     if getattr(value, "unit", unit) != unit:
-        slides = "is prismatic: expected metres, 0.1 m, say" if unit == "m" else "turns: expected an angle, 30 deg, say"
+        kind = "prismatic: expected a length, as 0.1 m" if unit == "m" else "revolute: expected an angle, as 30 deg"
         raise ValueFault(
-            f"{where}: hold: joint {name} {slides}; found {float(value):.6g} {getattr(value, 'unit', '')}",
+            f"{where}: hold: joint {name} is {kind}; found {float(value):.6g} {getattr(value, 'unit', '')}",
             path=("robot", "hold", name),
         )
 
@@ -152,9 +152,9 @@ _BODY: Final = " (body)"
 
 
 def _with_unique_frames(model: Any) -> Any:
-    """A copy in which no joint's frame shares a body's name: Pinocchio's reduction refuses such namesakes.
+    """A copy in which no joint's frame shares a body's name, which Pinocchio's reduction refuses.
 
-    A fixed joint's frame is renamed for good; a body that is called as a moving joint has its name again afterwards.
+    A fixed joint's frame keeps its new name; a body with the name of a moving joint is renamed back afterwards.
     """
     import pinocchio as pin
 
@@ -231,18 +231,18 @@ def motion_subspace(joint: Any) -> NDArray[np.float64]:
     data, configuration = joint.createData(), np.zeros(joint.idx_q + joint.nq)
     if joint.nq == 2:
         configuration[joint.idx_q] = 1.0  # the cosine of an unbounded angle of 0
-    joint.calc(data, configuration)  # a helical joint learns its pitch only here
+    joint.calc(data, configuration)  # sets the pitch of a helical joint
     subspace = data.S
     return np.array(subspace if isinstance(subspace, np.ndarray) else subspace.vector, dtype=float).reshape(-1)
 
 
 def check_inertia(model: Any, name: str) -> None:
-    """Refuse a chain that no torque could move lawfully: a bad mass, or a joint that carries no inertia.
+    """Refuse a chain with an invalid mass, or whose mass matrix is not positive definite.
 
     Raises
     ------
     RobotError
-        Names the joint.
+        The message names the joint.
     """
     import pinocchio as pin
 
@@ -263,17 +263,17 @@ def check_inertia(model: Any, name: str) -> None:
         joint = _weak_joint(upper + np.triu(upper, 1).T)
         if joint is not None:
             raise RobotError(
-                f"{where}: the mass matrix is not positive definite: nothing behind joint {model.names[joint + 1]} has "
-                "enough mass or inertia; give its link an inertia, or hold it",
+                f"{where}: the mass matrix is not positive definite: the links behind joint {model.names[joint + 1]} "
+                "have too little mass or inertia; give its link an inertia, or hold it",
                 path=("robot", "model"),
             )
 
 
 def _weak_joint(M: Any) -> int | None:
-    """The joint that a mass matrix fails to be positive definite in, up to rounding; None where it is."""
+    """Joint for which a mass matrix is not positive definite, up to rounding; None if it is positive definite."""
     diagonal = np.diag(M)
     if np.min(diagonal) <= 0:
-        # The last one: a joint without inertia behind it, rather than those before, which may borrow from it.
+        # the last one: the links behind it have no inertia
         return int(np.flatnonzero(diagonal <= 0)[-1])
     scale = 1 / np.sqrt(diagonal)
     values, vectors = np.linalg.eigh(M * np.outer(scale, scale))

@@ -24,7 +24,7 @@ from dmframe.robot.chain import SerialChain
 from dmframe.robot.rational import Vector, decimal
 
 NO_LIMIT = 1e9
-"""What stands for a limit that a robot does not state: a number, since infinity is none in compiled code."""
+"""Value of a limit that a robot does not have: finite, for compiled code."""
 
 
 @final
@@ -87,9 +87,9 @@ class SymbolicRobot:
         self.inertia = self._inertia.symbol
 
     def with_numbers(self, chain: SerialChain) -> SymbolicRobot:
-        """The same symbols with the numbers of another chain behind them, which has the same joints.
+        """The same symbols with the values of another chain, which has the same joints.
 
-        What is computed from symbols alone does not change; so it shows who reads the numbers themselves.
+        Expressions in the symbols do not change; this reveals code that reads the values themselves.
         """
         other = copy.copy(self)
         other.chain = chain
@@ -106,9 +106,7 @@ class SymbolicRobot:
         return other
 
     def with_free_axes(self) -> tuple[SymbolicRobot, Any, Any]:
-        """The same robot with all axes and rotations as symbols, even where they are 0 or 1; these as columns, those
-        of the joints and that of the tool.
-        """
+        """The same robot with all axes and rotations as symbols; and columns of these symbols, joints and tool."""
         other = copy.copy(self)
         other._placements = [(ca.SX.sym("rotation", 3, 3), ca.SX.sym("axis", 3)) for _ in self._placements]
         other._tool_rotation = ca.SX.sym("tool_rotation", 3, 3)
@@ -197,7 +195,7 @@ class SymbolicRobot:
         ----------
         q, dq, dq_ref, ddq_ref : SX (n)
         inertia : SX (10 n), default the robot's own
-        gravity_share : SX, what of g(q) is counted: less than 1 where somebody else carries the rest
+        gravity_share : SX, fraction of g(q) that is included
 
         References
         ----------
@@ -236,7 +234,7 @@ class SymbolicRobot:
 
     def kinetic_regressor(self, q: Any, dq: Any) -> Any:
         r"""Y_c(q, dq) of :math:`\partial_q (\tfrac12 \dot q^\top M(q) \dot q) = C(q, \dot q)^\top \dot q = Y_c a`,
-        SX (n, 10 n), the torque by which the momentum changes beside the torques that act: :math:`\dot M = C + C^\top`.
+        SX (n, 10 n), the rate of the momentum in addition to the applied torques: :math:`\dot M = C + C^\top`.
         """
         at, along, still = ca.SX.sym("q", self.n), ca.SX.sym("dq", self.n), ca.SX(self.n, 1)
         energy = ca.dot(along, self.inverse_dynamics(at, still, still, along, gravity_share=0)) / 2
@@ -329,6 +327,21 @@ class SymbolicRobot:
             turn = along + ca.cos(angle) * (ca.SX.eye(3) - along) + ca.sin(angle) * skew(a)
             links.append(Link(True, a, ca.sparsify(R @ turn), offset))
         return links
+
+
+def kinematics(chain: SerialChain) -> Any:
+    """CasADi function q -> x, J with the numbers of the chain."""
+    symbolic, q = SymbolicRobot(chain), ca.SX.sym("q", chain.n)
+    symbols = ca.veccat(*(constant.symbol for constant in symbolic.constants))
+    values = ca.veccat(*map(ca.DM, symbolic.values().values()))
+    found = ca.substitute([symbolic.position(q), symbolic.jacobian(q)], [symbols], [values])
+    return ca.Function("kinematics", [q], found)
+
+
+def tool_position(chain: SerialChain) -> Any:
+    """CasADi function q -> x with the numbers of the chain."""
+    q = ca.SX.sym("q", chain.n)
+    return ca.Function("tool", [q], [kinematics(chain)(q)[0]])
 
 
 def _limits(values: Iterable[float]) -> Any:

@@ -1,8 +1,8 @@
 """Reading a URDF with faults that name the file, the line and the element.
 
-Pinocchio's reader drops what it cannot parse, a link's whole inertia for one letter O among its digits, with a message
-on the terminal; the robot is then another one. So every number is read here first (`dmframe.robot.urdf_numbers`), the
-reader gets the file with its numbers written plainly, and what it made of the inertias is compared with the file.
+Pinocchio's reader drops elements that it cannot parse, such as a link's inertia with a letter O in its digits, with
+only a message on the terminal. Every number is therefore checked first (`dmframe.robot.urdf_numbers`), the reader gets
+the file with normalised numbers, and its inertias are compared with the file.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ def read_urdf(path: Path) -> tuple[Any, dict[str, Mimic]]:
     MissingError
         No such file.
     RobotError
-        Not readable, not XML (with line and column), not a URDF, joints that make no tree, a number that is none, or an
-        inertial element that is not complete; several of the latter as `Faults`.
+        The file is not readable, not XML (with line and column), not a URDF, its joints are not a tree, a number is
+        malformed, or an inertial element is incomplete; several of the latter as `Faults`.
     """
     import pinocchio as pin
 
@@ -49,7 +49,7 @@ def read_urdf(path: Path) -> tuple[Any, dict[str, Mimic]]:
         _check_read(model, root, lines, where)
     except (ValueError, RuntimeError) as fault:
         reason = str(fault).strip().rstrip(".")
-        raise RobotError(f"{where}: expected a valid URDF; the parser says: {reason}", path=URDF_PATH) from None
+        raise RobotError(f"{where}: expected a valid URDF; the parser reports: {reason}", path=URDF_PATH) from None
     return model, _mimics(root, lines, where)
 
 
@@ -61,7 +61,7 @@ def _mimics(root: ElementTree.Element, lines: Lines, where: str) -> dict[str, Mi
         leader = mimic.get("joint", "")
         if leader not in names:
             raise RobotError(
-                f"{where}:{lines.of[mimic]}: joint {joint.get('name', '')} mimics {leader or 'no joint'}: expected the "
+                f"{where}:{lines[mimic]}: joint {joint.get('name', '')} mimics {leader or 'no joint'}: expected the "
                 "name of a joint of this file",
                 path=URDF_PATH,
             )
@@ -77,7 +77,7 @@ def _parse(text: str, where: str) -> tuple[ElementTree.Element, Lines]:
     parser.buffer_text = True
 
     def begin(tag: str, attributes: dict[str, str]) -> None:
-        lines.of[builder.start(tag, attributes)] = parser.CurrentLineNumber
+        lines[builder.start(tag, attributes)] = parser.CurrentLineNumber
 
     parser.StartElementHandler = begin
     parser.EndElementHandler = lambda tag: builder.end(tag)
@@ -101,7 +101,7 @@ def _parse(text: str, where: str) -> tuple[ElementTree.Element, Lines]:
 
 
 def _check_read(model: Any, root: ElementTree.Element, lines: Lines, where: str) -> None:
-    """The inertia behind each joint is the file's: a second look, should the reader change one all the same."""
+    """Check that the inertia behind each joint is that of the file."""
     import pinocchio as pin
 
     frames = {frame.name: frame for frame in model.frames if frame.type == pin.FrameType.BODY}
@@ -115,14 +115,14 @@ def _check_read(model: Any, root: ElementTree.Element, lines: Lines, where: str)
         expected, found = (item.toDynamicParameters() for item in (behind[joint], model.inertias[joint]))
         if not np.allclose(found, expected, rtol=1e-9, atol=1e-9 * (1 + np.max(np.abs(expected)))):
             raise RobotError(
-                f"{where}:{lines.of[link]}: link {link.get('name', '')}: Pinocchio read another inertia than the file "
-                f"states, of it and what is fixed to it: expected a mass of {expected[0]:g}, found {found[0]:g}",
+                f"{where}:{lines[link]}: link {link.get('name', '')}: Pinocchio's inertia of this link and of links "
+                f"fixed to it differs from the file: expected a mass of {expected[0]:g}, found {found[0]:g}",
                 path=URDF_PATH,
             )
 
 
 def _inertia(inertial: ElementTree.Element) -> Any:
-    """What the file states, as a `pin.Inertia` in the link's frame."""
+    """Inertia of the file as a `pin.Inertia` in the link's frame."""
     import pinocchio as pin
 
     origin, mass, inertia = (inertial.find(tag) for tag in ("origin", "mass", "inertia"))

@@ -1,12 +1,11 @@
-"""Every number of a URDF, checked element by element before anything else reads it."""
+"""Checks of all numbers of a URDF, element by element."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Final, final
+from typing import Final
 from xml.etree import ElementTree
 
 import numpy as np
@@ -36,24 +35,20 @@ OF_JOINT: Final[Mapping[str, Mapping[str, int]]] = {
     "calibration": dict.fromkeys(("rising", "falling"), 1),
     "safety_controller": dict.fromkeys(("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"), 1),
 }
-"""Attributes that are numbers, and how many of them, by the element in a joint."""
+"""Numeric attributes, with their counts, by the element in a joint."""
 LIMITED: Final = ("revolute", "prismatic")
 POINTED: Final = (*LIMITED, "continuous", "planar")
 """Types of joints with limits, and with an axis."""
 LARGEST: Final = 1e100
-"""Lengths, masses, inertias and axes of this size or above overflow once they are multiplied. [SI units]"""
+"""Lengths, masses, inertias and axes from this size on overflow in products. [SI units]"""
 SIZED: Final = ("origin", "mass", "inertia")
-"""Elements whose numbers must be below that."""
+"""Elements whose numbers must be below `LARGEST`."""
 ROUNDING: Final = 1e-6
-"""What rounded digits leave below zero of a principal moment, relative to the largest."""
+"""Tolerance of a negative principal moment due to rounded digits, relative to the largest."""
 
 
-@final
-@dataclass
-class Lines:
-    """The line of the file on which each element begins."""
-
-    of: dict[Element, int] = field(default_factory=dict)
+Lines = dict[Element, int]
+"""Line of the file on which each element begins."""
 
 
 def numbers(text: str) -> list[float]:
@@ -62,14 +57,14 @@ def numbers(text: str) -> list[float]:
 
 
 def faults_of(root: Element, lines: Lines, where: str) -> Iterator[str]:
-    """What is wrong with the tree, and with the numbers of links and joints: each told with its line."""
+    """Faults of the tree, and of the numbers of links and joints, with their lines."""
     for element, text in tree_faults(root):
         name = next((e for e in (element, *_parents(root, element)) if e.tag in ("link", "joint")), element)
-        yield f"{where}:{lines.of[element]}: {name.tag} {name.get('name') or 'without a name'}: {text}"
+        yield f"{where}:{lines[element]}: {name.tag} {name.get('name') or 'without a name'}: {text}"
     for kind, check in (("link", _link), ("joint", _joint)):
         for element in root.findall(kind):
             for culprit, text in check(element):
-                yield f"{where}:{lines.of[culprit]}: {kind} {element.get('name', '')}: {text}"
+                yield f"{where}:{lines[culprit]}: {kind} {element.get('name', '')}: {text}"
 
 
 def _parents(root: Element, element: Element) -> Iterator[Element]:
@@ -77,7 +72,7 @@ def _parents(root: Element, element: Element) -> Iterator[Element]:
 
 
 def spelled_plainly(root: Element) -> None:
-    """Rewrite each checked number with single blanks: the reader takes no other white space."""
+    """Rewrite each checked number with single blanks, the only white space that the reader accepts."""
     for element, key, _ in _every(root):
         if key in element.attrib:
             element.set(key, " ".join(element.attrib[key].split()))
@@ -109,7 +104,7 @@ def _link(link: Element) -> Found:
 
 
 def _unphysical(inertia: Element) -> Found:
-    """A moment about some axis that is below zero."""
+    """Negative moments of inertia."""
     negative = [key for key in ("ixx", "iyy", "izz") if float(inertia.get(key, "")) < 0]
     yield from ((inertia, f"expected {key} >= 0, found {inertia.get(key)}") for key in negative)
     xx, xy, xz, yy, yz, zz = (float(inertia.get(key, "")) for key in INERTIA)
@@ -126,7 +121,7 @@ def _joint(joint: Element) -> Found:
     way = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
     turns = joint.get("type") in POINTED
     if turns and axis is not None and _is_column(way, 3) and not any(numbers(way)):
-        yield axis, f"expected an axis that points somewhere, found {way}"
+        yield axis, f"expected an axis that is not zero, found {way}"
     elif turns and axis is not None and _is_column(way, 3) and not 1 / LARGEST < math.hypot(*numbers(way)) < LARGEST:
         yield axis, f"expected an axis of a length near 1, found {way}"
     if joint.get("type") not in LIMITED:
@@ -143,7 +138,7 @@ def _joint(joint: Element) -> Found:
 
 
 def _single(parent: Element, tag: str) -> Found:
-    """Of two, the reader would take one and say nothing of the other."""
+    """Refuse repeated elements, of which the reader would silently use one."""
     if len(found := parent.findall(tag)) > 1:
         yield found[1], f"expected one <{tag}>, found {len(found)}"
 
@@ -171,7 +166,7 @@ def _every(root: Element) -> Iterator[tuple[Element, str, int]]:
 
 
 def _numeric(parent: Element) -> Iterator[tuple[Element, str, int]]:
-    """Each attribute of a link or a joint that holds numbers, whether it is there or not, and how many it holds."""
+    """Each numeric attribute of a link or a joint, present or not, with its count."""
     if parent.tag == "joint":
         for tag, keys in OF_JOINT.items():
             for element in parent.findall(tag):

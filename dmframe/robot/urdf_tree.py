@@ -1,4 +1,4 @@
-"""The tree of a URDF, checked joint by joint: Pinocchio's reader drops silently what the base does not reach."""
+"""Check of a URDF's tree; Pinocchio's reader silently drops links that are not connected to the base."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ KINDS: Final = ("revolute", "continuous", "prismatic", "fixed", "floating", "pla
 
 
 def tree_faults(root: Element) -> Found:
-    """What is wrong with names, types and ends of joints, and then with the tree that they make."""
+    """Faults of names, types and ends of joints, and then of their tree."""
     named = [fault for kind in ("link", "joint") for fault in _names(root, kind)]
     links = {link.get("name", ""): link for link in root.findall("link")}
     ends = [fault for joint in root.findall("joint") for fault in _ends(joint, links)]
@@ -38,13 +38,13 @@ def _names(root: Element, kind: str) -> Found:
 def _ends(joint: Element, links: Mapping[str, Element]) -> Found:
     kind = joint.get("type", "")
     if kind not in KINDS:
-        yield joint, f"expected a type of joint, {', '.join(KINDS)}; found {kind or 'none'}"
+        yield joint, f"expected a joint type, {', '.join(KINDS)}; found {kind or 'none'}"
     for tag in ("parent", "child"):
         found = joint.findall(tag)
         if len(found) != 1:
             yield joint, f"expected one <{tag}>, found {len(found) or 'none'}"
         elif (name := found[0].get("link", "")) not in links:
-            yield found[0], f"its {tag} {name or 'without a name'} is no link of the file; {nearest(name, links)}"
+            yield found[0], f"its {tag} {name or 'without a name'} is not a link of the file; {nearest(name, links)}"
 
 
 def _shape(root: Element, links: Mapping[str, Element]) -> Found:
@@ -62,7 +62,7 @@ def _shape(root: Element, links: Mapping[str, Element]) -> Found:
             before.add(link)
             link = _end(above[link], "parent")
         if link == _end(joint, "child") and not looped:
-            looped = True  # told once, at the first of its joints
+            looped = True  # reported once
             yield (
                 joint,
                 f"expected a tree, found a loop: its parent {_end(joint, 'parent')} moves with its child {link}",

@@ -1,4 +1,4 @@
-"""A controller outside of a simulation: one sample at a time, in real time, and on a robot through a gate."""
+"""Execution of a controller sample by sample: in a real-time loop, or on a robot behind a gate."""
 
 from dmframe.runtime.controller import Controller
 

@@ -1,8 +1,7 @@
-"""One step of a diagram's controller, for a loop in real time."""
+"""Controller of a diagram as a step function, for a real-time loop."""
 
 from __future__ import annotations
 
-import ctypes
 import math
 from collections.abc import Callable, Mapping
 from functools import cached_property
@@ -15,7 +14,7 @@ import numpy as np
 
 from dmframe.block.model import symbols_in
 from dmframe.build import load
-from dmframe.build.library import address
+from dmframe.build.library import address, bound
 from dmframe.build.trial import called
 from dmframe.codegen import control_source
 from dmframe.diagram import Diagram
@@ -30,28 +29,28 @@ from dmframe.simulate.start_expressions import measured_start
 
 @final
 class Controller:
-    """The controller's side of a diagram, sampled: what it measures goes in, what it commands comes out.
+    """Sampled controller of a diagram: maps measurements to commands.
 
-    The plant's blocks of the diagram are not computed; they only say where states start. A step is the one that
-    `simulate` takes: commands from what is measured now, then the states one sample later (`ClosedLoop.advanced`), in
-    their boxes. It allocates nothing: write to the arrays of `measured`, call `step`, read those of `commanded`.
+    Plant blocks are not computed; they only determine initial states. A step equals that of `simulate`: commands from
+    the present measurements, then the states one sample later (`ClosedLoop.advanced`), projected to their boxes. A step
+    does not allocate memory: write to the arrays of `measured`, call `step`, read the arrays of `commanded`.
 
-    A sample that is not finite, or from which something follows that is not, is refused: commands and states stay as
-    they were, and `refused` counts it.
+    A sample is refused if it, a command or a state after it is not finite. Commands and states then remain unchanged,
+    and `refused` counts the sample.
 
     Parameters
     ----------
     clock
-        The sampling period [s].
+        Sampling period [s].
     start
-        As of `simulate`.
+        Initial values, as in `simulate`.
     engine
-        ``auto`` compiles where there is a compiler; `engine` says afterwards which it is.
+        ``auto`` compiles if a compiler is available; the attribute `engine` is the engine in use.
 
     Raises
     ------
     EngineError
-        The diagram commands nothing; ``compiled`` was asked for and cannot be had.
+        The diagram has no command, or ``compiled`` was requested and is not available.
     """
 
     def __init__(
@@ -64,18 +63,18 @@ class Controller:
         loop = diagram.loop
         ins, outs = loop.measured, loop.commanded
         if not outs:
-            raise EngineError("controller: expected a diagram that commands something, found no wire to a plant")
+            raise EngineError("controller: expected a diagram with a command, found no wire to a plant")
         function = control_function(diagram)
         size = function.numel_out(0)
         self._z, self._t, self._period = np.zeros(size), np.zeros(1), np.array([clock])
         self._p = np.ascontiguousarray(loop.p_values)
-        # nan until they are written: a signal that was forgotten is refused, and moves no arm
+        # NaN until they are written, so that a missing signal is refused
         inside, outside = np.full(function.numel_in(1), np.nan), np.zeros(function.numel_out(1))
         self._start = start_state(diagram, start or {}, instants=Instants.of(loop, clock))[:size].copy()
         self.measured: Mapping[str, np.ndarray] = MappingProxyType(_parts(ins, inside))
         self.commanded: Mapping[str, np.ndarray] = MappingProxyType(_parts(outs, outside))
         self.states: Mapping[str, np.ndarray] = MappingProxyType(_parts(loop.controller, self._z))
-        self._held = (inside, outside)  # what the call reads and writes by address
+        self._io = (inside, outside)  # the call reads and writes them by address
         self.diagram, self.given, self.clock = diagram, start or {}, clock
         call = None if engine == "interpreted" else self._machine_code(function)
         if call is None and engine == "compiled":
@@ -85,9 +84,9 @@ class Controller:
         self.reset()
 
     def step(self, t: float, period: float | None = None) -> bool:
-        """Commands at time t [s], and the states one period later. False for a sample that was refused.
+        """Compute the commands at time t [s] and the states one period later; False if the sample is refused.
 
-        `period` [s] is the time to the next sample where that is not the clock's, since one was lost, say.
+        `period` [s] is the time to the next sample if it is not the clock's, for example after a lost sample.
         """
         self._t[0] = t
         self._period[0] = self.clock if period is None else period
@@ -97,21 +96,21 @@ class Controller:
         return False
 
     def reset(self, *, measured: bool = False, t: float = 0.0) -> None:
-        """Put the states where they started, and count refused samples anew.
+        """Reset the states to their initial values, and `refused` to 0.
 
-        With `measured`, put them where they start when the arrays of `measured` are what the robot shows at time t [s]:
-        estimates as the graph has them, and all that follows the pose, such as an observer, at the robot's own.
+        With `measured`, states that start at the pose, such as an observer's, are initialised from the arrays of
+        `measured` at time t [s]; estimates start as in the graph.
 
         Raises
         ------
         ValueFault
-            A number of `measured` is not finite, or was never written.
+            A value of `measured` is not finite, or was not written.
         """
         if measured:
-            given = self._held[0]
+            given = self._io[0]
             if not (np.isfinite(given).all() and math.isfinite(t)):
                 lacking = [name for name, array in self.measured.items() if not np.isfinite(array).all()] or ["t"]
-                raise ValueFault(f"controller: expected finite numbers to start from, not those of {listed(lacking)}")
+                raise ValueFault(f"controller: expected finite measurements to start from, not {listed(lacking)}")
             self._z[:] = self._start_function(given, t, self.clock, self._p).full().ravel()
         else:
             self._z[:] = self._start
@@ -121,7 +120,7 @@ class Controller:
     def _start_function(self) -> Any:
         return start_function(self.diagram, self.given)[0]
 
-    def _machine_code(self, function: Any) -> Callable[[], bool] | None:
+    def _machine_code(self, function: Any) -> Callable[[], int] | None:
         try:
             source, constants = control_source(function)
         except EngineError:
@@ -129,22 +128,15 @@ class Controller:
         library = load(source, lambda library: _works(library, function, constants)).library
         if library is None:
             return None
-        c, tick = np.zeros(max(1, constants)), library.dm_tick
+        c = np.zeros(max(1, constants))
         library.dm_prepare(address(self._p), address(c))
-        tick.restype = ctypes.c_int
-        arrays = (self._z, self._held[0], self._t, self._period, self._p, c, self._held[1])
-        addresses = tuple(address(array) for array in arrays)
-
-        def call(kept: tuple[np.ndarray, ...] = arrays) -> bool:
-            return bool(tick(*addresses))
-
-        return call
+        return bound(library.dm_tick, self._z, self._io[0], self._t, self._period, self._p, c, self._io[1])
 
     def _virtual_machine(self, function: Any) -> Callable[[], bool]:
-        after, command = np.zeros(self._z.size), np.zeros(self._held[1].size)
-        measured, t = self._held[0], self._t
+        after, command = np.zeros(self._z.size), np.zeros(self._io[1].size)
+        measured, t = self._io[0], self._t
         buffer, trigger = function.buffer()
-        for k, array in enumerate((self._z, self._held[0], self._t, self._period, self._p)):
+        for k, array in enumerate((self._z, self._io[0], self._t, self._period, self._p)):
             buffer.set_arg(k, array.data)
         buffer.set_res(0, after.data)
         buffer.set_res(1, command.data)
@@ -156,14 +148,14 @@ class Controller:
             if not (np.isfinite(after).all() and np.isfinite(command).all()):
                 return False
             np.copyto(self._z, after)
-            np.copyto(self._held[1], command)
+            np.copyto(self._io[1], command)
             return True
 
         return call
 
 
 def _works(library: Path, function: Any, constants: int) -> bool:
-    """True where a new library gives the interpreter's numbers, at a random sample."""
+    """Check a new library against the interpreter, at a random sample."""
     rng = np.random.default_rng(0)
     z, measured, p = (rng.uniform(0.5, 1.5, function.numel_in(place)) for place in (0, 1, 4))
     given = [{"doubles": array.tolist()} for array in (z, measured, np.array([0.3]), np.array([1e-3]), p)]
@@ -182,9 +174,9 @@ def _works(library: Path, function: Any, constants: int) -> bool:
 
 
 def control_function(diagram: Diagram, *, path: bool = False) -> Any:
-    """(z, measured, t, T, p) -> (z one period later, commands).
+    """CasADi function (z, measured, t, T, p) -> (z one period later, commands).
 
-    With `path` the path is no function of time, but one more argument, last: `path_leaves`.
+    With `path`, the path is an additional last argument (`path_leaves`) instead of a function of time.
     """
     loop = diagram.loop
     expressions = _expressions(diagram)
@@ -192,20 +184,20 @@ def control_function(diagram: Diagram, *, path: bool = False) -> Any:
         expressions = [loop.on_path(expression) for expression in expressions]
     for noise in loop.noises:
         if any(ca.depends_on(expression, noise.symbol) for expression in expressions):
-            raise EngineError(f"controller: {noise.label} is drawn anew at each sample, in simulations alone")
+            raise EngineError(f"controller: {noise.label} is random at each sample, which only a simulation supports")
     z, measured = loop.state[: expressions[0].numel()], stack(leaf.symbol for leaf in loop.measured)
     given = [stack(leaf.symbol for leaf in path_leaves(diagram))] if path else []
     return ca.Function("control", [z, measured, loop.time, loop.period, loop.p, *given], ca.cse(expressions))
 
 
 def path_leaves(diagram: Diagram) -> tuple[Leaf, ...]:
-    """The trajectories, now and later, that the controller reads: not those of the plant alone, such as a load's."""
+    """Trajectories, present and future, that the controller reads."""
     loop, used = diagram.loop, symbols_in(_expressions(diagram))
     return tuple(leaf for leaf in (*loop.trajectories, *loop.ahead) if symbols_in([leaf.symbol]) & used)
 
 
 def _expressions(diagram: Diagram) -> list[Any]:
-    """The controller's states one period later, and its commands, on the symbols of the path."""
+    """States of the controller one period later, and its commands, in terms of the path's symbols."""
     loop = diagram.loop
     size = stack(variable.symbol for variable in loop.controller).numel()
     commands = stack(leaf.expression for leaf in loop.commanded)
@@ -214,18 +206,18 @@ def _expressions(diagram: Diagram) -> list[Any]:
 
 
 def path_function(diagram: Diagram) -> Any:
-    """(t, T, p) -> the path that a `control_function` with one is given."""
+    """CasADi function (t, T, p) -> path argument of a `control_function`."""
     loop = diagram.loop
     path = stack(leaf.expression for leaf in path_leaves(diagram))
     return ca.Function("path", [loop.time, loop.period, loop.p], [ca.cse(path)])
 
 
 def start_function(diagram: Diagram, given: Mapping[str, Any]) -> tuple[Any, tuple[str, ...]]:
-    """(measured, t, T, p) -> z, and the states whose start no measurement tells: they have a simulation's numbers."""
+    """CasADi function (measured, t, T, p) -> z, and the states that keep a simulation's initial values."""
     loop = diagram.loop
-    z, untold = measured_start(diagram, given)
+    z, unmeasured = measured_start(diagram, given)
     measured = stack(leaf.symbol for leaf in loop.measured)
-    return ca.Function("start", [measured, loop.time, loop.period, loop.p], [ca.cse(ca.densify(z))]), untold
+    return ca.Function("start", [measured, loop.time, loop.period, loop.p], [ca.cse(ca.densify(z))]), unmeasured
 
 
 def _parts(items: Any, array: np.ndarray) -> dict[str, np.ndarray]:

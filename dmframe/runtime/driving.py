@@ -1,4 +1,4 @@
-"""The loop that drives a robot, one sample of the robot's own clock after the other."""
+"""Control loop of a robot, synchronised with the robot's samples."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from dmframe.runtime.robot import Robot, Sample
 from dmframe.runtime.steered import Steered
 
 AT_START: Final = 1e-4
-"""A robot this close to the pose in which it is to start is not moved there [rad]."""
+"""Distance from the start pose below which the robot is not moved there [rad]."""
 STILL: Final = 0.01
-"""A robot that is slowed down further than this stands: the controller waits."""
+"""Speed scaling below which the controller waits."""
 APPROACH: Final = 0.25
-"""Speed of the way to the start [rad/s]."""
+"""Speed of the motion to the start [rad/s]."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What is to be done.
+    """Options of a drive.
 
     Parameters
     ----------
     until
-        Time of the reference at the end [s].
+        Reference time at the end [s].
     start
-        (n,) where to begin [rad]; None for where the robot is.
+        (n,) start pose [rad]; None for the present pose.
     ramp
-        For how long the controller's time gathers speed after the start [s].
+        Time in which the controller's time accelerates to full speed [s].
     shadow
-        Compute, and send nothing.
+        Compute commands without sending them.
     """
 
     until: float
@@ -50,16 +50,16 @@ class Plan:
 @final
 @dataclass(frozen=True, eq=False)
 class Driven:
-    """A drive that is over.
+    """Result of a drive.
 
     Parameters
     ----------
     stop
-        Why it ended before its time; None for one that came to its end.
+        Reason of an early end; None if the drive was completed.
     cuts
-        How many commands each rule of the gate has cut.
+        Number of commands that each rule of the gate limited.
     wall_time
-        Of the loop [s].
+        Duration of the loop [s].
     """
 
     journal: Journal
@@ -69,23 +69,28 @@ class Driven:
 
 
 def drive(
-    steered: Steered, robot: Robot, gate: Gate, plan: Plan, asked: Callable[[], str], spool: Spool | None = None
+    steered: Steered,
+    robot: Robot,
+    gate: Gate,
+    plan: Plan,
+    stop_requested: Callable[[], str],
+    spool: Spool | None = None,
 ) -> Driven:
-    """Drive a robot until the plan's end, or until something is wrong; then it is brought to rest.
+    """Drive a robot until the plan's end or a fault, then bring it to rest.
 
     Parameters
     ----------
-    asked
-        Called at each sample: what asks for a stop, ``Ctrl-C``; empty for nothing.
+    stop_requested
+        Called at each sample; returns the source of a stop request, such as ``Ctrl-C``, or an empty text.
     spool
-        Where samples are recorded; in memory without it.
+        File that records the samples; without it they are stored in memory.
 
     Raises
     ------
     DriveError
-        The robot does not tell what the controller needs, or has another period.
+        The robot does not measure what the controller needs, or has another period.
     LostError
-        Nobody answers at the beginning.
+        The robot does not answer at the beginning.
     """
     journal, begun, limits = Journal(spool), time.perf_counter(), gate.limits
     halt = max(limits.deceleration, limits.halt)
@@ -93,27 +98,27 @@ def drive(
         robot.connect()
         stop: Stop | None
         try:
-            stop = _run(steered, robot, gate, plan, asked, journal)
+            stop = _run(steered, robot, gate, plan, stop_requested, journal)
         except LostError as fault:
             stop = Stop("lost link", fault.text)
         except KeyboardInterrupt:
-            stop = Stop("asked", "Ctrl-C")
+            stop = Stop("requested", "Ctrl-C")
         except BaseException:
             if not plan.shadow:
-                with suppress(LostError):  # what was raised first is what is told
+                with suppress(LostError):  # report the first exception
                     robot.stop(halt)
             raise
         if not plan.shadow:
             try:
-                robot.stop(limits.deceleration if stop is None or stop.rule == "asked" else halt)
+                robot.stop(limits.deceleration if stop is None or stop.rule == "requested" else halt)
             except LostError as fault:
-                told = f"{stop}; " if stop is not None else ""
-                stop = Stop("lost link", f"{told}it could not be told to stop: {fault.text}")
+                before = f"{stop}; " if stop is not None else ""
+                stop = Stop("lost link", f"{before}the stop command was not sent: {fault.text}")
     return Driven(journal, stop, dict(gate.cuts), time.perf_counter() - begun)
 
 
 def _run(
-    steered: Steered, robot: Robot, gate: Gate, plan: Plan, asked: Callable[[], str], journal: Journal
+    steered: Steered, robot: Robot, gate: Gate, plan: Plan, stop_requested: Callable[[], str], journal: Journal
 ) -> Stop | None:
     sample = robot.read()
     _check(steered, robot, sample)
@@ -123,32 +128,32 @@ def _run(
         return stop
     if plan.start is not None and np.max(np.abs(sample.q - plan.start)) > AT_START:
         if plan.shadow:
-            return Stop("start", "the robot is not where the graph starts, and in shadow nothing moves it there")
-        if stop := _way(robot, gate, plan.start, asked):
+            return Stop("start", "the robot is not at the graph's start pose, and a shadow drive does not move it")
+        if stop := _way(robot, gate, plan.start, stop_requested):
             return stop
         sample = robot.read()
         if stop := gate.admit(sample):
             return stop
         if (apart := float(np.max(np.abs(sample.q - plan.start)))) > gate.limits.deviation:
-            return Stop("start", f"the robot ended its way to the start {apart:.3g} rad from it")
+            return Stop("start", f"the robot is {apart:.3g} rad from the start pose after its motion to it")
     if not plan.shadow:
         robot.begin()
         sample = robot.read()
         if stop := gate.admit(sample):
             return stop
     steered.begin(sample)
-    return _loop(steered, robot, gate, plan, asked, journal, sample)
+    return _loop(steered, robot, gate, plan, stop_requested, journal, sample)
 
 
-def _way(robot: Robot, gate: Gate, start: np.ndarray, asked: Callable[[], str]) -> Stop | None:
-    """To the start, under the rules of the gate for samples; None, or why it ended on the way."""
-    if text := asked():  # before anything moves, too
-        return Stop("asked", text)
+def _way(robot: Robot, gate: Gate, start: np.ndarray, stop_requested: Callable[[], str]) -> Stop | None:
+    """Move to the start, with the gate's checks of samples; return why the motion was stopped, or None."""
+    if text := stop_requested():  # also before the motion
+        return Stop("requested", text)
     found = list[Stop]()
 
     def watched(sample: Sample) -> bool:
-        # the robot finds its way by itself: a sample that is lost loses no command
-        ended = Stop("asked", text) if (text := asked()) else gate.admit(replace(sample, missed=0))
+        # the robot interpolates by itself: a lost sample does not lose a command
+        ended = Stop("requested", text) if (text := stop_requested()) else gate.admit(replace(sample, missed=0))
         found.extend([ended] if ended else [])
         return bool(found)
 
@@ -157,14 +162,20 @@ def _way(robot: Robot, gate: Gate, start: np.ndarray, asked: Callable[[], str]) 
 
 
 def _loop(
-    steered: Steered, robot: Robot, gate: Gate, plan: Plan, asked: Callable[[], str], journal: Journal, sample: Sample
+    steered: Steered,
+    robot: Robot,
+    gate: Gate,
+    plan: Plan,
+    stop_requested: Callable[[], str],
+    journal: Journal,
+    sample: Sample,
 ) -> Stop | None:
     T, first, behind = robot.period, sample.time, 0.0
     sent = np.zeros(steered.command.size)
     while True:
         arrived = time.perf_counter()
-        if text := asked():
-            return Stop("asked", text)
+        if text := stop_requested():
+            return Stop("requested", text)
         if journal.fault:
             return Stop("record", journal.fault)
         since = sample.time - first
@@ -173,7 +184,7 @@ def _loop(
         journal.begin(sample, steered, since, reference, scale if scale >= STILL else 0.0)
         moving = scale >= STILL
         if moving and not steered.step(sample, reference, scale):
-            return Stop("controller", "from a sample followed what is not finite")
+            return Stop("controller", "a command or a state is not finite")
         wanted = own * steered.command if moving else np.zeros(sent.size)
         stop = gate.limited(wanted, sent, sample.missed)
         journal.commanded(steered.command, sent)
@@ -185,12 +196,12 @@ def _loop(
             robot.command(sent)
         journal.answered(time.perf_counter() - arrived)
         before, sample = sample, robot.read()
-        lost = int(sample.time <= before.time)  # the same one again, or an older
+        lost = int(sample.time <= before.time)  # the same sample again, or an older one
         while 0 < lost <= gate.limits.lost and sample.time <= before.time:
             sample = robot.read()
             lost = lost + 1 if sample.time <= before.time else 0
         if lost > gate.limits.lost:
-            return Stop("lost samples", f"its clock stands at {before.time:g} s")
+            return Stop("lost samples", f"the robot's clock does not advance beyond {before.time:g} s")
         if stop := gate.admit(sample):
             return stop
         behind += (1.0 - (scale if moving else 0.0)) * (sample.time - before.time)
@@ -204,7 +215,7 @@ def _check(steered: Steered, robot: Robot, sample: Sample) -> None:
         )
     lacking = [name for name in steered.lacking if getattr(sample, name) is None]
     if lacking:
-        raise DriveError(f"{robot.name}: the controller needs {' and '.join(lacking)}, which this robot does not tell")
+        raise DriveError(f"{robot.name}: the controller needs {' and '.join(lacking)}, which this robot lacks")
     n = steered.command.size
     if sample.q.size != n:
-        raise DriveError(f"{robot.name}: expected a robot with {n} joints, as the graph's, found {sample.q.size}")
+        raise DriveError(f"{robot.name}: expected {n} joints as in the graph, found {sample.q.size}")

@@ -1,6 +1,6 @@
-"""What may pass from a controller to a robot, and when it is stopped instead.
+"""Gate between controller and robot: checks samples, limits commands, and stops the robot.
 
-It is not a safety function: that is the robot maker's safety configuration, and a risk assessment.
+The gate is not a safety function. Safety requires the robot's safety configuration and a risk assessment.
 """
 
 from __future__ import annotations
@@ -17,37 +17,37 @@ from dmframe.runtime.robot import Sample
 from dmframe.units import plain
 
 REFUSED: Final = 3.0
-"""A command above so many times a joint's speed limit is a fault, and is not cut but refused."""
+"""Multiple of a joint's speed limit above which a command stops the robot instead of being limited."""
 MOST_CUTS: Final = 50
-"""After so many samples in a row whose commands were cut, the controller does not do what it believes to do."""
+"""Consecutive limited commands that stop the robot."""
 _ROUNDING: Final = 1e-9
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """What the gate holds a robot to; (n,) each, by joint.
+    """Limits of the gate; arrays are (n,), by joint.
 
     Parameters
     ----------
-    lower, upper
-        Of the joints [rad].
-    speed
-        Of commands [rad/s].
-    acceleration
-        Of commands [rad/s^2]; None for any.
-    deceleration
-        With which joints brake before their limits, and the robot at the end and where a stop is asked for [rad/s^2].
-    halt
-        With which the robot stops after a fault, where that is more [rad/s^2].
-    deviation
-        Between measured and target angles at most [rad].
-    lost
-        Samples in a row that may be lost.
-    box
-        (2, m), the least and the largest coordinates of the tool [m]; None for any.
     joints
-        Their names.
+        Names of the joints.
+    lower, upper
+        Limits of the joint angles [rad].
+    speed
+        Limits of commands [rad/s].
+    acceleration
+        Limits of the change of commands [rad/s^2]; None for no limit.
+    deceleration
+        Deceleration before joint limits, at the end, and after a stop request [rad/s^2].
+    halt
+        Deceleration after a fault, if larger than `deceleration` [rad/s^2].
+    deviation
+        Largest difference between measured and target angles [rad].
+    lost
+        Largest number of consecutive lost samples.
+    box
+        (2, m) least and largest coordinates of the tool [m]; None for no limit.
     """
 
     joints: Sequence[str]
@@ -63,12 +63,12 @@ class Limits:
 
     @property
     def data(self) -> dict[str, Any]:
-        """As JSON can hold it; numbers as texts, which give the same bits again, infinite ones too."""
+        """JSON representation; floats are texts, which are exact and may be infinite."""
         return {key: _texts(value) for key, value in vars(self).items()}
 
     @classmethod
     def of(cls, data: Mapping[str, Any]) -> Limits:
-        """From `data`. Raises `ValueError`, `TypeError` or `KeyError` for what is none."""
+        """Inverse of `data`. Raises `ValueError`, `TypeError` or `KeyError` for invalid data."""
         known = {each.name for each in fields(cls)}
         if known != set(data):
             raise ValueError(f"expected {', '.join(sorted(known))}")
@@ -89,7 +89,7 @@ def _texts(value: Any) -> Any:
 @final
 @dataclass(frozen=True)
 class Stop:
-    """Why a robot is stopped: the rule in a word or two, and what was found."""
+    """Reason of a stop: the rule, and the value that violated it."""
 
     rule: str
     text: str
@@ -100,31 +100,31 @@ class Stop:
 
 @final
 class Gate:
-    """The rules, in this order: `admit` those of a sample, `limited` those of a command.
+    """Rules in the order of their evaluation; `admit` checks samples (1 to 5), `limited` commands (6 to 11).
 
-    1. the robot is ready and tells no fault;
+    1. the robot is ready and reports no fault;
     2. its sample is finite;
-    3. no more samples in a row were lost than may be;
-    4. no joint is far from its target;
+    3. the number of consecutive lost samples is within the limit;
+    4. each joint is close to its target;
     5. the tool is in its box;
     6. the command is finite;
-    7. and not far above the speed limits;
-    8. above them it is scaled, its direction kept;
-    9. a joint near its limit is as slow as it can still brake;
-    10. commands change as fast as the acceleration allows;
-    11. not too many commands in a row were cut by 8, 9 or 10.
+    7. the command is at most `REFUSED` times the speed limits;
+    8. a command above the speed limits is scaled, its direction unchanged;
+    9. the speed near a joint limit allows braking before it;
+    10. the change of commands is limited by the acceleration;
+    11. rules 8 to 10 limit fewer than `MOST_CUTS` consecutive commands.
     """
 
     def __init__(self, limits: Limits, period: float) -> None:
         self.limits, self.period = limits, period
         self.cuts = Counter[str]()
-        """How many commands each rule has cut."""
+        """Number of commands that each rule has limited."""
         self._last, self._row = np.zeros(len(limits.joints)), 0
         self._near = (np.full(len(limits.joints), math.inf), np.full(len(limits.joints), -math.inf))  # far from limits
         self._by = ""
 
     def admit(self, sample: Sample) -> Stop | None:
-        """Rules 1 to 5; None for a sample to which the controller may answer."""
+        """Apply rules 1 to 5; return why the robot must stop, or None."""
         limits = self.limits
         if sample.fault:
             return Stop("robot", sample.fault)
@@ -133,11 +133,11 @@ class Gate:
         given = {"q": sample.q, "dq": sample.dq, "q_c": sample.q_c, "x": sample.x}
         for name, values in given.items():
             if values is not None and not np.isfinite(values).all():
-                return Stop("not finite", f"the robot tells {name} = {values.tolist()}")
+                return Stop("not finite", f"invalid sample: {name} = {values.tolist()}")
         if not (math.isfinite(sample.time) and math.isfinite(sample.scaling) and 0 <= sample.scaling <= 1):
-            return Stop("not finite", f"the robot tells a time of {sample.time} s and a scaling of {sample.scaling}")
+            return Stop("not finite", f"invalid sample: time = {sample.time} s, speed scaling = {sample.scaling}")
         if sample.missed > limits.lost:
-            return Stop("lost samples", f"{sample.missed} in a row, at most {limits.lost} may be")
+            return Stop("lost samples", f"{sample.missed} in a row, at most {limits.lost} are allowed")
         if sample.q_c is not None:
             apart = np.abs(sample.q - sample.q_c)
             worst = int(np.argmax(apart))
@@ -145,7 +145,7 @@ class Gate:
                 return Stop(
                     "deviation",
                     f"{limits.joints[worst]} is {plain(apart[worst], 'rad')} from its target, "
-                    f"at most {plain(limits.deviation, 'rad')} may be",
+                    f"at most {plain(limits.deviation, 'rad')} is allowed",
                 )
         if limits.box is not None and sample.x is not None:
             for axis, (x, least, most) in enumerate(zip(sample.x, *limits.box, strict=True)):
@@ -160,7 +160,7 @@ class Gate:
         return None
 
     def begins(self, q: np.ndarray) -> Stop | None:
-        """None where a drive may begin at q: rule 9 only slows down what is beyond a limit already."""
+        """Check the start pose; return why the drive must not begin, or None. Rule 9 does not stop the robot."""
         for name, angle, least, most in zip(self.limits.joints, q, self.limits.lower, self.limits.upper, strict=True):
             if not least <= angle <= most:
                 return Stop(
@@ -171,24 +171,24 @@ class Gate:
         return None
 
     def limited(self, command: np.ndarray, out: np.ndarray, missed: int = 0) -> Stop | None:
-        """Rules 6 to 11; what may be sent is written to `out`. None, or why nothing may."""
+        """Apply rules 6 to 11, and write the limited command to `out`; return why the robot must stop, or None."""
         limits, T = self.limits, self.period
         if not np.isfinite(command).all():
             return Stop("command not finite", f"{command.tolist()} rad/s")
-        share = np.abs(command) / limits.speed
-        worst = int(np.argmax(share))
-        if share[worst] > REFUSED:
+        ratio = np.abs(command) / limits.speed
+        worst = int(np.argmax(ratio))
+        if ratio[worst] > REFUSED:
             return Stop(
                 "command too fast",
-                f"{limits.joints[worst]} is told to move at {plain(abs(command[worst]), 'rad/s')}, above "
+                f"{limits.joints[worst]} is commanded {plain(abs(command[worst]), 'rad/s')}, above "
                 f"{REFUSED:g} times its limit of {plain(limits.speed[worst], 'rad/s')}",
             )
         out[:] = command
         cut = False
-        if share[worst] > 1 + _ROUNDING:
-            out /= share[worst]
+        if ratio[worst] > 1 + _ROUNDING:
+            out /= ratio[worst]
             cut = self._noted("speed")
-        # what is left after this period must still be enough to brake in: v T + v^2 / (2 a) = room
+        # the distance that remains after this period must suffice for braking: v T + v^2 / (2 a) = room
         a = limits.deceleration if limits.acceleration is None else np.minimum(limits.deceleration, limits.acceleration)
         least, most = (
             np.sqrt((a * T) ** 2 + 2 * a * np.maximum(room, 0)) - a * T
@@ -205,7 +205,7 @@ class Gate:
         self._last[:] = out
         self._row = self._row + 1 if cut else 0
         if self._row >= MOST_CUTS:
-            return Stop("cuts", f"{MOST_CUTS} commands in a row were cut, last by {self._by}")
+            return Stop("cuts", f"{MOST_CUTS} commands in a row were limited, the last one by {self._by}")
         return None
 
     def _noted(self, rule: str) -> bool:

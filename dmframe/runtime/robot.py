@@ -1,4 +1,4 @@
-"""What a driver of a robot does: it tells samples, and takes velocities of joints."""
+"""Interface of robot drivers: they read samples and send joint velocity commands."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ import numpy as np
 @final
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """What a robot shows at one instant.
+    """Measurements of a robot at one instant.
 
     Parameters
     ----------
     time
-        By the robot's own clock [s].
+        Time of the robot's clock [s].
     q, dq
-        (n,) joint angles [rad] and velocities [rad/s], measured.
+        (n,) measured joint angles [rad] and velocities [rad/s].
     q_c
-        (n,) the target angles of its servo [rad]; None where the robot does not tell them.
+        (n,) target angles of the servo [rad]; None if not available.
     x
-        Where its tool is, in the graph's own frame [m]; None where the robot does not tell it.
+        Tool position in the graph's frame [m]; None if not available.
     scaling
-        By how much the robot slows down what it is commanded, as a speed slider does: 1 for not at all.
+        Factor by which the robot scales commanded speeds, as a speed slider does; 1 for none.
     ready
-        False for one that takes no commands now.
+        False if the robot does not accept commands.
     fault
-        What its maker's controller says is wrong; empty for nothing.
+        Fault of the robot's controller; empty for none.
     age
-        How long ago the command was sent that the robot had taken last [s]; None where it does not tell.
+        Age of the last command that the robot received [s]; None if not available.
     missed
-        Samples of the robot that were lost since the one before this.
+        Number of samples lost before this one.
     """
 
     time: float
@@ -49,36 +49,36 @@ class Sample:
 
 
 class Robot(Protocol):
-    """A driver. All but `connect` may raise `dmframe.errors.LostError`."""
+    """Driver of a robot. All methods may raise `dmframe.errors.LostError`."""
 
     @property
     def name(self) -> str:
-        """As messages call it, ``sim`` or ``ur:192.168.0.2``."""
+        """Name in messages: ``sim`` or ``ur:192.168.0.2``."""
 
     @property
     def period(self) -> float:
-        """From one sample to the next [s]."""
+        """Sampling period [s]."""
 
     def connect(self) -> None:
-        """Make ready to read. Raises `LostError` where nobody answers."""
+        """Connect. Raises `LostError` if the robot does not answer."""
 
     def read(self) -> Sample:
         """Wait for the robot's next sample."""
 
     def begin(self) -> None:
-        """Take commands from now on; called once, where the robot stands at its start."""
+        """Start to accept commands; called once, when the robot is at its start pose."""
 
     def command(self, dq: np.ndarray) -> None:
         """Move with these velocities [rad/s] for one period."""
 
     def move(self, q: np.ndarray, speed: float, acceleration: float, watched: Callable[[Sample], bool]) -> None:
-        """Go to a pose [rad] and come to rest there, no joint above the speed [rad/s].
+        """Move to a pose [rad] and stop there, no joint above the speed [rad/s].
 
-        What the robot shows on its way is handed to `watched`; at its first True return at once: `stop` comes next.
+        Call `watched` with each sample, and return as soon as it is True; a call of `stop` follows then.
         """
 
     def stop(self, deceleration: float) -> None:
-        """Come to rest [rad/s^2]. It is called after faults, too, and may be called twice."""
+        """Decelerate to rest [rad/s^2]. It is also called after faults, and may be called twice."""
 
     def close(self) -> None:
-        """Let go of the robot."""
+        """Disconnect."""

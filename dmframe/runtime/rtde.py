@@ -1,10 +1,11 @@
-"""A client of RTDE, the real-time data exchange of Universal Robots, version 2 of its protocol.
+"""Client of RTDE, the real-time data exchange of Universal Robots, version 2.
 
-Written from the maker's guide. It was tried on no robot.
+Written from the maker's guide, and not tested on a robot.
 """
 
 from __future__ import annotations
 
+import re
 import socket
 import struct
 import time
@@ -14,39 +15,34 @@ from typing import Any, Final, Protocol, final
 from dmframe.errors import DriveError, LostError
 
 PORT: Final = 30004
-FORMATS: Final = {
-    "DOUBLE": "d",
-    "VECTOR6D": "6d",
-    "UINT32": "I",
-    "INT32": "i",
-}
-"""The types that are asked for here."""
+FORMATS: Final = {"DOUBLE": "d", "VECTOR6D": "6d", "UINT32": "I", "INT32": "i"}
+"""`struct` formats of the types in use."""
 _HEAD: Final = struct.Struct(">HB")
 
 
 class Link(Protocol):
-    """Bytes to a robot and back."""
+    """Byte stream to a robot."""
 
     def send(self, data: bytes) -> None:
-        """All of it."""
+        """Send all bytes."""
 
     def receive(self, patience: float) -> bytes:
-        """What has come, after so many seconds at most; it may be nothing. Raises `LostError` where it is closed."""
+        """Received bytes, possibly none after the timeout [s]. Raises `LostError` if the connection is closed."""
 
     def close(self) -> None:
-        """Let go."""
+        """Close the connection."""
 
 
 @final
 class Wire:
-    """A connection by TCP."""
+    """TCP connection."""
 
     def __init__(self, host: str, port: int, patience: float = 2.0) -> None:
         self.name = f"{host}:{port}"
         try:
             self._socket = socket.create_connection((host, port), patience)
         except OSError as error:
-            raise LostError(f"{self.name}: expected a robot, and nobody answers: {error.strerror or error}") from None
+            raise LostError(f"{self.name}: no robot answers: {error.strerror or error}") from None
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def send(self, data: bytes) -> None:
@@ -77,21 +73,21 @@ class Wire:
 
 @final
 class Rtde:
-    """A session: what is asked for comes again and again, and what is written is taken as one.
+    """RTDE session: reads the outputs periodically, and writes all inputs together.
 
     Parameters
     ----------
     outputs, inputs
-        Names, each with the type that it must have.
+        Names with their types.
     patience
-        How long an answer may take [s].
+        Timeout of an answer [s].
 
     Raises
     ------
     DriveError
-        The robot does not know a name, has another type for it, or another client writes it.
+        The robot does not have a name, or has another type for it, or another client writes it.
     LostError
-        It does not answer.
+        The robot does not answer.
     """
 
     def __init__(
@@ -103,25 +99,25 @@ class Rtde:
         patience: float = 2.0,
     ) -> None:
         self._link, self._buffer, self._patience = link, b"", patience
-        if self._asked("V", struct.pack(">H", 2)) != b"\x01":
-            raise DriveError("RTDE: expected a robot that speaks version 2 of the protocol, found one that does not")
-        answer = self._asked("O", struct.pack(">d", frequency) + ",".join(outputs).encode())
+        if self._request("V", struct.pack(">H", 2)) != b"\x01":
+            raise DriveError("RTDE: expected version 2 of the protocol, which this robot does not support")
+        answer = self._request("O", struct.pack(">d", frequency) + ",".join(outputs).encode())
         self._outputs, self._names = _recipe(answer, outputs), tuple(outputs)
         self._in, self._inputs = 0, struct.Struct(">")
         if inputs:
-            answer = self._asked("I", ",".join(inputs).encode())
+            answer = self._request("I", ",".join(inputs).encode())
             self._inputs, self._in = _recipe(answer, inputs), answer[0]
-        if self._asked("S") != b"\x01":
-            raise DriveError("RTDE: expected samples, and the robot does not begin")
+        if self._request("S") != b"\x01":
+            raise DriveError("RTDE: the robot does not start to send samples")
 
     def read(self, patience: float) -> Mapping[str, Any]:
-        """The newest sample, after at most so many seconds. Raises `LostError` where none comes."""
+        """Wait for a sample and return the newest one. Raises `LostError` after the timeout [s]."""
         newest, until = self._waiting(), time.monotonic() + patience
         while newest is None:
             data = self._link.receive(patience)
             self._buffer += data
             newest = self._waiting()
-            # what comes may be anything but samples, for ever
+            # other messages may arrive forever
             if newest is None and (not data or time.monotonic() > until):
                 raise LostError(f"no sample for {patience * 1e3:.0f} ms")
         self._buffer += self._link.receive(0.0)
@@ -134,7 +130,7 @@ class Rtde:
         return found
 
     def write(self, *values: float) -> None:
-        """All inputs, in their order."""
+        """Write all inputs, in their order."""
         self._link.send(_message("U", bytes([self._in]) + self._inputs.pack(*values)))
 
     def close(self) -> None:
@@ -142,7 +138,7 @@ class Rtde:
         self._link.close()
 
     def _waiting(self) -> bytes | None:
-        """The newest whole sample of the buffer; those before it are dropped."""
+        """Newest complete sample of the buffer; older ones are dropped."""
         newest = None
         while (message := self._next()) is not None:
             if message[0] == "U" and len(message[1]) == 1 + self._outputs.size:
@@ -154,13 +150,13 @@ class Rtde:
             return None
         length, kind = _HEAD.unpack_from(self._buffer)
         if length < _HEAD.size:
-            raise LostError("RTDE: what comes is not of this protocol")
+            raise LostError("RTDE: received bytes are not of this protocol")
         if len(self._buffer) < length:
             return None
         payload, self._buffer = self._buffer[_HEAD.size : length], self._buffer[length:]
         return chr(kind), payload
 
-    def _asked(self, kind: str, payload: bytes = b"") -> bytes:
+    def _request(self, kind: str, payload: bytes = b"") -> bytes:
         self._link.send(_message(kind, payload))
         until = time.monotonic() + self._patience
         while True:
@@ -182,11 +178,10 @@ def _recipe(answer: bytes, names: Mapping[str, str]) -> struct.Struct:
     taken = [name for name, kind in zip(names, kinds, strict=False) if kind == "IN_USE"]
     if taken:
         raise DriveError(
-            f"RTDE: expected registers that no other client writes, found {taken[0]} and {len(taken) - 1} more in use; "
-            "end the other client"
+            f"RTDE: another client writes {taken[0]} and {len(taken) - 1} more of the registers; end the other client"
         )
     if len(kinds) != len(names):
-        raise DriveError(f"RTDE: expected a robot that knows {len(names)} names, found {len(kinds)}")
+        raise DriveError(f"RTDE: expected an answer for {len(names)} names, found {len(kinds)}")
     wrong = [f"{name}: {found}" for (name, kind), found in zip(names.items(), kinds, strict=True) if found != kind]
     if wrong:
         raise DriveError(f"RTDE: expected names and types of the maker's guide, found {', '.join(wrong)}")
@@ -194,12 +189,5 @@ def _recipe(answer: bytes, names: Mapping[str, str]) -> struct.Struct:
 
 
 def _counts(recipe: struct.Struct) -> list[int]:
-    """Numbers of each item: 6d is one item of six."""
-    found, repeat = list[int](), ""
-    for letter in recipe.format[1:]:
-        if letter.isdigit():
-            repeat += letter
-        else:
-            found.append(int(repeat or 1))
-            repeat = ""
-    return found
+    """Size of each item: 6d is one item of six numbers."""
+    return [int(count or 1) for count in re.findall(r"(\d*)[a-z]", recipe.format[1:], re.IGNORECASE)]

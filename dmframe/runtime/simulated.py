@@ -1,4 +1,4 @@
-"""A graph's own robot and servo, apart from their controller, behind the protocol of a driver."""
+"""Simulated robot: a graph's robot and servo without the controller, with a driver's interface."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from dmframe.diagram.closed_loop import stack
 from dmframe.errors import DriveError, LostError
 from dmframe.port import Side
 from dmframe.runtime.robot import Sample
-from dmframe.runtime.signals import TOLD, measured_as, velocity_command
+from dmframe.runtime.signals import FIELDS, measured_as, velocity_command
 from dmframe.simulate.bounds import bounds_of
 from dmframe.simulate.engine import Choice, Compiled, choose
 from dmframe.simulate.instants import Instants
@@ -29,34 +29,34 @@ from dmframe.simulate.step import Solver, plant_step
 from dmframe.simulate.stiffness import speed_of
 
 ARRIVED: Final = 1e-6
-"""How near to a pose a move ends [rad]."""
+"""Tolerance of the end of a motion to a pose [rad]."""
 SLOWEST: Final = 0.5
-"""Of its way to a pose the simulated robot goes at most this share in a period, so that it comes to rest there."""
+"""Largest fraction of the remaining distance that a motion to a pose covers in a period."""
 
 
 @final
 class SimulatedRobot:
-    """It answers at once: a second of its time takes as long as it takes to compute.
+    """Simulated robot; it does not run in real time.
 
-    Without delay, jitter, lost samples or scaling it has the very numbers of `simulate`, where both run with the same
-    compiler options.
+    Without delay, jitter, lost samples or scaling its numbers equal those of `simulate` bit by bit, if both are
+    compiled with the same options.
 
     Parameters
     ----------
     duration
-        How long it is likely to run [s], which decides whether compiling is worth it.
+        Expected duration [s], which decides between the compiled and the interpreted engine.
     delay
-        After how many samples a command acts.
+        Delay of commands [samples].
     lost
-        The share of its samples that do not arrive, at random by `seed`.
+        Fraction of samples that are lost, at random by `seed`.
     jitter
-        How much earlier or later than on a perfect clock a sample may be [s].
+        Largest deviation of a sampling instant from a perfect clock [s].
     scaling
-        By how much it slows down what it is commanded, as a speed slider.
+        Factor of the commanded speeds, as of a speed slider.
     slowed_from
-        When that begins, by its clock [s].
+        Time from which `scaling` acts [s].
     payload
-        A point mass at its tool of which nobody has told the controller [kg].
+        Point mass at the tool that the controller does not model [kg].
     """
 
     def __init__(
@@ -85,13 +85,11 @@ class SimulatedRobot:
                 diagram, duration, clock=clock, solver=solver or Solver(), log=Log(), seed=seed, jitter=jitter
             )
             state = start_state(diagram, start or {}, whole.starts, whole.step.instants)
-            self.solver = whole.stepping(
-                state, loop.p_values, speed_of(diagram, whole.jacobian, state)
-            ).solver  # as a simulation takes it
+            self.solver = whole.stepping(state, loop.p_values, speed_of(diagram, whole.jacobian, state)).solver
             shown = _shown(diagram, fields)
             commands = stack(leaf.symbol for leaf in loop.commanded)
             if any(ca.depends_on(expression, commands) for expression in shown.values()):
-                raise DriveError("expected a robot that shows where it is, found one that shows what it is commanded")
+                raise DriveError("expected measurements that do not depend on the command, found one that does")
             size = state.size - stack(variable.symbol for variable in loop.plant).numel()
             own = Instants.of(loop, clock, seed, jitter)
             drawn = replace(own, drawn=(*own.drawn, *["uniform"] * commands.numel()))
@@ -107,40 +105,40 @@ class SimulatedRobot:
         self.engine = self._engine.name
         self._state, self._p, self._step, self._size = state[size:].copy(), loop.p_values, step, commands.numel()
         self._queue = deque([np.zeros(self._size) for _ in range(delay)])
-        self._held, self._rows = np.zeros(self._size), np.zeros((1, columns.size))
+        self._command, self._rows = np.zeros(self._size), np.zeros((1, columns.size))
         self._delay, self._lost, self._random = delay, lost, np.random.default_rng(seed)
-        self._tick, self._told, self._fault = 0, False, ""
+        self._tick, self._started, self._fault = 0, False, ""
 
     @property
     def scaling(self) -> float:
-        """Of now, as a sample tells it."""
+        """Present speed scaling."""
         begin, scaling = self._slowed
         return scaling if self._tick * self.period >= begin else 1.0
 
     def connect(self) -> None:
-        """It is there."""
+        """See `Robot`."""
 
     def read(self) -> Sample:
-        """The next sample. The first is that of time 0."""
+        """See `Robot`; the first sample is at time 0."""
         missed = 0
-        if self._told:
+        if self._started:
             self._advance()
             while self._lost and self._random.random() < self._lost:
                 self._advance()
                 missed += 1
-        self._told = True
+        self._started = True
         return self._sample(missed)
 
     def begin(self) -> None:
-        """It takes no time: the next sample is that of the same instant."""
-        self._told = False
+        """See `Robot`; the next sample is at the same instant."""
+        self._started = False
 
     def command(self, dq: np.ndarray) -> None:
         """See `Robot`."""
-        self._held = np.array(dq, dtype=float)
+        self._command = np.array(dq, dtype=float)
 
     def move(self, q: np.ndarray, speed: float, acceleration: float, watched: Callable[[Sample], bool]) -> None:
-        """Its servo's target goes there; it does not wait for what is delayed."""
+        """See `Robot`; delays do not act on this motion."""
         queue, self._queue = self._queue, deque()
         last, T = np.zeros(self._size), self.period
         for _ in range(round(600 / T)):
@@ -151,31 +149,31 @@ class SimulatedRobot:
             left = q - (now.q_c if now.q_c is not None else now.q)
             if np.max(np.abs(left)) < ARRIVED and not last.any():
                 break
-            # as fast as it may and still come to rest, a share of the way at most where it is near
+            # the largest speed from which it can still stop, and a fraction of the distance when it is near
             most = np.minimum(np.sqrt(2 * acceleration * np.abs(left) / 2), SLOWEST * np.abs(left) / T)
             wanted = np.sign(left) * np.minimum(speed, most)
             wanted[np.abs(left) < ARRIVED] = 0.0
             last = last + np.clip(wanted - last, -acceleration * T, acceleration * T)
-            self._held = last / self.scaling if self.scaling else np.zeros(self._size)
+            self._command = last / self.scaling if self.scaling else np.zeros(self._size)
             self._advance()
         else:
-            raise LostError(f"{self.name}: expected to arrive within 600 s of its time, and did not")
-        self._held, self._queue = np.zeros(self._size), queue
+            raise LostError(f"{self.name}: the motion to the start did not end within 600 s of simulated time")
+        self._command, self._queue = np.zeros(self._size), queue
 
     def stop(self, deceleration: float) -> None:
-        """Its servo's target comes to rest."""
+        """See `Robot`."""
         self._queue = deque()
-        v = self._held * self.scaling
+        v = self._command * self.scaling
         for _ in range(round(600 / self.period)):
             if self._fault or not v.any():
                 break
             v = np.sign(v) * np.maximum(np.abs(v) - deceleration * self.period, 0)
-            self._held = v / self.scaling if self.scaling else np.zeros(self._size)
+            self._command = v / self.scaling if self.scaling else np.zeros(self._size)
             self._advance()
-        self._held = np.zeros(self._size)
+        self._command = np.zeros(self._size)
 
     def close(self) -> None:
-        """Nothing is held."""
+        """See `Robot`."""
 
     def _sample(self, missed: int) -> Sample:
         row = self._given(np.zeros(self._size))
@@ -200,7 +198,7 @@ class SimulatedRobot:
         return row
 
     def _advance(self) -> None:
-        self._queue.append(self._held)
+        self._queue.append(self._command)
         acting = self._queue.popleft()
         row = self._given(acting if self.scaling == 1 else acting * self.scaling)
         if isinstance(self._engine, Compiled):
@@ -234,25 +232,25 @@ class SimulatedRobot:
 
 
 def _shown(diagram: Diagram, fields: Mapping[str, str]) -> dict[str, Any]:
-    """For each field of a `Sample` its expression: what the controller measures, or else the robot's own."""
+    """Expression of each field of a `Sample`: the controller's measurement, or the robot's signal."""
     found = {fields[leaf.name]: leaf.expression for leaf in diagram.loop.measured}
     for signal in diagram.loop.outputs:
         plant = diagram.blocks[signal.block].side is Side.PLANT
-        if plant and signal.name in TOLD and signal.name not in found:
+        if plant and signal.name in FIELDS and signal.name not in found:
             found[signal.name] = signal.expression
     lacking = [name for name in ("q", "dq") if name not in found]
     if lacking:
         raise DriveError(f"expected a robot with {' and '.join(lacking)}, found none in this graph")
-    return {name: ca.densify(found[name]) for name in TOLD if name in found}
+    return {name: ca.densify(found[name]) for name in FIELDS if name in found}
 
 
 def loaded(loop: ClosedLoop, payload: float) -> ClosedLoop:
-    """The loop with a point mass [kg] at the tool, on the last link.
+    """Add a point mass [kg] at the tool to the last link.
 
     Raises
     ------
     DriveError
-        Its robot has no masses.
+        The graph's robot has no masses.
     """
     values = {parameter.label: parameter for parameter in loop.parameters}
     inertia, lengths = values.get("robot.inertia"), values.get("robot.a_k")

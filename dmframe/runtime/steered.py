@@ -1,4 +1,4 @@
-"""A controller fed with a robot's samples, also where the robot runs slower than it was told."""
+"""Controller on a robot's samples, with time scaling for a robot that runs more slowly than commanded."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ from dmframe.runtime.signals import measured_as, velocity_command
 
 @final
 class Steered:
-    """A controller in its own time, which runs `scale` times as fast as the robot's.
+    """Controller whose time runs `scale` times as fast as the robot's.
 
-    A period of length T is then scale T long for it, and a velocity dq is dq / scale. So it sees the robot that it
-    knows, on a path that is passed more slowly. Friction and inertia do not scale alike, so it goes on learning; a law
-    whose estimates are held is another one, which need not be stable.
+    Its period is scale T, and it reads velocities dq / scale, so that it sees the same robot on a slower path. Friction
+    and inertia do not scale alike, so that adaptation continues; a law with frozen estimates need not be stable.
     """
 
     def __init__(self, diagram: Diagram, controller: Controller) -> None:
@@ -28,16 +27,16 @@ class Steered:
 
     @property
     def lacking(self) -> tuple[str, ...]:
-        """Fields of a sample that it needs and a robot may not tell."""
+        """Fields of a sample that the controller needs and a robot may not have."""
         return tuple(name for name in ("q_c", "x") if name in self.fields.values())
 
     def begin(self, sample: Sample, t: float = 0.0) -> None:
-        """Start its states from where the robot is."""
+        """Initialise the states from the robot's pose."""
         self._feed(sample, 1.0)
         self.controller.reset(measured=True, t=t)
 
     def step(self, sample: Sample, t: float, scale: float) -> bool:
-        """Its command at its own time t [s] is then in `command`. False for a sample that it has refused."""
+        """Write the command at the controller's time t [s] to `command`; False if the sample is refused."""
         self._feed(sample, scale)
         return self.controller.step(t, scale * (self.controller.clock * (1 + sample.missed)))
 

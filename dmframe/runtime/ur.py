@@ -1,7 +1,7 @@
-"""A driver for arms of Universal Robots, by RTDE and a script that it sends.
+"""Driver of Universal Robots' arms, by RTDE and a script on the robot. Not tested on hardware.
 
-It was tried on no hardware. The script runs on the robot and reads registers from 24 on (those below belong to
-fieldbuses): it follows velocities as long as a heartbeat counts up, and brings the arm to rest when that stays away.
+The script reads registers from 24 on (those below are for fieldbuses). It follows velocities as long as a heartbeat
+counts up, and stops the arm when the heartbeat stops.
 """
 
 from __future__ import annotations
@@ -14,17 +14,18 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.errors import LostError
+from dmframe.runtime.arm import PATIENCE, way_time
 from dmframe.runtime.robot import Sample
 from dmframe.runtime.rtde import PORT, Link, Rtde, Wire
-from dmframe.runtime.ur_arm import ANSWER, PATIENCE, PLAYING, UrArm, way_time
+from dmframe.runtime.ur_arm import ANSWER, PLAYING, UrArm
 
 SCRIPTS: Final = 30002
 FIRST: Final = 1.0
-"""How long the script waits for the first heartbeat [s]; nothing moves meanwhile."""
+"""Time for which the script waits for the first heartbeat [s]; the arm does not move meanwhile."""
 FASTEST: Final = 6.3
-"""No joint of these arms is faster [rad/s]; how long a stop may take follows from it."""
+"""Largest joint speed of these arms [rad/s], which bounds the duration of a stop."""
 MOST_BEATS: Final = 1 << 30
-"""Heartbeats begin anew above this, half of what a register holds."""
+"""Heartbeats restart above this number, half of a register's range."""
 OUTPUTS: Final = {
     "timestamp": "DOUBLE",
     "actual_q": "VECTOR6D",
@@ -54,7 +55,7 @@ FOLLOW: Final = """def dmframe_follow():
     stopj(dm_halt)
   end
   dm_beat = read_input_integer_register(24)
-  dm_heard = False
+  dm_started = False
   dm_silent = 0
   dm_most = {first}
   dm_mover = run dm_move()
@@ -65,10 +66,10 @@ FOLLOW: Final = """def dmframe_follow():
     else:
       dm_silent = 0
       dm_beat = dm_now
-      dm_heard = True
+      dm_started = True
       dm_most = {patience}
     end
-    if dm_heard:
+    if dm_started:
       if read_input_integer_register(25) == 0:
         dm_silent = dm_most
         dm_halt = read_input_float_register(30)
@@ -88,31 +89,31 @@ FOLLOW: Final = """def dmframe_follow():
   join dm_mover
 end
 """
-"""The thread that moves the joints also stops them: two at once are an error of the program, and between the end of one
-and `stopj` in another a cycle passes, in which the arm slows down by the acceleration of `speedj`.
+"""The thread that moves the joints also stops them: two moving threads are an error, and between the end of one and
+`stopj` in another a cycle passes, in which the arm decelerates with the acceleration of `speedj`.
 
-Registers outlive who wrote them: until the heartbeat changes, they may hold the speeds of a client that was killed.
+Registers keep the speeds of a client that was killed, and are ignored until the heartbeat changes.
 """
 
 
 @final
 class UniversalRobot:
-    """An arm by its address.
+    """Driver of an arm at a network address.
 
     Parameters
     ----------
     joints
-        The graph's, in its order; the others of the six are held where the arm has them.
+        Joints of the graph, in its order; the others of the six are held.
     tool
-        q -> x, the graph's own kinematics: the maker's pose is in another frame.
+        q -> x, the graph's kinematics; the robot's own pose is in another frame.
     held
-        Where the graph holds the others of the six [rad]; 0 without a word.
+        Angles of the held joints in the graph [rad]; 0 by default.
     acceleration, halt
-        With which the script follows, and comes to rest where nothing is heard [rad/s^2].
+        Acceleration with which the script follows commands, and deceleration without a heartbeat [rad/s^2].
     patience
-        How long to wait for a sample [s]; five periods without it. The script's own patience is five periods anyway.
+        Timeout of a sample [s], five periods by default. The script's timeout is always five periods.
     linked
-        Opens a connection to a port; by TCP without it.
+        Opens a connection to a port, by default over TCP.
     """
 
     def __init__(
@@ -135,7 +136,7 @@ class UniversalRobot:
             acceleration=acceleration,
             halt=halt,
             first=FIRST,
-            patience=round((PATIENCE - 0.5) * period, 6),  # half a period less than the sum that passes it
+            patience=round((PATIENCE - 0.5) * period, 6),  # half a period below the sum that exceeds it
         )
         self._patience = PATIENCE * period if patience is None else patience
         self._answer = max(ANSWER, self._patience)
@@ -149,7 +150,7 @@ class UniversalRobot:
         Raises
         ------
         DriveError
-            Its cycle does not divide the period: it would send samples in another one, unasked.
+            The arm's cycle does not divide the period, so that its samples have another period.
         """
         link = self._linked(self._host, PORT)
         try:
@@ -161,30 +162,30 @@ class UniversalRobot:
         self._arm.check_period(first, second)
 
     def read(self) -> Sample:
-        """See `Robot`; where no sample comes in time, it is lost."""
-        return self._told(self._newest(self._patience))
+        """See `Robot`."""
+        return self._sample(self._newest(self._patience))
 
     def begin(self) -> None:
-        """Send the script, and wait until its heartbeat is heard.
+        """Send the script and wait for its heartbeat.
 
         Raises
         ------
         DriveError
-            A joint that the graph holds is elsewhere, so that its tool is, too.
+            A held joint is not at the graph's angle, so that the tool position differs.
         """
-        told = self._newest(self._answer)
-        self._arm.check_held(told["actual_q"])
-        echo = told["output_int_register_24"]
-        # an echo that another has left is none of ours
+        values = self._newest(self._answer)
+        self._arm.check_held(values["actual_q"])
+        echo = values["output_int_register_24"]
+        # do not count the echo that another client has left
         first = self._beat = max(self._beat, echo + 1) if echo < MOST_BEATS else 0
         self._upload(self._script)
         for _ in range(round(5 / self.period)):
             self._write(np.zeros(6), 1)
-            told = self._newest(self._answer)
-            if first <= told["output_int_register_24"] < self._beat and told["runtime_state"] == PLAYING:
+            values = self._newest(self._answer)
+            if first <= values["output_int_register_24"] < self._beat and values["runtime_state"] == PLAYING:
                 self._following = True
                 self._arm.begin()
-                self._write(np.zeros(6), 1)  # each sample is answered; the next one is the loop's
+                self._write(np.zeros(6), 1)  # each sample is answered; the loop answers the next one
                 return
         raise LostError(f"{self.name}: its script does not answer; is the arm in remote control?")
 
@@ -193,31 +194,31 @@ class UniversalRobot:
         self._write(self._arm.speeds(dq), 1)
 
     def move(self, q: np.ndarray, speed: float, acceleration: float, watched: Callable[[Sample], bool]) -> None:
-        """By the maker's own `movej`."""
+        """See `Robot`; uses UR's `movej`."""
         now, goal = np.array(self._newest(self._answer)["actual_q"]), self._arm.pose(q)
         text = ", ".join(f"{angle:.9f}" for angle in goal)
         self._upload(f"def dmframe_move():\n  movej([{text}], a={acceleration}, v={speed})\nend\n")
         most = way_time(now, goal, speed, acceleration)
         for _ in range(round(most / self.period)):
-            told = self._newest(self._answer)
-            if watched(self._told(told)):
+            values = self._newest(self._answer)
+            if watched(self._sample(values)):
                 return
-            arrived = np.max(np.abs(np.array(told["target_q"]) - goal)) < 1e-4
-            if arrived and told["runtime_state"] != PLAYING:
+            arrived = np.max(np.abs(np.array(values["target_q"]) - goal)) < 1e-4
+            if arrived and values["runtime_state"] != PLAYING:
                 self._arm.begin()
                 return
-        raise LostError(f"{self.name}: expected to be at the start within {most:.0f} s, and is not")
+        raise LostError(f"{self.name}: the motion to the start did not end within {most:.0f} s")
 
     def stop(self, deceleration: float) -> None:
-        """Its script ends and stops the arm; where it does not, a script that does nothing else is sent."""
-        if self._rtde is None or not self._scripted:  # nothing of ours runs there
+        """See `Robot`; if the script does not stop the arm, another script is sent."""
+        if self._rtde is None or not self._scripted:  # no script was sent
             return
         following, self._following = self._following, False
-        with suppress(LostError):  # the other port may still be heard
+        with suppress(LostError):  # the other port may still work
             for _ in range(round((1 + FASTEST / deceleration) / self.period) if following else 0):
                 self._write(np.zeros(6), 0, deceleration)
-                told = self._newest(self._patience)
-                if told["runtime_state"] != PLAYING:
+                values = self._newest(self._patience)
+                if values["runtime_state"] != PLAYING:
                     return
         self._upload(f"def dmframe_stop():\n  stopj({deceleration})\nend\n")
 
@@ -248,7 +249,7 @@ class UniversalRobot:
         finally:
             link.close()
 
-    def _told(self, told: Any) -> Sample:
-        sent = self._sent.get(told["output_int_register_24"])
+    def _sample(self, values: Any) -> Sample:
+        sent = self._sent.get(values["output_int_register_24"])
         age = time.monotonic() - sent if sent is not None and self._following else None
-        return self._arm.sample(told, following=self._following, age=age)
+        return self._arm.sample(values, following=self._following, age=age)

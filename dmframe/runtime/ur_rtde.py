@@ -1,12 +1,12 @@
-"""A driver for arms of Universal Robots by the package ur_rtde, which is asked for when it is used.
+"""Driver of Universal Robots' arms by the optional package ur_rtde. Not tested on hardware.
 
-It was tried on no hardware. `dmframe.runtime.ur` is the better one where nothing else asks for this package, which
+Prefer `dmframe.runtime.ur`, unless this package is required. The package
 
-- goes on with the last speed when its program is killed, unless its watchdog is set: `begin` sets it, to five periods;
-- checks neither whether speeds are numbers nor how many there are: `command` does;
-- tells its values one by one, so that some may be of the next sample: `read` takes them again then;
-- does not wait for the robot's clock: `read` looks for a new time stamp;
-- tells nothing of when the robot took a command: ages are not known.
+- continues with the last speed when its program is killed, unless its watchdog is set: `begin` sets it to five periods;
+- checks neither that speeds are finite nor how many there are: `command` does;
+- returns values one by one, so that some may belong to the next sample: `read` then reads them again;
+- does not wait for the robot's clock: `read` polls the time stamp;
+- does not report when the robot received a command: ages are unknown.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.errors import DriveError, LostError, MissingError
+from dmframe.runtime.arm import PATIENCE, way_time
 from dmframe.runtime.robot import Sample
-from dmframe.runtime.ur_arm import ANSWER, PATIENCE, UrArm, way_time
+from dmframe.runtime.ur_arm import ANSWER, UrArm
 
 CALLS: Final = {
     "timestamp": "getTimestamp",
@@ -34,16 +35,16 @@ CALLS: Final = {
     "safety_mode": "getSafetyMode",
     "runtime_state": "getRuntimeState",
 }
-"""By RTDE's names the methods of the receiver."""
+"""RTDE name -> method of the receiver."""
 LOOK: Final = 1 / 40
-"""How often a new sample is looked for, in periods."""
+"""Polling interval for a new sample [periods]."""
 
 
 @final
 class UrRtde:
-    """An arm by its address; parameters as of `dmframe.runtime.ur.UniversalRobot`.
+    """Driver of an arm at a network address; parameters as in `dmframe.runtime.ur.UniversalRobot`.
 
-    Where the watchdog of ur_rtde ends its script, the maker's controller stops the arm, and how hard is its choice.
+    If the watchdog of ur_rtde ends its script, the robot's controller stops the arm with its own deceleration.
     """
 
     def __init__(
@@ -77,60 +78,61 @@ class UrRtde:
             The arm's cycle does not divide the period.
         """
         module = _module("rtde_receive")
-        self._receive = self._asked(module.RTDEReceiveInterface, self._host, 1 / self.period)
+        self._receive = self._call(module.RTDEReceiveInterface, self._host, 1 / self.period)
         first, second = (self._newest(self._answer)["timestamp"] for _ in range(2))
         self._arm.check_period(first, second)
 
     def read(self) -> Sample:
-        """See `Robot`; where no sample comes in time, it is lost."""
+        """See `Robot`."""
         return self._arm.sample(self._newest(self._patience), following=self._following, age=None)
 
     def begin(self) -> None:
-        """Have the package send its script, where that was not done for a way, and set the watchdog.
+        """Start the package's script, unless it runs, and set the watchdog.
 
         Raises
         ------
         DriveError
-            A joint that the graph holds is elsewhere, so that its tool is, too.
+            A held joint is not at the graph's angle, so that the tool position differs.
         """
         self._arm.check_held(self._newest(self._answer)["actual_q"])
         control = self._controlled()
-        if not self._asked(control.setWatchdog, 1 / (PATIENCE * self.period)):
+        if not self._call(control.setWatchdog, 1 / (PATIENCE * self.period)):
             raise LostError(f"{self.name}: the watchdog could not be set")
         self._following = True
         self._arm.begin()
 
     def command(self, dq: np.ndarray) -> None:
-        """See `Robot`. Raises `DriveError` for what is no speed of each joint, which the package would send."""
-        if dq.shape != (self._arm.n,) or not np.isfinite(dq).all():
-            raise DriveError(f"{self.name}: expected {self._arm.n} finite speeds, found {dq.tolist()}")
+        """See `Robot`. Raises `DriveError` for a wrong number of speeds, or one that is not finite."""
+        n = len(self._arm.places)
+        if dq.shape != (n,) or not np.isfinite(dq).all():
+            raise DriveError(f"{self.name}: expected {n} finite speeds, found {dq.tolist()}")
         control = self._controlled()
-        if not self._asked(control.speedJ, self._arm.speeds(dq).tolist(), self._acceleration, self.period):
-            raise LostError(f"{self.name}: its script takes no speeds any more")
+        if not self._call(control.speedJ, self._arm.speeds(dq).tolist(), self._acceleration, self.period):
+            raise LostError(f"{self.name}: its script does not accept speeds any more")
 
     def move(self, q: np.ndarray, speed: float, acceleration: float, watched: Callable[[Sample], bool]) -> None:
-        """By the package's own `moveJ`, which returns at once; samples tell when it is over."""
+        """See `Robot`; uses the package's asynchronous `moveJ`."""
         now, goal = np.array(self._newest(self._answer)["actual_q"]), self._arm.pose(q)
-        self._asked(self._controlled().moveJ, goal.tolist(), speed, acceleration, True)
+        self._call(self._controlled().moveJ, goal.tolist(), speed, acceleration, True)
         most = way_time(now, goal, speed, acceleration)
         for _ in range(round(most / self.period)):
-            told = self._newest(self._answer)
-            if watched(self._arm.sample(told, following=False, age=None)):
+            values = self._newest(self._answer)
+            if watched(self._arm.sample(values, following=False, age=None)):
                 return
-            if np.max(np.abs(np.array(told["target_q"]) - goal)) < 1e-4:
+            if np.max(np.abs(np.array(values["target_q"]) - goal)) < 1e-4:
                 self._arm.begin()
                 return
-        raise LostError(f"{self.name}: expected to be at the start within {most:.0f} s, and is not")
+        raise LostError(f"{self.name}: the motion to the start did not end within {most:.0f} s")
 
     def stop(self, deceleration: float) -> None:
-        """See `Robot`; then the package's script is ended."""
+        """See `Robot`; ends the package's script, too."""
         control, following = self._control, self._following
         self._following = False
-        if control is None:  # nothing of ours runs there
+        if control is None:  # no script was started
             return
-        if self._asked(control.isProgramRunning):
-            self._asked(control.speedStop if following else control.stopJ, deceleration)
-            self._asked(control.stopScript)
+        if self._call(control.isProgramRunning):
+            self._call(control.speedStop if following else control.stopJ, deceleration)
+            self._call(control.stopScript)
 
     def close(self) -> None:
         """See `Robot`."""
@@ -143,26 +145,26 @@ class UrRtde:
     def _controlled(self) -> Any:
         if self._control is None:
             module = _module("rtde_control")
-            self._control = self._asked(module.RTDEControlInterface, self._host)
+            self._control = self._call(module.RTDEControlInterface, self._host)
         return self._control
 
     def _newest(self, patience: float) -> Mapping[str, Any]:
-        """All values of a sample that was not told before. Raises `LostError` where none comes."""
+        """Values of a new sample. Raises `LostError` after the timeout."""
         receive = self._receive
         if receive is None:
             raise LostError(f"{self.name}: there is no connection")
         until = time.monotonic() + patience
         while True:
-            told = {name: self._asked(getattr(receive, call)) for name, call in CALLS.items()}
-            if told["timestamp"] > self._stamp and self._asked(receive.getTimestamp) == told["timestamp"]:
-                self._stamp = told["timestamp"]
-                return told
+            values = {name: self._call(getattr(receive, call)) for name, call in CALLS.items()}
+            if values["timestamp"] > self._stamp and self._call(receive.getTimestamp) == values["timestamp"]:
+                self._stamp = values["timestamp"]
+                return values
             if time.monotonic() > until or not receive.isConnected():
                 raise LostError(f"no sample for {patience * 1e3:.0f} ms")
             time.sleep(LOOK * self.period)
 
-    def _asked(self, call: Callable[..., Any], *given: Any) -> Any:
-        """What the package answers. Raises `LostError` for what it raises."""
+    def _call(self, call: Callable[..., Any], *given: Any) -> Any:
+        """Call a function of the package. Raises `LostError` for its exceptions."""
         try:
             return call(*given)
         except RuntimeError as error:

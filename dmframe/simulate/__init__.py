@@ -1,4 +1,4 @@
-"""Running a diagram."""
+"""Simulation of a diagram."""
 
 from dmframe.simulate.bounds import Divergence
 from dmframe.simulate.keep import Log

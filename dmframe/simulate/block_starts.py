@@ -1,4 +1,4 @@
-"""Where blocks say that their states start, as expressions, and in which order these can be evaluated."""
+"""Initial states stated by blocks, as expressions, in an order in which they can be evaluated."""
 
 from __future__ import annotations
 
@@ -8,46 +8,49 @@ from typing import Any
 
 import casadi as ca
 
-from dmframe.block.faults import told_by
+from dmframe.block.faults import fault_context
+from dmframe.block.steady import hold_steady
 from dmframe.certificate import SX
 from dmframe.diagram import Diagram, Variable
 from dmframe.diagram.closed_loop import columns, stack
-from dmframe.diagram.view import view
+from dmframe.diagram.view import stated_start, view
 from dmframe.errors import BlockError, StartError, listed
 
 Made = dict[tuple[str, ...], Any]
-"""Expressions and functions that serve every set of numbers of one diagram."""
+"""Cache of expressions and functions shared by all parameter values of a diagram."""
 
 
 def once(made: Made, key: tuple[str, ...], make: Callable[[], Any]) -> Any:
-    """What is made already under this key, or is made now."""
+    """Cached value of a key, made on first use."""
     if key not in made:
         made[key] = make()
     return made[key]
 
 
 def said_by(diagram: Diagram, block: str, made: Made) -> Mapping[str, Any]:
-    """What a block says of its start, as expressions."""
+    """Initial states stated by a block, as expressions."""
 
-    def ask() -> Mapping[str, Any]:
+    def evaluate() -> Mapping[str, Any]:
         try:
-            return _asked(diagram, block)
+            return _stated(diagram, block)
         except BlockError as fault:
             fault.path = fault.path or ("blocks", block)
             raise
 
-    found: Mapping[str, Any] = once(made, ("said", block), ask)
+    found: Mapping[str, Any] = once(made, ("said", block), evaluate)
     return found
 
 
-def _asked(diagram: Diagram, block: str) -> Mapping[str, Any]:
+def _stated(diagram: Diagram, block: str) -> Mapping[str, Any]:
     seen, states = view(diagram, block), diagram.models[block].states
-    with told_by(block, "start()"):
+    with fault_context(block, "start()"):
         said = diagram.blocks[block].composed_start(seen.u, seen.p, seen.truth)
     if not isinstance(said, Mapping):
         raise BlockError(f"{block}: expected start() to return starts by state, found {type(said).__name__}")
+    first = {f"start of {name}": value for name, value in said.items()}
+    hold_steady(block, diagram.blocks[block], "start() states", first, lambda other: stated_start(other, seen))
     for name in states.keys() & said.keys():
-        with told_by(block, f"start() of {name}"):
+        with fault_context(block, f"start() of {name}"):
             found, expected = ca.SX(said[name]).numel(), states[name].numel()
         if found != expected:
             raise BlockError(f"{block}: expected start() to give {name} {expected} numbers, found {found}")
@@ -55,12 +58,12 @@ def _asked(diagram: Diagram, block: str) -> Mapping[str, Any]:
 
 
 def has_start(diagram: Diagram, variable: Variable, made: Made) -> bool:
-    """True for a state whose block says where it starts."""
+    """True for a state whose block states its initial value."""
     return variable.name in said_by(diagram, variable.block, made)
 
 
 def in_order(diagram: Diagram, waiting: Sequence[Variable], made: Made) -> Iterator[tuple[Variable, SX | None]]:
-    """Open states with what their blocks say, in the leaves of states, those first on which others depend."""
+    """Undetermined states with the stated expressions, ordered by dependency."""
     said = dict[str, SX | None]()
     for variable in waiting:
         stated = said_by(diagram, variable.block, made).get(variable.name)
@@ -78,23 +81,23 @@ def in_order(diagram: Diagram, waiting: Sequence[Variable], made: Made) -> Itera
         if not free:
             names = listed([variable.label for variable in open_states])
             path = ("blocks", open_states[0].block)
-            raise StartError(f"start: {names} each wait for another's start; give one of them under start", path=path)
+            raise StartError(f"start: {names} depend on each other's start; give one of them under start", path=path)
         for variable in free:
             yield variable, said[variable.label]
         open_states = [variable for variable in open_states if variable not in free]
 
 
 def _joined(diagram: Diagram, expression: Any) -> Any:
-    """What a block says, in states, parameters, time, what is drawn, and T."""
+    """Stated expression in states, parameters, time, random numbers and T."""
     loop = diagram.loop
     resolver = diagram.resolver
-    leaves, meanings = columns([*resolver.trajectories.values(), *resolver.ahead.values()])  # some for this start alone
+    leaves, meanings = columns([*resolver.trajectories.values(), *resolver.ahead.values()])  # some only for this start
     (joined,) = loop.joined([ca.substitute(loop.on_path(expression), leaves, meanings)])
     return ca.vec(joined)
 
 
 def at_start(diagram: Diagram, joined: Any, known: Sequence[Variable]) -> Any:
-    """(t, p, known states as one column, what is drawn, T) -> what a block says."""
+    """(t, p, known states as one column, random numbers, T) -> stated initial value."""
     loop = diagram.loop
     inputs = [loop.time, loop.p, stack(v.symbol for v in known), loop.drawn, loop.period]
     return ca.Function("at_start", inputs, [joined])

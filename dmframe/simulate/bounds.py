@@ -1,4 +1,4 @@
-"""Where a run is no longer one of a robot: it left the finite numbers, or went beyond any joint's speed."""
+"""Divergence of a run: non-finite states, or states beyond physical bounds."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from dmframe.port import Side
 from dmframe.units import plain
 
 TIMES: Final = 100.0
-"""Of a joint's velocity limit: beyond it a run has blown up, though its numbers are finite still."""
+"""Multiple of a joint's velocity limit that counts as divergence."""
 LARGEST: Final = 1e10
-"""Of any state that is kept, in its own unit."""
+"""Bound of any other state, in its unit."""
 
 
 @final
 @dataclass(frozen=True)
 class Divergence:
-    """Where a run blew up first, or moved too fast for the integrator: `how` says which."""
+    """First divergence of a run, or failure of the integrator, as described by `how`."""
 
     block: str
     state: str
@@ -35,9 +35,9 @@ class Divergence:
 
 
 def bounds_of(diagram: Diagram) -> np.ndarray:
-    """How large each state may get, the controller's first, as one column.
+    """Bounds of all states, the controller's first, as one column.
 
-    A joint's velocity: `TIMES` the limit that the robot's file states. Any other state: `LARGEST`.
+    Joint velocities: `TIMES` the limit in the robot's file. Other states: `LARGEST`.
     """
     loop, robot = diagram.loop, diagram.robot
     parts = [np.zeros(0)]
@@ -52,7 +52,7 @@ def bounds_of(diagram: Diagram) -> np.ndarray:
 
 
 def beyond(diagram: Diagram, state: np.ndarray, bounds: np.ndarray, time: float) -> Divergence:
-    """Which state of those after a tick has left its bound; a number that is not finite goes before others."""
+    """First state beyond its bound after a tick; non-finite states take precedence."""
     wild = np.flatnonzero(~np.isfinite(state))
     row = int((wild if wild.size else np.flatnonzero(np.abs(state) > bounds))[0])
     variable, element = located(diagram, row)
@@ -60,7 +60,7 @@ def beyond(diagram: Diagram, state: np.ndarray, bounds: np.ndarray, time: float)
 
 
 def located(diagram: Diagram, row: int) -> tuple[Variable, int]:
-    """The state that a row of the loop's state belongs to, and its element there."""
+    """State variable and element of a row of the loop's state."""
     for variable in diagram.loop.variables:
         if row < variable.symbol.numel():
             return variable, row

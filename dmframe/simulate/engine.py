@@ -1,4 +1,4 @@
-"""The engines that run a closed loop: one written out as C and compiled, one interpreted by CasADi."""
+"""Engines that run a closed loop: compiled C code, or the CasADi interpreter."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ import numpy as np
 from dmframe.build import first_time, load
 from dmframe.build.library import address
 from dmframe.build.trial import called
-from dmframe.codegen import loop_source
 from dmframe.diagram.rosenbrock import ROS34PW2
 from dmframe.errors import EngineError, ValueFault
 from dmframe.simulate.step import FIXED, Solver, Step
@@ -23,14 +22,14 @@ from dmframe.simulate.step import FIXED, Solver, Step
 Choice = Literal["auto", "compiled", "interpreted"]
 
 WORTH = 50_000_000
-"""Instructions that a run must take for `auto` to compile it: a fraction of a second when interpreted."""
+"""Instructions of a run above which `auto` compiles it; a fraction of a second when interpreted."""
 
 CHUNK = 256
-"""Ticks that the interpreter computes in one call."""
+"""Ticks per call of the interpreter."""
 
 
 class Stuck(Exception):
-    """An adaptive integrator gave up; `done` ticks of the chunk were computed."""
+    """Failure of an adaptive integrator after `done` ticks of the chunk."""
 
     def __init__(self, done: int, reason: str) -> None:
         super().__init__(reason)
@@ -38,34 +37,34 @@ class Stuck(Exception):
 
 
 class Engine(Protocol):
-    """Something that advances a closed loop."""
+    """Protocol of an engine that advances a closed loop."""
 
     @property
     def step(self) -> Step:
-        """The tick that it computes."""
+        """Functions of a tick."""
 
     @property
     def name(self) -> str:
-        """As `Recording.engine` tells it."""
+        """Name in `Recording.engine`."""
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """What a user should know of the choice."""
+        """Warnings about the choice of the engine."""
 
     @property
     def elastic(self) -> bool:
-        """True for one that can compute any number of ticks in a call."""
+        """True if a call may compute any number of ticks."""
 
     def advance(self, state: np.ndarray, p: np.ndarray, first: int, ticks: int, rows: np.ndarray) -> int:
-        """Advance `state` in place by `ticks` ticks, and write what is kept to `rows`.
+        """Advance `state` in place by `ticks` ticks, and write the recorded values to `rows`.
 
-        Returns how many ticks ended with a state within bounds: the next one's is left where that is fewer. Of no
-        ticks at all, the one row of `first` is written.
+        Returns the number of ticks that ended within bounds; if it is smaller, `state` is that after the next one. With
+        zero ticks, the row of `first` is written.
         """
 
 
 def choose(choice: Choice, step: Step, solver: Solver, every: int, kept: np.ndarray, ticks: int) -> Engine:
-    """The engine for a run of so many ticks, or of several that are so many together."""
+    """Select the engine for one or several runs with `ticks` ticks in total."""
     if choice not in get_args(Choice):
         raise ValueFault(f"engine: expected {', '.join(get_args(Choice))}, found {choice!r}", path=("engine",))
     wanted = choice == "compiled" or (choice == "auto" and solver.method in FIXED and worth(step, ticks))
@@ -86,7 +85,7 @@ def choose(choice: Choice, step: Step, solver: Solver, every: int, kept: np.ndar
 
 
 def worth(step: Step, ticks: int) -> bool:
-    """True for so many ticks that compiling them saves time."""
+    """True if compiling saves time for this number of ticks."""
     return ticks * _work(step) > WORTH
 
 
@@ -103,6 +102,8 @@ def _work(step: Step) -> int:
 
 
 def _compiled(step: Step) -> tuple[Any, str | None]:
+    from dmframe.codegen import loop_source  # deferred: not needed by the interpreter
+
     try:
         loaded = load(loop_source(step.parts, implicit=step.implicit), lambda library: _works(library, step))
     except EngineError as error:
@@ -115,26 +116,26 @@ def _compiled(step: Step) -> tuple[Any, str | None]:
 
 
 SCALES: Final = (1.0, 1e-3, 1e-6)
-"""Of the states at which a new library is tried, each another number; the first that stays tame."""
+"""Scales of the test states of a new library; the first one with moderate results is used."""
 LAST_DIGITS: Final = 1e-11
-"""By how much the states differ from which it is told what rounding does."""
+"""Relative perturbation of states that measures the effect of rounding."""
 TAME: Final = 1e9
-"""Below it an interpreter's numbers are compared with."""
+"""Limit of moderate results."""
 
 
 def _works(library: Path, step: Step) -> bool:
-    """True where a new library gives the interpreter's numbers, over one tick from a random state."""
+    """Compare a new library with the interpreter over one tick from a random state."""
     parts = step.parts
-    period = float(step.period) * 1e-3  # so short that nothing blows up
+    period = float(step.period) * 1e-3  # short, to avoid divergence
     count = parts.outputs.numel_out(0)
     brief = step.with_period(period)
     given = brief.instants.rows(0, 1)
-    for scale in SCALES:  # a law that takes differences over a period makes large numbers of far ones, and rounding
+    for scale in SCALES:  # differences over a short period amplify large states and rounding
         rng = np.random.default_rng(0)
         state, p = (rng.uniform(0.5, 1.5, parts.sample.numel_in(place)) for place in (0, 4))
         state *= scale
-        told = brief.tick(state, given, p)
-        if max(float(np.max(np.abs(item.full()), initial=0.0)) for item in told[:2]) < TAME:
+        expected = brief.tick(state, given, p)
+        if max(float(np.max(np.abs(item.full()), initial=0.0)) for item in expected[:2]) < TAME:
             break
     kept = (state.size + np.arange(count)).tolist()
     found = called(
@@ -158,15 +159,15 @@ def _works(library: Path, step: Step) -> bool:
     return alike([found[0][: state.size], found[3][:count]], lambda x: brief.tick(x, given, p)[:2], state)
 
 
-def alike(found: Sequence[Any], told: Callable[[np.ndarray], Sequence[Any]], state: np.ndarray) -> bool:
-    """True where a new library gives the interpreter's numbers, but for what rounding does to them.
+def alike(found: Sequence[Any], reference: Callable[[np.ndarray], Sequence[Any]], state: np.ndarray) -> bool:
+    """Compare the results of a new library with those of the interpreter, up to rounding.
 
-    How much that is, the interpreter tells, from states that differ in their last digits: at a random state, where what
-    should be positive is not, a law may lose most of them.
+    The effect of rounding is measured with the interpreter at perturbed states: at a random state, a law may be badly
+    conditioned.
     """
     rng = np.random.default_rng(1)
-    shaken = [told(state * (1 + LAST_DIGITS * rng.uniform(-1, 1, state.size))) for _ in range(3)]
-    for place, theirs in enumerate(item.full().ravel() for item in told(state)):
+    shaken = [reference(state * (1 + LAST_DIGITS * rng.uniform(-1, 1, state.size))) for _ in range(3)]
+    for place, theirs in enumerate(item.full().ravel() for item in reference(state)):
         mine, others = np.asarray(found[place]), [item[place].full().ravel() for item in shaken]
         with np.errstate(invalid="ignore"):
             lost = np.nan_to_num(np.max(np.abs(others - theirs), axis=0, initial=0.0))
@@ -179,7 +180,7 @@ def alike(found: Sequence[Any], told: Callable[[np.ndarray], Sequence[Any]], sta
 @final
 @dataclass(frozen=True)
 class Compiled:
-    """Machine code; it runs without Python's lock, so that several threads may run at once."""
+    """Compiled engine; releases the GIL, so that several threads can run."""
 
     step: Step
     kept: np.ndarray
@@ -213,7 +214,7 @@ class Compiled:
 
 @final
 class Chunk:
-    """Some ticks as one function, called without converting arrays."""
+    """Function of several ticks, called without array conversion."""
 
     def __init__(self, tick: Any, ticks: int) -> None:
         begin, p = (ca.MX.sym(name, tick.numel_in(i)) for i, name in ((0, "begin"), (2, "p")))
@@ -230,10 +231,7 @@ class Chunk:
         self._buffer.set_res(1, self._recorded.data)
 
     def __call__(self, state: np.ndarray, given: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """States from `state` on, and what is recorded there, a row a tick; overwritten by the next call.
-
-        There is one state more than is recorded.
-        """
+        """States (one more than ticks) and recorded outputs, one row a tick; overwritten by the next call."""
         for array, value in zip(self._given, (state, given.ravel(), p), strict=True):
             array[:] = value
         self._states[0] = state
@@ -244,7 +242,7 @@ class Chunk:
 @final
 @dataclass(frozen=True)
 class Interpreted:
-    """CasADi's own virtual machine."""
+    """CasADi interpreter."""
 
     step: Step
     kept: np.ndarray
@@ -256,7 +254,7 @@ class Interpreted:
 
     @cached_property
     def whole(self) -> bool:
-        """True where everything is kept."""
+        """True if everything is recorded."""
         size = self.step.tick.numel_out(0) + self.step.tick.numel_out(1)
         return np.array_equal(self.kept, np.arange(size))
 
@@ -269,13 +267,13 @@ class Interpreted:
             self.chunks[ticks] = Chunk(self.step.tick, ticks)
         try:
             states, recorded = self.chunks[ticks](state, self.step.instants.rows(first, ticks), p)
-        except RuntimeError as error:  # CasADi's, for an adaptive integrator that gives up
+        except RuntimeError as error:  # raised by CasADi if an adaptive integrator fails
             states = self._singly(state, p, first, ticks)
             self._keep(states, self._observed(states, p, first), first, rows)
             state[:] = states[-1]
             raise Stuck(len(states) - 1, str(error).strip().splitlines()[-1]) from None
         done = ticks
-        sound = np.all(np.abs(states[1:]) <= self.step.bounds, axis=1)  # false for nan, too
+        sound = np.all(np.abs(states[1:]) <= self.step.bounds, axis=1)  # False for NaN
         if not np.all(sound):
             done = int(np.argmin(sound))
         count = max(1, min(ticks, done + 1))
@@ -284,7 +282,7 @@ class Interpreted:
         return done
 
     def _singly(self, state: np.ndarray, p: np.ndarray, first: int, ticks: int) -> np.ndarray:
-        """Go again through the ticks of a chunk that failed, up to the one that cannot be computed."""
+        """Repeat a failed chunk tick by tick, up to the failing one."""
         states = [state.copy()]
         try:
             for given in self.step.instants.rows(first, ticks):
@@ -294,12 +292,12 @@ class Interpreted:
         return np.stack(states)
 
     def _observed(self, states: np.ndarray, p: np.ndarray, first: int) -> np.ndarray:
-        """What is recorded at states, a row each, of the ticks from `first` on."""
+        """Recorded outputs at states, one row each, for the ticks from `first` on."""
         given = self.step.instants.rows(first, len(states))
         return np.stack([self.step.outputs(x, row, p).full().ravel() for x, row in zip(states, given, strict=True)])
 
     def _keep(self, states: np.ndarray, recorded: np.ndarray, first: int, rows: np.ndarray) -> None:
-        """Write what is kept of these ticks, a row each."""
+        """Write the recorded values of these ticks to `rows`."""
         wanted = slice(-first % self.every, None, self.every)
         both = np.hstack([states[: len(recorded)][wanted], recorded[wanted]])
         rows[: len(both)] = both if self.whole else both[:, self.kept]

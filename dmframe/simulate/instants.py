@@ -1,4 +1,4 @@
-"""What each tick is given from outside: its time, its length, and what is drawn for it."""
+"""External inputs of each tick: time, length and random numbers."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from dmframe.errors import ValueFault
 from dmframe.units import plain
 
 TIME, LENGTH, DRAWN = 0, 1, 2
-"""Columns of a row: t [s], the time to the next tick [s], and from there on the numbers that are drawn."""
+"""Columns of a row: t [s], the time to the next tick [s], and random numbers from there on."""
 
 _BLOCK: Final = 1024
-"""Ticks whose numbers are drawn together, each block from a stream of its own: any can be had without the others."""
+"""Ticks with a common random stream, so that each block can be generated independently."""
 
 
 def seed_fault(value: object) -> str:
-    """What is wrong with a seed; empty for one that can be taken."""
+    """Error text of an invalid seed; empty for a valid one."""
     if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 2**64:
         return ""
     return f"expected a whole number from 0 to 2^64 - 1, found {value!r}"
@@ -30,9 +30,9 @@ def seed_fault(value: object) -> str:
 @final
 @dataclass(frozen=True)
 class Instants:
-    r"""The ticks of a run, a row each, the same whatever engine asks for them and in whatever portions.
+    r"""Inputs of the ticks of a run, one row each, independent of engine and chunk size.
 
-    The k-th begins at :math:`t_k = k T + \mathrm{jitter}\, u_k`, with :math:`u_k` uniform from -1 to 1 and
+    Tick k begins at :math:`t_k = k T + \mathrm{jitter}\, u_k`, with :math:`u_k` uniform from -1 to 1 and
     :math:`t_0 = 0`, and lasts to the next.
 
     Parameters
@@ -40,11 +40,11 @@ class Instants:
     period
         T [s].
     drawn
-        The distribution of each drawn number: ``normal`` or ``uniform``.
+        Distribution of each random number: ``normal`` or ``uniform``.
     seed
-        Decides every number.
+        Seed of all random numbers.
     jitter
-        How much earlier or later than on a perfect clock a tick may begin [s].
+        Largest deviation of a tick from the ideal clock [s].
     """
 
     period: float
@@ -53,7 +53,7 @@ class Instants:
     jitter: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse a seed that is none, and ticks that could change places."""
+        """Check the seed, and that jitter keeps the order of ticks."""
         if text := seed_fault(self.seed):
             raise ValueFault(f"seed: {text}", path=("seed",))
         if not (math.isfinite(self.jitter) and 0 <= self.jitter < self.period / 2):
@@ -65,18 +65,18 @@ class Instants:
 
     @classmethod
     def of(cls, loop: ClosedLoop, period: float, seed: int = 0, jitter: float = 0.0) -> Instants:
-        """Those of a closed loop."""
+        """Instants of a closed loop."""
         drawn = (noise.distribution for noise in loop.noises for _ in range(noise.symbol.numel()))
         return cls(period, tuple(drawn), seed, jitter)
 
     @property
     def longest(self) -> float:
-        """The longest that a tick may last [s]."""
+        """Longest tick [s]."""
         return self.period + 2 * self.jitter
 
     @property
     def width(self) -> int:
-        """How many numbers a row has."""
+        """Length of a row."""
         return DRAWN + len(self.drawn)
 
     def rows(self, first: int, ticks: int) -> np.ndarray:
@@ -91,7 +91,7 @@ class Instants:
         return rows
 
     def times(self, ticks: np.ndarray) -> np.ndarray:
-        """When ticks begin [s]."""
+        """Start times of ticks [s]."""
         times = ticks * self.period
         if not self.jitter:
             return times
@@ -99,7 +99,7 @@ class Instants:
         return np.asarray(times + np.where(ticks == 0, 0.0, self.jitter * early))
 
     def _random(self, ticks: np.ndarray) -> np.ndarray:
-        """The numbers of some ticks: one for the jitter, then what is drawn."""
+        """Random numbers of ticks: jitter, then signals."""
         found = np.empty((len(ticks), 1 + len(self.drawn)))
         blocks = ticks // _BLOCK
         for block in np.unique(blocks):
@@ -110,7 +110,7 @@ class Instants:
 
 @functools.lru_cache(maxsize=16)
 def _of_block(seed: int, block: int, drawn: tuple[str, ...]) -> np.ndarray:
-    """All random numbers of a block of ticks, a row each."""
+    """Random numbers of a block of ticks, one row each."""
     random = np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, 0, block]))
     numbers = np.column_stack(
         [

@@ -1,4 +1,4 @@
-"""What a run keeps: which signals, and how often."""
+"""Recording of a run: selected signals and instants."""
 
 from __future__ import annotations
 
@@ -12,39 +12,39 @@ import numpy as np
 from dmframe.diagram import Diagram, Variable
 from dmframe.diagram.closed_loop import ClosedLoop, Signal
 from dmframe.errors import EngineError, UnknownNameError, ValueFault, raise_all
-from dmframe.simulate.told import telling
+from dmframe.simulate.warnings import warning_signals
 
 MOST_NUMBERS = 500_000_000
-"""Numbers that a run keeps at most; 4 GB."""
+"""Maximum number of recorded values; 4 GB."""
 
 PLENTY = 20_000_000
-"""Where nothing says how often to keep, a longer run keeps fewer instants, so that this many numbers do: 160 MB."""
+"""Default limit of recorded values, 160 MB: longer runs record fewer instants."""
 
 
 APART: Final = "R_apart"
-"""What blocks call the square of the distance between a tool's orientation and the desired one."""
+"""Port name of the squared distance between actual and desired tool orientation."""
 
 
 @final
 @dataclass(frozen=True)
 class Log:
-    """What is asked to be kept.
+    """Requested recording.
 
     Parameters
     ----------
     every
-        The time between instants that are kept [s], rounded to whole ticks. None: every tick, or, where that were more
-        than `PLENTY` numbers, as often as these allow.
+        Time between recorded instants [s], rounded to whole ticks. None: every tick, or as often as `PLENTY` values
+        allow.
     signals
-        Labels ``block.signal`` of states and outputs; None for all but states that are not `recorded`. A trajectory and
-        what should follow it are kept always, for the error, and so is how far the tool is turned from its orientation.
+        Labels ``block.signal`` of states and outputs; None for all except states that are not `recorded`. Desired and
+        actual goal signals and the orientation error are always recorded.
     """
 
     every: float | None = None
     signals: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a time that is none."""
+        """Check the time."""
         if self.every is not None and not (math.isfinite(self.every) and self.every > 0):
             raise ValueFault(f"log.every: expected a positive time, found {self.every}", path=("log", "every"))
 
@@ -52,16 +52,16 @@ class Log:
 @final
 @dataclass(frozen=True)
 class Keeping:
-    """A run's log in numbers.
+    """Resolved `Log`.
 
     Parameters
     ----------
     every
-        Ticks from one kept instant to the next.
+        Ticks between recorded instants.
     kept
-        Positions in the column (states, outputs) of what is kept.
+        Recorded positions in the column (states, outputs).
     columns
-        For each kept item its part of a row.
+        Slice of a row for each recorded item.
     """
 
     every: int
@@ -70,16 +70,16 @@ class Keeping:
     notices: tuple[str, ...] = ()
 
     def rows(self, ticks: int) -> int:
-        """How many instants of the ticks 0 to `ticks` are kept."""
+        """Number of recorded instants of the ticks 0 to `ticks`."""
         return ticks // self.every + 1
 
 
 def keeping(
     diagram: Diagram, log: Log, recorded: Sequence[Signal], matrices: Sequence[Signal], period: float, ticks: int
 ) -> Keeping:
-    """Resolve a `Log`; `matrices`, whose rank is watched, are always kept, and so is what a run tells of.
+    """Resolve a `Log`; rank-monitored `matrices` and signals with warnings are always recorded.
 
-    Raises `UnknownNameError` for a signal that there is not, `EngineError` where it would be more than `MOST_NUMBERS`.
+    Raises `UnknownNameError` for an unknown signal, `EngineError` for more than `MOST_NUMBERS` values.
     """
     variables = diagram.loop.variables
     items: list[Variable | Signal] = [*variables, *recorded, *matrices]
@@ -91,7 +91,7 @@ def keeping(
         raise_all([UnknownNameError("log.signals", "signal", name, known, path=path) for name in strangers])
         wanted = {*log.signals, *(label for pair in diagram.loop.goals for label in pair[:2])}
         wanted |= {label for label in [apart_of(diagram.loop)] if label is not None}
-    wanted |= {matrix.label for matrix in matrices} | {signal.label for signal in telling(diagram)}
+    wanted |= {matrix.label for matrix in matrices} | {signal.label for signal in warning_signals(diagram)}
     kept, columns, first, width = list[np.ndarray](), list[tuple[Variable | Signal, slice]](), 0, 0
     for item in items:
         size = (item.symbol if isinstance(item, Variable) else item.expression).numel()
@@ -105,13 +105,13 @@ def keeping(
 
 
 def apart_of(loop: ClosedLoop) -> str | None:
-    """The output that says how far a tool's orientation is from the desired one, as |R - R_d|^2; None without one."""
+    """Label of the output |R - R_d|^2 (squared orientation error of a tool); None without one."""
     return next((signal.label for signal in loop.outputs if signal.name == APART and not signal.shape), None)
 
 
 def _every(log: Log, period: float, ticks: int, width: int) -> tuple[int, tuple[str, ...]]:
     if log.every is not None:
-        every = max(1, round(min(log.every / period, ticks + 1)))  # one that is longer than the run keeps its begin
+        every = max(1, round(min(log.every / period, ticks + 1)))  # if longer than the run, only the start is recorded
         if ticks // every * width > MOST_NUMBERS:
             most = MOST_NUMBERS // width
             raise EngineError(
@@ -125,5 +125,5 @@ def _every(log: Log, period: float, ticks: int, width: int) -> tuple[int, tuple[
     if every == 1:
         return 1, ()
     return every, (
-        f"a long run: of {every} instants one is kept, {every * period:g} s apart; log.every says otherwise",
+        f"a long run: one of {every} instants is recorded, every {every * period:g} s; set log.every to change it",
     )

@@ -1,11 +1,11 @@
-"""Many runs of one diagram with different numbers, on all cores of one process."""
+"""Many runs of one diagram with different parameters, on all cores of one process."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, TypeVar, overload
+from typing import Any, TypedDict, TypeVar, Unpack, overload
 
 from dmframe.block.model import SYMBOLIC
 from dmframe.diagram import Diagram
@@ -18,25 +18,27 @@ from dmframe.simulate.start import start_state
 from dmframe.simulate.step import Solver
 
 START = "start"
-"""The key of a variant that holds start values."""
+"""Key of a variant's initial values."""
 
 T = TypeVar("T")
 
 
+class Settings(TypedDict, total=False):
+    """Settings of `simulate`, and `threads`: how many runs are computed at once, by default one per core."""
+
+    clock: float | None
+    solver: Solver | None
+    start: Mapping[str, Any] | None
+    engine: Choice
+    log: Log | None
+    threads: int | None
+    seed: int
+    jitter: float
+
+
 @overload
 def simulate_many(
-    diagram: Diagram,
-    variants: Sequence[Mapping[str, Any]],
-    duration: float,
-    *,
-    clock: float | None = ...,
-    solver: Solver | None = ...,
-    start: Mapping[str, Any] | None = ...,
-    engine: Choice = ...,
-    log: Log | None = ...,
-    threads: int | None = ...,
-    seed: int = ...,
-    jitter: float = ...,
+    diagram: Diagram, variants: Sequence[Mapping[str, Any]], duration: float, **settings: Unpack[Settings]
 ) -> list[Recording | DmframeError]: ...
 @overload
 def simulate_many(
@@ -45,14 +47,7 @@ def simulate_many(
     duration: float,
     *,
     reduce: Callable[[Recording], T],
-    clock: float | None = ...,
-    solver: Solver | None = ...,
-    start: Mapping[str, Any] | None = ...,
-    engine: Choice = ...,
-    log: Log | None = ...,
-    threads: int | None = ...,
-    seed: int = ...,
-    jitter: float = ...,
+    **settings: Unpack[Settings],
 ) -> list[T | DmframeError]: ...
 def simulate_many(
     diagram: Diagram,
@@ -60,52 +55,51 @@ def simulate_many(
     duration: float,
     *,
     reduce: Callable[[Recording], Any] | None = None,
-    clock: float | None = None,
-    solver: Solver | None = None,
-    start: Mapping[str, Any] | None = None,
-    engine: Choice = "auto",
-    log: Log | None = None,
-    threads: int | None = None,
-    seed: int = 0,
-    jitter: float = 0.0,
+    **settings: Unpack[Settings],
 ) -> list[Any]:
     """Run a closed loop once for each variant; the loop is built and compiled once.
 
     Parameters
     ----------
     variants
-        Parameters by label, ``{"dynamics.Gamma": 10, "start": {"q": [...]}}``; the rest is the diagram's and `start`'s.
+        Parameters by label, ``{"dynamics.Gamma": 10, "start": {"q": [...]}}``; others are those of the diagram
+        and `start`.
     reduce
-        Makes of each run what is kept of it, so that thousands need no memory; without it the runs are kept whole.
-    threads
-        How many run at once; by default as many as the process may use cores. The interpreted engine uses one.
-    seed, jitter
-        As of `simulate`; the same numbers are drawn in every run, so that runs compare.
+        Reduces each run to a result, to save memory; without it the recordings are returned.
+    settings
+        See `Settings`. The interpreted engine uses one thread. All runs use the same random numbers, so that they can
+        be compared.
 
     Returns
     -------
     list
-        In the order of the variants: the run or what `reduce` made of it; for one that could not be run, its fault.
+        In the order of the variants: the recording, the result of `reduce`, or the fault of a failed start.
     """
+    threads, engine = settings.get("threads"), settings.get("engine", "auto")
     if threads is not None and threads < 1:
         raise ValueFault(f"threads: expected at least 1, found {threads}")
     prepared = prepare(
-        diagram, duration, clock=clock, solver=solver or Solver(), log=log or Log(), seed=seed, jitter=jitter
+        diagram,
+        duration,
+        clock=settings.get("clock"),
+        solver=settings.get("solver") or Solver(),
+        log=settings.get("log") or Log(),
+        seed=settings.get("seed", 0),
+        jitter=settings.get("jitter", 0.0),
     )
-    chosen = prepared.engine(engine, len(variants))
+    chosen, start = prepared.engine(engine, len(variants)), settings.get("start") or {}
 
     def one(variant: Mapping[str, Any]) -> Any:
         try:
             numbers = {key: value for key, value in variant.items() if key != START}
-            begin = {**(start or {}), **variant.get(START, {})}
             with SYMBOLIC:
                 varied = with_values(diagram, numbers)
-                state = start_state(varied, begin, prepared.starts, prepared.step.instants)
+                state = start_state(
+                    varied, {**start, **variant.get(START, {})}, prepared.starts, prepared.step.instants
+                )
             run = prepared.complete(varied, state, engine, shared=chosen)
-            if reduce is None:
-                return run
             with SYMBOLIC:
-                return reduce(run)
+                return run if reduce is None else reduce(run)
         except DmframeError as fault:
             return fault
 
@@ -115,9 +109,9 @@ def simulate_many(
     try:
         return list(pool.map(one, variants))
     finally:
-        pool.shutdown(cancel_futures=True)  # at Ctrl-C, those that run end, and no other begins
+        pool.shutdown(cancel_futures=True)  # at Ctrl-C, pending runs are cancelled
 
 
 def cores() -> int:
-    """How many this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,4 +1,4 @@
-"""The march through a run's ticks: what is kept, how it ended, and where it diverged."""
+"""Loop over the ticks of a run: recording, progress, interruption and divergence."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from dmframe.simulate.keep import Keeping
 from dmframe.simulate.step import Step
 
 BREATH = 0.05
-"""Progress is told, and Ctrl-C is heard, about this often [s]."""
+"""Interval between progress reports and checks for Ctrl-C [s]."""
 
 Progress = Callable[[float], None]
-"""Called with the simulated time [s] that is done."""
+"""Callback with the simulated time so far [s]."""
 
 
 @final
 class End(Enum):
-    """How the march through the ticks ended."""
+    """End of the loop over ticks."""
 
     DONE = "done"
     DIVERGED = "left its bounds"
@@ -42,11 +42,11 @@ def march(
     ticks: int,
     progress: Progress | None,
 ) -> tuple[np.ndarray, End, int]:
-    """What is kept, a row an instant, how it ended, and how many ticks are done; `state` is moved along."""
+    """Run the ticks; returns recorded rows, end and number of ticks done; `state` is updated in place."""
     every = keeping.every
     rows = np.empty((keeping.rows(ticks), keeping.kept.size))
     done, size, end = 0, CHUNK, End.DONE
-    before = (0, state.copy())  # a chunk's number and state together: Ctrl-C may come between any two lines
+    before = (0, state.copy())  # one tuple, since Ctrl-C may interrupt between any two statements
     try:
         while done < ticks:
             begin, wanted = time.perf_counter(), min(size, ticks - done)
@@ -72,7 +72,7 @@ def march(
 
 
 def _fastest(step: Step, state: np.ndarray, t: float, p: np.ndarray) -> int:
-    """The state of the plant, as a row of all, that moves fastest in proportion to its size."""
+    """Row of the plant state with the largest relative rate."""
     rate = step.rate(state, t, p).full().ravel()
     first = int(state.size - rate.size)
     speed = np.abs(rate) / (1e-6 + np.abs(state[first:]))
@@ -82,7 +82,7 @@ def _fastest(step: Step, state: np.ndarray, t: float, p: np.ndarray) -> int:
 def divergence_of(
     diagram: Diagram, step: Step, end: End, done: int, state: np.ndarray, p: np.ndarray
 ) -> Divergence | None:
-    """Where and how a run left its bounds, or its integrator failed; None where neither is so."""
+    """Divergence or integrator failure of a run, if any."""
     if end is End.DIVERGED:
         return beyond(diagram, state, step.bounds, (done + 1) * step.period)
     if end is not End.FAILED:

@@ -1,4 +1,4 @@
-r"""How close a matrix that must keep its rank came to losing it."""
+r"""Rank monitoring: smallest singular values of matrices along a run."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal
 
 NEAR = 0.02
-"""A matrix is near rank loss where its smallest singular value is below this share of its largest."""
+"""Ratio of smallest to largest singular value below which a matrix is near rank loss."""
 
 
 @final
@@ -25,13 +25,13 @@ class Rank:
     signal
         ``block.port`` of the matrix.
     unit
-        Of its singular values.
+        Unit of the singular values.
     smallest, time
         :math:`s_{min}` where :math:`s_{min} / s_{max}` is least, and when [s].
     share
         :math:`s_{min} / s_{max}` there, between 0 and 1.
     since
-        When the share first fell below `NEAR` [s]; None where it never did.
+        Time at which the ratio first fell below `NEAR` [s]; None if it did not.
     """
 
     signal: str
@@ -43,18 +43,18 @@ class Rank:
 
     @property
     def notice(self) -> str | None:
-        """What a run says of it, where it is near rank loss."""
+        """Warning of a run if the matrix is near rank loss."""
         if self.since is None:
             return None
         return (
             f"{self.signal} is near rank loss from t = {self.since:.6g} s: its smallest singular value falls to "
             f"{self.smallest:.3g} {self.unit} at t = {self.time:.6g} s, {self.share:.2g} of its largest; "
-            "a reference that inverts it asks for joint velocities as large as that is small"
+            "a reference that inverts it commands correspondingly large joint velocities"
         )
 
 
 def watched(diagram: Diagram) -> list[Signal]:
-    """The matrices of a diagram that must keep full row rank."""
+    """Matrices of a diagram that require full row rank."""
     ports = {
         f"{name}.{port.name}" for name, block in diagram.blocks.items() for port in block.outputs if port.full_rank
     }
@@ -62,12 +62,12 @@ def watched(diagram: Diagram) -> list[Signal]:
 
 
 def ranks(matrices: Sequence[Signal], columns: Mapping[str, np.ndarray], times: np.ndarray) -> tuple[Rank, ...]:
-    """What each matrix came to.
+    """Smallest singular value of each matrix along a run.
 
     Parameters
     ----------
     columns
-        By label: (N, rows columns), each row a matrix, column by column; rows that are not finite are passed over.
+        By label: (N, rows columns), each row a matrix, column-major; non-finite rows are skipped.
     times
         (N,) [s].
     """
@@ -87,12 +87,12 @@ def ranks(matrices: Sequence[Signal], columns: Mapping[str, np.ndarray], times: 
 
 
 def _shares(matrices: np.ndarray) -> tuple[np.ndarray, float]:
-    """Smallest over largest singular value of each matrix, and the smallest singular value where that is least.
+    """Ratio of smallest to largest singular value of each matrix, and the smallest one at the least ratio.
 
-    Only near the least one, and near the limit, is a decomposition needed; elsewhere an estimate will do.
+    Decompositions are computed near the least ratio and near the limit only; elsewhere an estimate suffices.
     """
     rows, width = matrices.shape[1:]
-    if rows > width:  # it never has full row rank
+    if rows > width:  # never of full row rank
         return np.zeros(len(matrices)), 0.0
     guess = _guess(matrices)
     unsure = ~((guess > np.nanmin(guess, initial=np.inf) + _DOUBT) & (np.abs(guess - NEAR**2) > _DOUBT))
@@ -104,11 +104,11 @@ def _shares(matrices: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 _DOUBT = 1e-6
-"""An estimate of a squared share is wrong by less."""
+"""Error bound of an estimated squared ratio."""
 
 
 def _guess(matrices: np.ndarray) -> np.ndarray:
-    """Squared shares from the closed form of a symmetric matrix's eigenvalues, up to 3 rows; nan for others."""
+    """Squared ratios from closed-form eigenvalues of a symmetric matrix, up to 3 rows; NaN for others."""
     rows = matrices.shape[1]
     size = np.max(np.abs(matrices), axis=(1, 2), initial=0.0)
     scaled = matrices / np.where(size > 0, size, 1.0)[:, None, None]

@@ -1,4 +1,4 @@
-"""A simulation: from a diagram to recorded signals."""
+"""Simulation of a diagram, with recorded signals."""
 
 from __future__ import annotations
 
@@ -26,27 +26,27 @@ from dmframe.simulate.rank import Rank, ranks, watched
 from dmframe.simulate.start import check_start, start_state
 from dmframe.simulate.step import FIXED, MOST_SUBSTEPS, Method, Solver, Step, build_step, substeps_of
 from dmframe.simulate.stiffness import EXPLICIT_TAKES, MOST_SLOPE, RK4_STEPS, left_out, speed_of, stiffness
-from dmframe.simulate.told import between, exceptions, telling, too_fast, unread
+from dmframe.simulate.warnings import between, exceptions, too_fast, unread, warning_signals
 from dmframe.units import plain
 
 LATER = 1.5
-"""A run that diverges this many times later at shorter steps was blamed for what its integrator did."""
+"""Factor in the time of divergence at shorter steps above which the integrator caused the divergence."""
 
 MOST_TICKS = 10_000_000_000
-"""Some hours of computing for a small loop."""
+"""Maximum number of ticks; hours of computation for a small loop."""
 
 
 @final
 @dataclass(frozen=True)
-class Beside:
-    """What was recorded beside the diagram's signals: a row an instant, or a number.
+class ExtraSignal:
+    """Recorded signal that is not a signal of the diagram: one row an instant, or a number.
 
     Parameters
     ----------
     shape
-        In letters, as of a port.
+        Shape in letters, as for a port.
     about
-        What it is, in a few words.
+        Description.
     """
 
     values: np.ndarray
@@ -58,7 +58,7 @@ class Beside:
 @final
 @dataclass(frozen=True, repr=False)
 class Recording:
-    """What a simulation recorded, up to its end or to where it diverged or was stopped.
+    """Recorded signals of a simulation, up to its end, divergence or interruption.
 
     Parameters
     ----------
@@ -67,11 +67,11 @@ class Recording:
     states, outputs
         By label ``block.name``: (N, rows) arrays.
     ranks
-        How close each matrix that must keep its rank came to losing it.
+        Smallest singular values of the rank-monitored matrices.
     beside
-        What a robot told that was driven, ``robot.sent``.
+        Additional signals such as ``robot.sent`` of a driven robot.
     drive
-        How a robot was driven, as JSON can hold it: its limits, its ramp; empty for a simulation.
+        Settings of a drive as JSON data (limits, ramp); empty for a simulation.
     """
 
     diagram: Diagram
@@ -87,12 +87,12 @@ class Recording:
     engine: str
     notices: tuple[str, ...] = field(default=())
     ranks: tuple[Rank, ...] = field(default=())
-    beside: Mapping[str, Beside] = field(default_factory=dict)
+    beside: Mapping[str, ExtraSignal] = field(default_factory=dict)
     drive: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def real_time_factor(self) -> float:
-        """Simulated seconds a second."""
+        """Simulated time over computing time."""
         return float(self.time[-1]) / self.wall_time if self.wall_time > 0 else float("inf")
 
     def __getitem__(self, label: str) -> np.ndarray:
@@ -117,7 +117,7 @@ def simulate(
     seed: int = 0,
     jitter: float = 0.0,
 ) -> Recording:
-    """Run a closed loop.
+    """Simulate a closed loop.
 
     Parameters
     ----------
@@ -126,24 +126,23 @@ def simulate(
     clock
         Sampling period of the controller [s]; None for continuous time.
     solver
-        How the plant is integrated.
+        Integrator of the plant.
     start
-        Start values by state name, ``{"q": [...]}``, or ``{"near": [...]}``; see `start_state`.
+        Initial values by state name, ``{"q": [...]}``, or ``{"near": [...]}``; see `start_state`.
     engine
-        ``compiled``, ``interpreted``, or ``auto``: compiled where the run is long enough to be worth it. They give the
-        same numbers to rounding. `Recording.engine` says which one ran.
+        ``compiled``, ``interpreted``, or ``auto``: compiled if the run is long enough. Results agree up to rounding;
+        `Recording.engine` names the engine used.
     log
-        What is kept, and how often.
+        Recorded signals and instants.
     seed
-        Decides what is drawn at random, where anything is.
+        Seed of random signals.
     jitter
-        How much earlier or later than on a perfect clock each sample may begin [s].
+        Largest deviation of a sample from the ideal clock [s].
 
     Raises
     ------
     StartError, EngineError, ValueFault
-        A start pose that cannot be reached; an integrator that fails at once or a run too long to keep; a time that is
-        not above zero.
+        If the start pose is unreachable; the integrator fails at once or the run is too long; a time is not positive.
     """
     prepared = prepare(
         diagram, duration, clock=clock, solver=solver or Solver(), log=log or Log(), seed=seed, jitter=jitter
@@ -155,7 +154,7 @@ def simulate(
 @final
 @dataclass(frozen=True)
 class Prepared:
-    """All of a run that does not depend on numbers: one serves many sets of parameters and starts."""
+    """Parameter-independent part of a run, shared by many sets of parameters and initial states."""
 
     clock: float | None
     solver: Solver
@@ -169,7 +168,7 @@ class Prepared:
 
     @cached_property
     def jacobian(self) -> Any:
-        """Of the plant's rate."""
+        """Jacobian of the plant's rate."""
         return self.step.rate.jacobian()
 
     def complete(
@@ -181,9 +180,9 @@ class Prepared:
         shared: Engine | None = None,
         progress: Progress | None = None,
     ) -> Recording:
-        """A run from a state with the numbers of `diagram`, with the steps that they take where nobody has chosen them.
+        """Run from a state with the parameters of `diagram` and automatic steps, unless the user chose a step.
 
-        One that diverges is tried at shorter steps before the loop is blamed. `shared` is the engine of a batch.
+        A diverging run is repeated with shorter steps. `shared` is the engine of a batch.
         """
         with SYMBOLIC:
             speed = speed_of(diagram, self.jacobian, state) if self.solver.method in FIXED else 0.0
@@ -201,16 +200,16 @@ class Prepared:
         return again
 
     def finer(self, own: Prepared) -> Prepared | None:
-        """What to try where a run diverged at the steps that `own` has chosen for it; None where the user has."""
+        """Setup with shorter steps for a run that diverged at the automatic steps of `own`; None for a user's step."""
         if self.solver.step is not None or own.solver.method not in FIXED:
             return None
         step = max(own.step.length / 4, own.step.period / MOST_SUBSTEPS)
-        told = f"at longer steps the integrator itself diverged: {own.solver.method} took steps of {plain(step, 's')}"
+        notice = f"at longer steps the integrator itself diverged: {own.solver.method} took steps of {plain(step, 's')}"
         finer = own.solved_by(replace(own.solver, step=step))
-        return replace(finer, notices=(*finer.notices, told))
+        return replace(finer, notices=(*finer.notices, notice))
 
     def stepping(self, state: np.ndarray, p: np.ndarray, speed: float) -> Prepared:
-        """The same, with the integrator for a plant of that speed [1/s], where nobody has chosen its step."""
+        """Setup with the integrator for a plant of that speed [1/s], unless the user chose a step."""
         if self.solver.method not in FIXED or self.solver.step is not None:
             return self
         h = self.step.length
@@ -222,26 +221,33 @@ class Prepared:
             own = self.solved_by(replace(self.solver, method="ros34pw2"))
             h = own.step.length
             if left_out(own.step, state, p) <= EXPLICIT_TAKES:
-                told = f"{stiff} would take steps of {plain(short, 's')}; ros34pw2 runs it, in steps of {plain(h, 's')}"
-                return replace(own, solver=replace(own.solver, step=h), notices=(*self.notices, told))
+                notice = (
+                    f"{stiff} would take steps of {plain(short, 's')}; ros34pw2 runs it, in steps of {plain(h, 's')}"
+                )
+                return replace(own, solver=replace(own.solver, step=h), notices=(*self.notices, notice))
         if possible:
-            own, told = self.solved_by(replace(self.solver, step=short)), f"{stiff} takes steps of {plain(short, 's')}"
+            own, notice = (
+                self.solved_by(replace(self.solver, step=short)),
+                f"{stiff} takes steps of {plain(short, 's')}",
+            )
         else:
             own = self.solved_by(replace(self.solver, method="cvodes"))
-            told = "the plant is too stiff for rk4, whose steps would be shorter than 1/2000 of a tick: cvodes runs it"
-        return replace(own, notices=(*self.notices, told))
+            notice = (
+                "the plant is too stiff for rk4, whose steps would be shorter than 1/2000 of a tick: cvodes runs it"
+            )
+        return replace(own, notices=(*self.notices, notice))
 
     def solved_by(self, solver: Solver) -> Prepared:
-        """The same with another solver."""
+        """Setup with another solver."""
         return replace(self, solver=solver, step=self.step.solved_by(solver, self.clock))
 
     def engine(self, choice: Choice, runs: int = 1) -> Engine:
-        """What is to run it, `runs` times."""
+        """Engine for `runs` runs."""
         kept = self.keeping
         return choose(choice, self.step, self.solver, kept.every, kept.kept, self.ticks * runs)
 
     def sharing(self, engine: Engine, choice: Choice) -> Engine:
-        """A batch's engine for one run of it, which may take other steps: machine code serves them all."""
+        """Engine of a batch for one of its runs; compiled code supports all step lengths."""
         method = self.solver.method
         if method in FIXED and method != engine.step.solver.method:
             if method not in self.engines:
@@ -263,9 +269,9 @@ class Prepared:
         wall = time.perf_counter() - begin
         with SYMBOLIC:
             divergence = divergence_of(diagram, self.step, end, done, state, p)
-            return self._told(diagram, engine, rows, divergence, end, wall, stiff)
+            return self._recording(diagram, engine, rows, divergence, end, wall, stiff)
 
-    def _told(
+    def _recording(
         self,
         diagram: Diagram,
         engine: Engine,
@@ -279,7 +285,10 @@ class Prepared:
         items = {item.label: (item, rows[:, part]) for item, part in self.keeping.columns}
         columns = {label: values for label, (_, values) in items.items()}
         ranked = ranks(self.matrices, columns, times)
-        told = [*exceptions(diagram, telling(diagram), columns, times), *too_fast(diagram, columns, times)]
+        violations = [
+            *exceptions(diagram, warning_signals(diagram), columns, times),
+            *too_fast(diagram, columns, times),
+        ]
         way = between(diagram)
         for matrix in self.matrices:
             del items[matrix.label]
@@ -298,7 +307,7 @@ class Prepared:
             notices=(
                 *([way] if way else []),
                 *unread(diagram),
-                *told,
+                *violations,
                 *self.notices,
                 *self.keeping.notices,
                 *engine.notices,
@@ -319,22 +328,22 @@ def prepare(
     seed: int = 0,
     jitter: float = 0.0,
 ) -> Prepared:
-    """Check what is asked, and build the functions of a tick."""
+    """Check the arguments and build the functions of a tick."""
     check_clock(diagram, clock, jitter)
     ticks, matrices, outputs = ticks_of(duration, clock, solver), watched(diagram), moving_outputs(diagram)
     recorded = stack(signal.expression for signal in (*outputs, *matrices))
     step = build_step(diagram.loop, clock, solver, recorded, bounds_of(diagram), seed=seed, jitter=jitter)
     kept = keeping(diagram, log, outputs, matrices, step.period, ticks)
-    whole, told = ticks * step.period, tuple[str, ...]()
+    whole, notice = ticks * step.period, tuple[str, ...]()
     if abs(whole - duration) > 0.01 * duration:
-        told = (
+        notice = (
             f"{plain(whole, 's')} are simulated, not {plain(duration, 's')}: whole ticks of {plain(step.period, 's')}",
         )
-    return Prepared(clock, solver, step, ticks, matrices, kept, notices=told)
+    return Prepared(clock, solver, step, ticks, matrices, kept, notices=notice)
 
 
 def ticks_of(duration: float, clock: float | None, solver: Solver) -> int:
-    """How many ticks a run takes. Raises `ValueFault` and `EngineError` for times with which it cannot be computed."""
+    """Number of ticks of a run; raises `ValueFault` and `EngineError` for invalid times."""
     for name, value in (("duration", duration), ("clock", clock)):
         if value is not None and not (math.isfinite(value) and value > 0):
             raise ValueFault(f"{name}: expected a positive number of seconds, found {value}", path=(name,))
@@ -357,7 +366,7 @@ def ticks_of(duration: float, clock: float | None, solver: Solver) -> int:
 
 
 def check_clock(diagram: Diagram, clock: float | None, jitter: float) -> None:
-    """Refuse continuous time for what moves from sample to sample."""
+    """Reject continuous time for discrete-time blocks."""
     if clock is not None:
         return
     why = diagram.loop.clocked or ("samples have a jitter" if jitter else "")
@@ -377,7 +386,7 @@ def check_run(
     seed: int = 0,
     jitter: float = 0.0,
 ) -> None:
-    """Refuse what `simulate` would refuse of times, log and start values, as far as no pose need be sought.
+    """Check times, log and initial values as `simulate` does, without solving for a pose.
 
     Raises one fault, or all of them as `Faults`.
     """
@@ -389,24 +398,25 @@ def check_run(
         keeping(diagram, log, moving_outputs(diagram), watched(diagram), period, ticks)
 
     faults = list[DmframeError]()
-    for ask in (times_and_log, lambda: check_start(diagram, start)):
+    for check in (times_and_log, lambda: check_start(diagram, start)):
         try:
-            ask()
+            check()
         except DmframeError as error:
             faults += error.faults
     raise_all(faults)
 
 
 def moving_outputs(diagram: Diagram) -> list[Signal]:
-    """Outputs worth keeping: columns that move or are told, that are no states, and whose rank is not watched."""
+    """Outputs to record: columns that vary or cause warnings, without states and rank-monitored matrices."""
     loop = diagram.loop
     others = {state.label for state in loop.variables} | {matrix.label for matrix in watched(diagram)}
     leaves = (leaf.symbol for leaf in (*loop.trajectories, *loop.ahead, *loop.crossings))
-    moving, told = stack([loop.time, loop.drawn, loop.state, *leaves]), {signal.label for signal in telling(diagram)}
+    moving = stack([loop.time, loop.drawn, loop.state, *leaves])
+    warned = {signal.label for signal in warning_signals(diagram)}
     return [
         signal
         for signal in loop.outputs
         if signal.label not in others
         and signal.expression.is_column()
-        and (signal.label in told or ca.depends_on(signal.expression, moving))
+        and (signal.label in warned or ca.depends_on(signal.expression, moving))
     ]

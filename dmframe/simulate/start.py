@@ -1,4 +1,4 @@
-"""The state in which a run begins: at rest, on the path, commands where the robot is."""
+"""Initial state of a run: at rest, on the path, commands at the robot position."""
 
 from __future__ import annotations
 
@@ -22,19 +22,22 @@ from dmframe.simulate.keep import apart_of
 from dmframe.units import plain
 
 NEAR = "near"
-"""The key under `start` that picks a branch of the inverse kinematics."""
+"""Key under `start` that selects a branch of the inverse kinematics."""
 
 REACHED = 1e-9
-"""A start pose is on the path if it is this close [m or rad]."""
+"""Tolerance of a start pose on the path [m or rad]."""
 
 TURNED = "R_d"
-"""What a block that says how far a tool is turned calls the orientation where it should be."""
+"""Port name of the desired orientation of a tool."""
+
+BEST = 1e8
+"""Condition number below which a matrix counts as regular."""
 
 FARTHEST = 1e100
-"""Beyond this the square of a distance overflows."""
+"""Limit above which the square of a distance overflows."""
 
 ROUNDING = 1e-9
-"""A start is in its box if it misses it by less, relative to one plus its size."""
+"""Tolerance of a start in its box, relative to one plus its size."""
 
 
 def start_state(
@@ -51,7 +54,7 @@ def start_state(
     """
     loop, made = diagram.loop, {} if made is None else made
     variables = loop.variables
-    values = told_starts(diagram, given)
+    values = fixed_starts(diagram, given)
     _onto_path(diagram, values, given.get(NEAR), made)
     for variable in loop.plant:
         if not has_start(diagram, variable, made):
@@ -64,12 +67,12 @@ def start_state(
 
 def pose_on_path(diagram: Diagram, given: Mapping[str, Any], made: Made, variable: Variable) -> np.ndarray:
     """Where a state begins that a trajectory decides: a part of `start_state`, with its faults."""
-    values = told_starts(diagram, given)
+    values = fixed_starts(diagram, given)
     _onto_path(diagram, values, given.get(NEAR), made)
     return values[variable.label]
 
 
-def told_starts(diagram: Diagram, given: Mapping[str, Any]) -> dict[str, np.ndarray]:
+def fixed_starts(diagram: Diagram, given: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """The states that `given` or a parameter of their block says; see `start_state`."""
     values = given_starts(diagram, diagram.loop.variables, given)
     for variable in diagram.loop.variables:
@@ -249,16 +252,20 @@ def _solve(
     diagram: Diagram, residual: Any, jacobian: Any, goal: np.ndarray, near: Any, desired: str, label: str, rows: int
 ) -> np.ndarray:
     """The pose at the goal, of which the first `rows` are no orientation."""
-    from scipy.optimize import least_squares
-
     p, size = diagram.loop.p_values, residual.size1_in(0)
     if not np.max(np.abs(goal), initial=0.0) < FARTHEST:  # nan too
         text = f"start: expected {desired} below {FARTHEST:g}, found {goal.tolist()}; take numbers nearer to 1"
         raise StartError(text, path=("start",))
     lower, upper = _limits(diagram, size)
+    nearby = None if near is None else _near(near, size)
+    alone = joint_goal(residual, jacobian, goal, p)
+    if alone is not None and np.all((lower <= alone) & (alone <= upper)):
+        return alone
+    from scipy.optimize import least_squares  # takes as long to import as a short run takes
+
     middle = (np.maximum(lower, -np.pi) + np.minimum(upper, np.pi)) / 2
     rng = np.random.default_rng(0)
-    seeds = [_near(near, size)] if near is not None else [middle + 0.3]
+    seeds = [middle + 0.3 if nearby is None else nearby]
     seeds += [rng.uniform(np.maximum(lower, -np.pi), np.minimum(upper, np.pi)) for _ in range(20)]
     best = None
     for seed in seeds:
@@ -285,6 +292,23 @@ def _solve(
         "move the path, or give the pose under start: {q: [...]}",
         path=("start",),
     )
+
+
+def joint_goal(residual: Any, jacobian: Any, goal: np.ndarray, p: np.ndarray) -> np.ndarray | None:
+    """The pose at a goal that is given in the joints' own coordinates; None for one that is not.
+
+    There ``residual`` is affine in the pose and its matrix is regular: one pose alone is at the goal, and Newton's
+    method ends at it. A task's goal has several poses, of which the seed of a search chooses one.
+    """
+    symbols = [ca.SX.sym(name, residual.numel_in(place)) for place, name in enumerate(("pose", "p"))]
+    if residual.numel_out(0) != residual.numel_in(0) or not ca.is_linear(residual(*symbols), symbols[0]):
+        return None
+    pose, matrix = np.zeros(residual.numel_in(0)), jacobian(np.zeros(residual.numel_in(0)), p, 0)[0].full()
+    if not np.linalg.cond(matrix) < BEST:
+        return None
+    for _ in range(3):  # again: a long first step is rounded
+        pose = pose + np.linalg.solve(matrix, goal - residual(pose, p).full().ravel())
+    return pose if np.linalg.norm(residual(pose, p).full().ravel() - goal) < REACHED else None
 
 
 def _near(near: Any, size: int) -> np.ndarray:

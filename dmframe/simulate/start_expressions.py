@@ -1,4 +1,4 @@
-"""The state in which a run begins, as expressions: in the parameters, or in what a robot shows."""
+"""Initial state of a run as expressions in parameters or measurements."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def symbolic_start(
 ) -> tuple[SX, SX]:
     """`start_state` as an expression in the parameters, the period, and the pose: the symbol of `posed`.
 
-    Twice: with states of a box or a ball where they are said to be, and put into it; where these differ by more than
-    rounding, `start_state` refuses. `drawn` is what is drawn for the first tick, zeros without it.
+    Two versions: as given, and projected onto boxes and balls; if they differ by more than rounding, `start_state`
+    raises. `drawn` are the random numbers of the first tick, zero by default.
     """
     loop, made = diagram.loop, Made()
     symbols = {parameter.label: parameter.symbol for parameter in loop.parameters}
@@ -54,16 +54,17 @@ def symbolic_start(
 
 
 def measured_start(diagram: Diagram, given: Mapping[str, Any]) -> tuple[SX, tuple[str, ...]]:
-    """Where the controller's states start, in the leaves of what is measured, t, T and the parameters.
+    """Initial controller states as functions of measurements, t, T and parameters, as available on a robot.
 
-    On a robot nobody knows more. With the states whose start needs more, such as a true parameter; these start at the
-    numbers that a simulation would give them.
+    Also returns the states that depend on more, such as true parameters; they start at the values of a simulation.
     """
     loop, made = diagram.loop, Made()
     symbols = {parameter.label: parameter.symbol for parameter in loop.parameters}
     mine = {variable.label for variable in loop.controller}
-    told = given_starts(diagram, loop.variables, given)
-    values = {label: ca.SX(ca.DM(np.ravel(number, order="F"))) for label, number in told.items() if label in mine}
+    stated_values = given_starts(diagram, loop.variables, given)
+    values = {
+        label: ca.SX(ca.DM(np.ravel(number, order="F"))) for label, number in stated_values.items() if label in mine
+    }
     waiting = dict[str, SX]()
     for variable in (variable for variable in loop.controller if variable.label not in values):
         model, stated = diagram.models[variable.block], said_by(diagram, variable.block, made).get(variable.name)

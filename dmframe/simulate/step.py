@@ -36,40 +36,40 @@ Method = Literal["rk4", "ros34pw2", "cvodes"]
 variable-step backward differentiation."""
 
 FIXED = ("rk4", "ros34pw2")
-"""The methods of fixed step, which can be compiled."""
+"""Fixed-step methods, which can be compiled."""
 
 RK4_STABLE = 2.785
 """Classical RK4 is stable on the negative real axis for h |lambda| below this [Hairer1996]_."""
 
 MOST_SUBSTEPS = 2000
-"""Steps of a method of fixed step in a tick; they are written out one by one in the tick's function."""
+"""Maximum fixed steps in a tick; the function of a tick contains all of them."""
 
 
 PLAIN_STEP = 0.001
-"""The longest step of rk4 where nothing says otherwise [s]."""
+"""Default maximum step of rk4 [s]."""
 
 PLAIN_STEPS = {"rk4": PLAIN_STEP, "ros34pw2": PLAIN_STEP / 2}
-"""The same of each method of fixed step: with these, their errors are alike where both can run."""
+"""Default maximum steps of fixed-step methods, for similar errors [s]."""
 
 
 @final
 @dataclass(frozen=True)
 class Solver:
-    """How the continuous part is integrated.
+    """Integrator of the continuous-time part.
 
     Parameters
     ----------
     method
         ``rk4``, ``ros34pw2`` or ``cvodes``.
     step
-        Of rk4 and ros34pw2, the longest step [s]; a tick is divided into equal ones. None: `PLAIN_STEP`, or what the
-        plant's stiffness asks for.
+        Maximum step of rk4 and ros34pw2 [s]; a tick is divided into equal steps. None: `PLAIN_STEP`, or shorter for
+        a stiff plant.
     output
-        With a continuous clock, how often a result is kept [s].
+        Output interval in continuous time [s].
     tolerance
-        Of cvodes, relative; absolute is a thousandth of it.
+        Relative tolerance of cvodes; the absolute one is a thousandth of it.
     share
-        How much of the step up to which rk4 is stable its steps take, where they are chosen.
+        Automatic steps of rk4 as a fraction of the largest stable step.
     """
 
     method: Method = "rk4"
@@ -79,7 +79,7 @@ class Solver:
     share: float = 0.8
 
     def __post_init__(self) -> None:
-        """Refuse what cannot integrate."""
+        """Check the values."""
         if self.method not in get_args(Method):
             *first, last = get_args(Method)
             raise ValueFault(f"solver.method: expected {', '.join(first)} or {last}, found {self.method!r}")
@@ -92,29 +92,29 @@ class Solver:
 
     @property
     def takes(self) -> float:
-        """The largest h |lambda| of the steps that are chosen for rk4."""
+        """Largest h |lambda| of automatic rk4 steps."""
         return self.share * RK4_STABLE
 
 
 @final
 @dataclass(frozen=True)
 class Step:
-    """The tick's functions, all with the parameters p as a column; the state holds the controller's part first.
+    """Functions of a tick, with parameters p as a column; the controller states come first.
 
     Parameters
     ----------
     parts
-        What the tick is made of.
+        Functions that compose the tick.
     rate
-        (state, t, p) -> the rates of what flows in the plant, with the commands of that instant and nothing drawn.
+        (state, t, p) -> rates of the plant, with the commands of that instant and without random numbers.
     solver
-        How the plant is integrated.
+        Integrator of the plant.
     instants
-        When ticks begin, and what is drawn for them.
+        Times and random numbers of ticks.
     substeps
         Integrator steps in a tick.
     bounds
-        How large each state may get; beyond it the run has blown up.
+        Bounds of the states; beyond them a run has diverged.
     """
 
     parts: Parts

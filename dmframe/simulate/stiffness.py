@@ -1,4 +1,4 @@
-"""How fast the plant moves by itself, and the steps that rk4 may then take."""
+"""Stiffness of the plant, and step lengths for rk4."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ RK4_STEPS = 10
 costs up to 2.2 of rk4, and there are twice as many."""
 
 EXPLICIT_TAKES = 0.5
-"""How large `left_out` may be. With a half, such modes are far from unstable, and of third order."""
+"""Limit of `left_out`: up to one half, such modes are stable and of third order."""
 
 MOST_SLOPE = 1e12
-"""No solver takes a plant whose rates change faster [1/s, or its other units]."""
+"""Limit of the Jacobian of the plant for all solvers [1/s or other units]."""
 
 
 def speed_of(diagram: Diagram, slope: Any, state: np.ndarray) -> float:
-    """The largest modulus of an eigenvalue of the plant at a state [1/s]; at rest the friction law is steepest."""
+    """Spectral radius of the plant's Jacobian at a state [1/s]; at rest the friction law is steepest."""
     size = stack(v.symbol for v in diagram.loop.flowing).numel()
     if not size:
         return 0.0
@@ -33,15 +33,15 @@ def speed_of(diagram: Diagram, slope: Any, state: np.ndarray) -> float:
 
 
 def fastest(jacobians: np.ndarray) -> np.ndarray:
-    """(N,): the largest modulus of an eigenvalue of each of N matrices; infinite where one is too steep for it."""
+    """(N,): spectral radii of N matrices; infinite above `MOST_SLOPE`."""
     speeds = np.full(len(jacobians), np.inf)
-    tame = np.max(np.abs(jacobians), axis=(1, 2), initial=0.0) < MOST_SLOPE  # nan is not
+    tame = np.max(np.abs(jacobians), axis=(1, 2), initial=0.0) < MOST_SLOPE  # False for NaN
     speeds[tame] = np.max(np.abs(np.linalg.eigvals(jacobians[tame])), axis=1, initial=0.0)
     return speeds
 
 
 def left_out(step: Step, state: np.ndarray, p: np.ndarray) -> float:
-    r"""What a linearly implicit method leaves out of its systems at a state, as a share of a step.
+    r"""Effect of the Jacobian terms that a linearly implicit method omits, per step.
 
     The spectral radius of :math:`(I - h \gamma A)^{-1} h (J - A)` with A for the Jacobian J, at the step's length: what
     is left out acts through what is not, as a spring does on a position. Infinite where the systems are too large.
@@ -66,7 +66,7 @@ def left_out(step: Step, state: np.ndarray, p: np.ndarray) -> float:
 
 
 def stiffness(step: Step, solver: Solver, speed: float, state: np.ndarray, p: np.ndarray) -> tuple[str, ...]:
-    """A notice where a plant of that speed [1/s] is too stiff for a fixed-step method."""
+    """Warning if a plant of that speed [1/s] is too stiff for a fixed-step method."""
     if solver.method not in FIXED:
         return ()
     h = step.length

@@ -1,1 +1,1 @@
-"""Studies: what varies over how many runs, where they run, and what they say."""
+"""Studies: many runs of graphs with varied parameters, their execution, their report, and tuning."""

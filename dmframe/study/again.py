@@ -1,4 +1,4 @@
-"""One run of a study as a graph of its own, run again, beside its row."""
+"""Repeat one run of a study as a graph of its own, and compare it with its row."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from typing import Any, Final, final
 
 from dmframe.errors import OutputError
 from dmframe.graph import load
-from dmframe.study.beside import write_graph
+from dmframe.study.packing import write_graph
 from dmframe.study.plan import Study
 from dmframe.study.results import Results
 from dmframe.study.store import RUNS, polars
 
 ROUNDING: Final = 1e-9
-"""Relative: figures of a whole run are summed in another order than those of a batch."""
+"""Relative tolerance: figures of a whole run are summed in another order than those of a batch."""
 
 
 @final
 @dataclass(frozen=True)
 class Again:
-    """A run, and the row of the same run.
+    """A repeated run, and the row of the same run.
 
     Parameters
     ----------
     graph
-        The file that was written, and run from.
+        The file that was written and run.
     rerun, row
-        Figures by column; of the row None where the study's folder does not hold it.
+        Figures by column; the row is None if the study's folder does not hold it.
     units
         By column.
     """
@@ -45,13 +45,13 @@ class Again:
 
     @property
     def difference(self) -> float:
-        """The largest relative difference; infinite where one diverged alone."""
+        """Largest relative difference; infinite if only one of them diverged."""
         row = self.row or {}
         return max((_apart(self.rerun[name], value, _size(name, row)) for name, value in row.items()), default=0.0)
 
     @property
     def alike(self) -> bool:
-        """They are equal to rounding, or there is no row."""
+        """True if they agree to rounding, or there is no row."""
         return self.difference <= ROUNDING
 
     @property
@@ -65,26 +65,26 @@ class Again:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """Plain data that JSON can hold."""
-        told = {"run": self.run, "point": self.point, "sample": self.sample, "graph": str(self.graph)}
+        """Plain data for JSON."""
+        which = {"run": self.run, "point": self.point, "sample": self.sample, "graph": str(self.graph)}
         row = None if self.row is None else _finite(self.row)
         difference = None if self.row is None or math.isinf(self.difference) else self.difference
-        return {**told, "rerun": _finite(self.rerun), "row": row, "difference": difference, "alike": self.alike}
+        return {**which, "rerun": _finite(self.rerun), "row": row, "difference": difference, "alike": self.alike}
 
 
 def again(study: Study, run: int, place: Path, into: Path, *, force: bool = False) -> Again:
-    """Write a run as a graph into the folder `into`, run that file, and find its row in the study's folder, `place`.
+    """Write a run as a graph into the folder `into`, run that file, and read its row in the study's folder `place`.
 
     Raises
     ------
     DmframeError
-        There is no such run, or its file is there already and not to be replaced.
+        There is no such run, or its file exists and `force` is not set.
     """
     graph = study.graph_of(run)
     sample, point = divmod(run, len(study.points))
     target = into / f"{study.name}_run_{run}.yaml"
     if target.exists() and not force and target.read_text(encoding="utf-8") != graph.text:
-        raise OutputError(f"{target}: expected a new file, found another one; move it, or take --force")
+        raise OutputError(f"{target}: expected a new file, found another one; move it, or use --force")
     write_graph(graph, target)
     done = load(target).run(progress=False)
     figures = study.row_of(done.recording, graph)
@@ -102,7 +102,7 @@ def _row(study: Study, place: Path, run: int, names: list[str]) -> Mapping[str, 
 
 
 def _size(name: str, row: Mapping[str, Any]) -> float:
-    """How large a signal is: what is rounded to nothing in it differs by much of itself."""
+    """Largest figure of the same signal, the scale for rounding errors of its small figures."""
     signal, _, figure = name.rpartition(".")
     if not signal or figure == "crossed":
         return 0.0
@@ -112,7 +112,7 @@ def _size(name: str, row: Mapping[str, Any]) -> float:
 
 
 def _apart(a: Any, b: Any, size: float = 0.0) -> float:
-    if a == b or (a != a and b != b):  # nan is nan here
+    if a == b or (a != a and b != b):  # nan equals nan
         return 0.0
     if isinstance(a, bool) or a != a or b != b:
         return math.inf

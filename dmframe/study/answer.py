@@ -1,4 +1,4 @@
-"""The answer that a study's page begins with, in plain words."""
+"""Answer at the top of a study's report: the verdict on the proof, what the runs did, and the main findings."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from typing import Final, final
 
 from dmframe.errors import listed
 from dmframe.report.parts import Bullets, Cell, Lead, Marked, Part
-from dmframe.study.drawn import Drawn
+from dmframe.study.box import COVERAGE
 from dmframe.study.findings import DIVERGED, Findings, Found
 from dmframe.study.numbers import count, figure, percent
-from dmframe.study.proof import HELD, Proof
+from dmframe.study.proof import Proof
 from dmframe.study.statistics import LEVEL, Quantile
 from dmframe.units import plain
 
 WORTH: Final = 0.05
-"""Share of the variance from which a quantity is named as one that decides."""
+"""Fraction of the variance from which an influence is named."""
 BY_CHANCE: Final = 1 - LEVEL
-"""Of a quantity that is named; a share so large comes no more often where the quantity has no influence."""
+"""Largest probability of a named influence if the quantity has none."""
 NAMED: Final = 4
 """Settings that a sentence names."""
 METHODS: Final = {
@@ -32,7 +32,7 @@ METHODS: Final = {
 @final
 @dataclass(frozen=True)
 class Saved:
-    """One of the worst runs, and the file in which it lies as a graph."""
+    """One of the worst runs, and the file of its graph."""
 
     file: str
     run: int
@@ -45,15 +45,15 @@ class Saved:
 
 @final
 @dataclass(frozen=True, repr=False)
-class Told:
-    """All that a page is made of.
+class ReportData:
+    """The content of a report.
 
     Parameters
     ----------
     robots
-        What is drawn is the robot, and not only its controller or its start.
+        True if parameters of the plant are sampled, not only the controller or initial states.
     commands
-        How to do it again, each with what it does.
+        Commands that repeat the study, each with a description.
     made
         Versions and machine, by name.
     """
@@ -67,103 +67,111 @@ class Told:
 
     @property
     def noun(self) -> str:
-        """What the samples are."""
+        """What a sample is called."""
         return "robots" if self.robots else "samples"
 
+    @property
+    def several(self) -> bool:
+        """True for more than one grid point."""
+        return len(self.found.points) > 1
+
     def unit(self, name: str) -> str:
-        """Of a column."""
+        """Unit of a column."""
         return self.found.results.units.get(name, "")
 
 
-def lead(t: Told) -> Lead:
-    """The answer in plain words, with the verdict on the proof in its first line."""
-    of_runs, said = _lead(t), verdict_of(t)
-    if said is None or not any(each.runs for each in t.found.points):
-        return of_runs
-    words, worst = said
-    outcome = of_runs.outcome
-    if "refuted" in (outcome, worst):
-        outcome = "refuted"
-    elif outcome == "proved":
-        outcome = worst
-    runs = of_runs.headline
-    return Lead(outcome, f"{words[0].upper()}{words[1:]}; {runs[0].lower()}{runs[1:]}", of_runs.sentence)
+def lead(t: ReportData) -> Lead:
+    """The answer in one sentence, beginning with the verdict on the proof."""
+    runs, proof = _runs_lead(t), verdict_of(t)
+    if proof is None or not any(each.runs for each in t.found.points):
+        return runs
+    words, worst = proof
+    outcome = worst if runs.outcome == "proved" else runs.outcome
+    outcome = "refuted" if worst == "refuted" else outcome
+    headline = f"{words[0].upper()}{words[1:]}; {runs.headline[0].lower()}{runs.headline[1:]}"
+    return Lead(outcome, headline, runs.sentence)
 
 
-def verdict_of(t: Told) -> tuple[str, str] | None:
-    """What the proofs come to, in a few words, and the outcome that stands for it; None where none was decided."""
-    if not t.proofs:
-        return None
+def verdict_of(t: ReportData) -> tuple[str, str] | None:
+    """The proofs of all settings in a few words, and their common outcome; None if none was attempted."""
     states = [each.state for each in t.proofs]
-    several, boxed = len(states) > 1, any(each.box.ends or each.box.unknown for each in t.proofs)
-    of, where = f" at {{}} of {len(states)} settings" if several else "", " over what was drawn" if boxed else ""
+    if not states:
+        return None
+    boxed = any(each.box.ends or each.box.unknown for each in t.proofs)
+    where = " over what was drawn" if boxed else ""
+    some = f" at {{}} of {len(states)} settings" if len(states) > 1 else ""
     if refuted := states.count("refuted"):
-        return f"the proof is refuted{of.format(refuted)}", "refuted"
+        return f"the proof is refuted{some.format(refuted)}", "refuted"
     if all(each.proved for each in t.proofs):
-        restricted = dict.fromkeys(each.verdict.headline for each in t.proofs if each.verdict is not None)
-        left = "" if len(t.found.points) == len(states) else f" at the {len(states)} settings that were looked at"
-        return f"{listed(list(restricted))}{where}{left}", "proved" if not left else "open"
-    proved = states.count("proved")
-    if proved:
-        return f"proved{of.format(proved)}{where}", "open"
-    unknown = states.count("not_known")
-    if unknown == len(states):
+        headlines = dict.fromkeys(each.verdict.headline for each in t.proofs if each.verdict is not None)
+        complete = len(t.found.points) == len(states)
+        rest = "" if complete else f" at the first {len(states)} settings"
+        return f"{listed(list(headlines))}{where}{rest}", "proved" if complete else "open"
+    if proved := states.count("proved"):
+        return f"proved{some.format(proved)}{where}", "open"
+    if set(states) == {"not_known"}:
         return f"whether the proof holds{where} is not known", "open"
-    if _claims(t):
+    if any(each.verdict is not None and each.verdict.test is not None for each in t.proofs):
         return f"the proof does not hold everywhere{where}" if boxed else "the proof does not apply", "not_applicable"
     return "nothing is proved", "not_applicable"
 
 
-def _claims(t: Told) -> bool:
-    """Some graph claims what could be proved."""
-    return any(each.verdict is not None and each.verdict.test is not None for each in t.proofs)
-
-
-def _lead(t: Told) -> Lead:
-    found, noun = t.found, t.noun
-    ran = [each for each in found.points if each.runs]
-    place = found.events.index(found.diverging)
-    samples = max((each.runs for each in ran), default=0)
-    unfinished, whole = _unfinished(found), not any(each.failed or each.missing for each in found.points)
+def _runs_lead(t: ReportData) -> Lead:
+    """The answer from the runs alone."""
+    found = t.found
+    ran, place = [each for each in found.points if each.runs], found.events.index(found.diverging)
+    rest = _limitations(found)
     if not ran:
-        return Lead("open", "No run is there yet", Marked(f"there is nothing to tell.{unfinished}"))
+        return Lead("open", "No runs yet", Marked(f"there are no results.{rest}"))
     if found.sheet.samples == 1:
         lost = sum(each.alone[place].count for each in ran)
-        text = f"{count(len(ran))} settings ran, each once; {_diverged(lost, 'of them')}."
-        says = f"Each ran once, on one robot: that is no probability.{unfinished}"
-        return Lead(_outcome(len(ran) - lost, len(found.points)), text.rstrip("."), Marked(says))
+        text = f"{count(len(ran))} settings ran, each once; {_diverged(lost, 'of them')}"
+        sentence = f"each ran once, on one robot, which gives no probability.{rest}"
+        return Lead(_outcome(len(ran) - lost, len(found.points)), text, Marked(sentence))
     if len(found.points) == 1:
-        share = ran[0].alone[place]
-        head = f"Of {count(share.runs)} {noun} {_diverged(share.count, '')}".rstrip()
-        outcome = _outcome(whole and share.count == 0, whole or bool(share.count))
+        share, complete = ran[0].alone[place], not (ran[0].failed or ran[0].missing)
+        head = f"Of {count(share.runs)} {t.noun} {_diverged(share.count, '')}"
+        outcome = _outcome(complete and not share.count, complete or bool(share.count))
         if share.most is None:
-            return Lead(outcome, head, Marked(no_interval(found) + unfinished))
-        says = f"the probability of divergence is at most {percent(share.most, up=True)}, at 95 % confidence."
-        if share.count:
-            says = f"{percent(share.value)} of them; {says}"
-        return Lead(outcome, head, Marked(says + unfinished))
-    steady, of = found.steady, len(found.points)
-    fewest = min((each.runs for each in steady), default=samples)
-    many = count(samples) if fewest == samples else f"{count(fewest)} to {count(samples)}"
-    head = f"None of {many} {noun} diverged at {len(steady)} of {of} settings"
-    if not steady:
-        least = min(ran, key=lambda each: each.alone[place].value)
-        at = f"At each of {of} settings" if len(ran) == of else f"At each of the {len(ran)} of {of} settings that ran"
-        head = f"{at} some of {count(samples)} {noun} diverged"
-        says = f"fewest at {code(least)}: {percent(least.alone[place].value)}"
-        if least.together[place].most is not None:
-            says += f", a probability of at most {percent(least.together[place].most or 1, up=True)} at 95 % confidence"
-        return Lead("refuted", head, Marked(f"{says}.{unfinished}"))
-    says = _names(steady)
-    most = max(each.together[place].most or 0.0 for each in steady)
-    if steady[0].together[place].most is not None:
-        each_of = "at each of them " if len(steady) > 1 else ""
-        says += f"; {each_of}the probability of divergence is at most {percent(most, up=True)}, at 95 % confidence"
-        says += f" for all {of} settings together."
+            return Lead(outcome, head, Marked(no_interval(found) + rest))
+        lost_part = f"{percent(share.value)} of them; " if share.count else ""
+        limit = f"the probability of divergence is at most {percent(share.most, up=True)}, at 95 % confidence."
+        return Lead(outcome, head, Marked(f"{lost_part}{limit}{rest}"))
+    return _settings_lead(t, ran, place, rest) if found.steady else _all_diverge_lead(t, ran, place, rest)
+
+
+def _settings_lead(t: ReportData, ran: Sequence[Found], place: int, rest: str) -> Lead:
+    """The answer for several settings of which some never diverged."""
+    found, steady = t.found, t.found.steady
+    fewest, most = min(each.runs for each in steady), max(each.runs for each in ran)
+    runs = count(most) if fewest == most else f"{count(fewest)} to {count(most)}"
+    head = f"None of {runs} {t.noun} diverged at {len(steady)} of {len(found.points)} settings"
+    names = [code(each) for each in steady[:NAMED]]
+    names += [f"{len(steady) - NAMED} more, in the table below"] if len(steady) > NAMED else []
+    sentence = listed(names)
+    limits = [each.together[place].most for each in steady]
+    if limits[0] is None:
+        sentence += f". {no_interval(found)}"
     else:
-        says += f". {no_interval(found)}"
-    outcome = _outcome(len(steady), of)
-    return Lead(outcome if whole or outcome != "proved" else "open", head, Marked(says + unfinished))
+        limit, each_of = max(item or 0.0 for item in limits), "at each of them " if len(steady) > 1 else ""
+        sentence += f"; {each_of}the probability of divergence is at most {percent(limit, up=True)}, at 95 % confidence"
+        sentence += f" for all {len(found.points)} settings together."
+    complete = not any(each.failed or each.missing for each in found.points)
+    outcome = _outcome(len(steady), len(found.points))
+    return Lead(outcome if complete or outcome != "proved" else "open", head, Marked(sentence + rest))
+
+
+def _all_diverge_lead(t: ReportData, ran: Sequence[Found], place: int, rest: str) -> Lead:
+    """The answer for several settings at each of which some run diverged."""
+    points, least = t.found.points, min(ran, key=lambda each: each.alone[place].value)
+    where = f"each of {len(points)} settings"
+    if len(ran) < len(points):
+        where = f"each of the {len(ran)} of {len(points)} settings that ran"
+    sentence = f"fewest at {code(least)}: {percent(least.alone[place].value)}"
+    if (limit := least.together[place].most) is not None:
+        sentence += f", a probability of at most {percent(limit or 1, up=True)} at 95 % confidence"
+    most = count(max(each.runs for each in ran))
+    return Lead("refuted", f"At {where} some of {most} {t.noun} diverged", Marked(f"{sentence}.{rest}"))
 
 
 def _outcome(good: int, of: int) -> str:
@@ -174,23 +182,23 @@ def _diverged(number: int, of: str) -> str:
     return " ".join(f"{'none' if not number else count(number)} {of} diverged".split())
 
 
-def _unfinished(found: Findings) -> str:
-    """What the answer does not cover: runs that are not there, and other noise."""
+def _limitations(found: Findings) -> str:
+    """What the answer does not cover: missing and failed runs, and other noise."""
     missing, failed = (sum(getattr(each, what) for each in found.points) for what in ("missing", "failed"))
-    told = f" {count(missing)} runs are not there yet: the same command computes them." if missing else ""
-    told += f" {count(failed)} runs could not be made, of which this says nothing." if failed else ""
+    text = f" {count(missing)} runs are missing; the same command computes them." if missing else ""
+    text += f" {count(failed)} runs could not be prepared and are not covered." if failed else ""
     if found.sheet.samples > 1 and found.results.study.noisy:
-        told += " The loop draws noise or a jitter: all samples meet the same, that of the graph's `seed`, so that "
-        told += "nothing is said of other noise."
-    return told
+        text += " The loop has noise or jitter: all samples have the same realisation, that of the graph's `seed`, and "
+        text += "other noise is not covered."
+    return text
 
 
 def no_interval(found: Findings) -> str:
-    """Why no interval of probability is given."""
+    """Why no confidence interval is given."""
     if found.sheet.samples < 2:
-        return "Each setting ran once, so that nothing is said of probabilities."
+        return "Each setting ran once, which gives no probability."
     return (
-        "No interval of probability is given, for it would be valid for independent draws alone, and the samples are "
+        "No interval of probability is given: it requires independent draws, and the samples are "
         f"{METHODS[found.results.study.file.sample.method]}; `method: random` gives one."
     )
 
@@ -200,133 +208,120 @@ def code(each: Found) -> str:
     return f"`{each.name}`"
 
 
-def _names(several: Sequence[Found]) -> str:
-    first = [code(each) for each in several[:NAMED]]
-    return listed([*first, f"{len(several) - NAMED} more, in the table below"] if len(several) > NAMED else first)
-
-
-def summary(t: Told) -> Iterator[Part]:
-    """What else there is to know first."""
-    found, main = t.found, t.found.results.main
-    items, failing = list[Cell](), list[int]()
-    if found.sheet.samples == 1 and main:
-        items += _ends(t)
-    best = best_of(found)
-    if best is not None and len(found.points) > 1:
-        each, top = best
-        middle = next((q for q in each.quantiles[main] if q.p == 0.5), None)
-        half = f", and half of them below {figure(middle.value, t.unit(main))}" if middle and top.p > 0.5 else ""
-        items.append(
-            Marked(
-                f"Of the settings where none diverged, {code(each)} has the smallest {_ordinal(top.p)} quantile of "
-                f"`{main}`: {100 * top.p:g} % of the {t.noun} stay below {figure(top.value, t.unit(main))}{half}."
-            )
-        )
-    elif best is not None:
-        each, top = best
-        told = ", ".join(f"{100 * q.p:g} % below {figure(q.value, t.unit(main))}" for q in each.quantiles[main])
-        items.append(Marked(f"`{main}`: {told}."))
-    for name in dict.fromkeys(name for each in found.points for name in each.influences):
-        each = next(each for each in found.points if name in each.influences)
-        strong = [item for item in each.influences[name] if item.share >= WORTH and item.chance <= BY_CHANCE][:3]
-        if strong:
-            told = listed([f"`{item.factor}` ({percent(item.share)})" for item in strong])
-            what = "whether a run diverges" if name == DIVERGED else f"`{name}`"
-            at = f" at {code(each)}" if each.name else ""
-            items.append(Marked(f"What decides {what} most{at}: {told}, each as a share of the variance of ranks."))
+def summary(t: ReportData) -> Iterator[Part]:
+    """The main findings as a list."""
+    items = list[Cell]([*_best_settings(t), *_influences(t)])
     if t.worst:
         first = t.worst[0]
         how = f"diverged after {plain(first.diverged_at, 's')}" if math.isfinite(first.diverged_at) else ""
         how = how or f"{first.figure} = {figure(first.value, t.unit(first.figure))}"
         at = f" at `{first.point}`" if first.point else ""
-        items.append(Marked(f"The worst run is number {first.run}{at}: {how}; it is kept as the graph `{first.file}`."))
+        items.append(Marked(f"The worst run is number {first.run}{at}: {how}; its graph is `{first.file}`."))
     if t.proofs:
-        items.append(Marked(_proof_in_short(t)))
-    lost = sum(each.failed for each in found.points)
-    if lost:
+        items.append(Marked(proof_in_short(t)))
+    failed, failing = sum(each.failed for each in t.found.points), list[int]()
+    if failed:
         failing.append(len(items))
-        items.append(
-            Marked(f"{count(lost)} runs could not be made; they count nowhere, and the table tells their faults.")
-        )
+        text = f"{count(failed)} runs could not be prepared; no figure includes them, and the table has their faults."
+        items.append(Marked(text))
     yield Bullets(items, failing)
 
 
-def _ends(t: Told) -> Iterator[Marked]:
-    """The settings of single runs with the smallest figure, and with the greatest."""
-    main, sheet = t.found.results.main, t.found.sheet
-    values = sheet.figure(main)[:, 0]
-    there = [k for k in range(sheet.points) if math.isfinite(values[k])]
-    if len(there) < 2:
+def _best_settings(t: ReportData) -> Iterator[Marked]:
+    """The settings with the smallest and the largest main figure."""
+    found, main, sheet = t.found, t.found.results.main, t.found.sheet
+    unit = t.unit(main)
+    if sheet.samples == 1 and main:
+        values = sheet.figure(main)[:, 0]
+        finite = [k for k in range(sheet.points) if math.isfinite(values[k])]
+        if len(finite) > 1:
+            least, most = (choose(finite, key=lambda k: values[k]) for choose in (min, max))
+            names = found.results.names
+            yield Marked(
+                f"`{main}` is smallest at `{names[least]}`, {figure(values[least], unit)}, and, among the runs that "
+                f"did not diverge, largest at `{names[most]}`, {figure(values[most], unit)}."
+            )
+    best = best_of(found)
+    if best is None:
         return
-    least, most = (choose(there, key=lambda k: values[k]) for choose in (min, max))
-    unit, names = t.unit(main), t.found.results.names
+    each, top = best
+    if not t.several:
+        quantiles = ", ".join(f"{100 * q.p:g} % below {figure(q.value, unit)}" for q in each.quantiles[main])
+        yield Marked(f"`{main}`: {quantiles}.")
+        return
+    middle = next((q for q in each.quantiles[main] if q.p == 0.5), None)
+    half = f", and half of them below {figure(middle.value, unit)}" if middle and top.p > 0.5 else ""
     yield Marked(
-        f"`{main}` is smallest at `{names[least]}`, {figure(values[least], unit)}, and of those that came to their end "
-        f"greatest at `{names[most]}`, {figure(values[most], unit)}."
+        f"Among the settings without a divergence, {code(each)} has the smallest {100 * top.p:g} % quantile of "
+        f"`{main}`: {100 * top.p:g} % of the {t.noun} stay below {figure(top.value, unit)}{half}."
     )
 
 
+def _influences(t: ReportData) -> Iterator[Marked]:
+    points = t.found.points
+    for name in dict.fromkeys(name for each in points for name in each.influences):
+        each = next(each for each in points if name in each.influences)
+        strong = [item for item in each.influences[name] if item.share >= WORTH and item.chance <= BY_CHANCE][:3]
+        if strong:
+            shares = listed([f"`{item.factor}` ({percent(item.share)})" for item in strong])
+            what = "whether a run diverges" if name == DIVERGED else f"`{name}`"
+            at = f" at {code(each)}" if each.name else ""
+            yield Marked(f"Largest influence on {what}{at}: {shares}, as a fraction of the variance of ranks.")
+
+
 def best_of(found: Findings) -> tuple[Found, Quantile] | None:
-    """Of the points where none diverged the one with the smallest greatest quantile; of one point, itself."""
+    """The point without a divergence that has the smallest greatest quantile; a single point in any case."""
     main = found.results.main
-    several = [each for each in found.steady if each.quantiles.get(main)]
-    if len(found.points) == 1:
-        several = [each for each in found.points if each.quantiles.get(main)]
+    several = [each for each in (found.steady if len(found.points) > 1 else found.points) if each.quantiles.get(main)]
     if not several:
         return None
-    best = min(several, key=lambda each: max(each.quantiles[main], key=lambda q: q.p).value)
-    return best, max(best.quantiles[main], key=lambda q: q.p)
+    tops = [(each, max(each.quantiles[main], key=lambda q: q.p)) for each in several]
+    return min(tops, key=lambda pair: pair[1].value)
 
 
-def _ordinal(p: float) -> str:
-    return f"{100 * p:g} %"
-
-
-def _proof_in_short(t: Told) -> str:
-    good, all_of, points = sum(each.proved for each in t.proofs), len(t.proofs), len(t.found.points)
-    outside = list(dict.fromkeys(name for each in t.proofs for name in each.box.outside))
-    rest = f" Not in the box, since no proof reads it: {listed([f'`{name}`' for name in outside])}."
-    rest = rest * bool(outside) + _other_loops(t)
-    rest += f" The other {points - all_of} settings were not looked at." * (points > all_of)
-    where = f"over the whole box of what was drawn{_held(t.proofs)}"
+def proof_in_short(t: ReportData) -> str:
+    """The result of the proofs over the box, in one or two sentences."""
+    proofs, points = t.proofs, len(t.found.points)
+    good, tried = sum(each.proved for each in proofs), len(proofs)
     if not t.found.results.study.factors:
-        of = "" if all_of == points else " that were looked at"
-        return f"The graph is proved at {good} of the {all_of} settings{of}."
-    if not any(each.box.ends for each in t.proofs):
-        where = "at the numbers that the graphs state"
-    if refuted := sum(each.state == "refuted" for each in t.proofs):
-        of = f" at {refuted} of {all_of} settings" if all_of > 1 else ""
-        return f"The proof is refuted{of}: the derivative of V is not what the blocks claim.{rest}"
-    if good == all_of:
-        each_of = f", at each of {all_of} settings." if all_of > 1 else "."
-        return f"The proof's conditions hold {where}{each_of}{rest}"
-    if not good:
-        at = f" at `{t.proofs[0].name}`" if all_of > 1 else ""
-        looked = next((_counted(t, each.drawn, at) for each in t.proofs if each.drawn is not None), "")
-        if all(each.state == "not_known" for each in t.proofs):
-            return f"Whether the proof's conditions hold {where} is not known{looked}.{rest}"
-        return f"The proof's conditions do not all hold {where}{looked}. That is no proof of the contrary.{rest}"
-    return f"The proof's conditions hold {where} at {good} of {all_of} settings.{rest}"
+        return f"The graph is proved at {good} of the {'' if tried == points else 'first '}{tried} settings."
+    rest = "".join(f" {text}" for text in outside_the_box(t))
+    rest += f" The other {points - tried} settings were not examined." * (points > tried)
+    where = "at the numbers that the graphs state"
+    if any(each.box.ends for each in proofs):
+        unbounded = any(each.box.probability < 1 for each in proofs)
+        where = "over the whole box of what was drawn"
+        where += f" ({100 * COVERAGE:g} % of the draws: some distributions are unbounded)" * unbounded
+    if refuted := sum(each.state == "refuted" for each in proofs):
+        at = f" at {refuted} of {tried} settings" if tried > 1 else ""
+        return f"The proof is refuted{at}: the derivative of V differs from the blocks' certificates.{rest}"
+    if good == tried:
+        return f"The proof's conditions hold {where}{f', at each of {tried} settings' if tried > 1 else ''}.{rest}"
+    if good:
+        return f"The proof's conditions hold {where} at {good} of {tried} settings.{rest}"
+    counted = next((_counted(t, each) for each in proofs if each.drawn is not None), "")
+    if all(each.state == "not_known" for each in proofs):
+        return f"Whether the proof's conditions hold {where} is not known{counted}.{rest}"
+    return f"The proof's conditions do not all hold {where}{counted}. This does not prove instability.{rest}"
 
 
-def _counted(t: Told, drawn: Drawn, at: str) -> str:
-    """How many samples fulfil the conditions, each by itself."""
-    if not drawn.told:
+def _counted(t: ReportData, proof: Proof) -> str:
+    """How many samples meet the conditions, each by itself."""
+    if proof.drawn is None or not proof.drawn.known:
         return ""
-    number, of, unknown = int(drawn.fulfil.sum()), len(drawn.fulfil), int(drawn.unknown.sum())
+    at = f" at `{proof.name}`" if len(t.proofs) > 1 else ""
+    number, of, unknown = proof.drawn.counts
     if not unknown:
-        return f"; {count(number)} of {count(of)} {t.noun} fulfil them{at}"
-    return f"; of {count(of)} {t.noun} {count(number)} fulfil them{at}, and of {count(unknown)} that is not known"
+        return f"; {count(number)} of {count(of)} {t.noun} meet them{at}"
+    return f"; of {count(of)} {t.noun} {count(number)} meet them{at}, and for {count(unknown)} it is not known"
 
 
-def _other_loops(t: Told) -> str:
-    """What is drawn and makes another loop of each sample."""
-    names = list(dict.fromkeys(name for each in t.proofs for name in each.box.unknown))
-    if not names:
-        return ""
-    return f" Each value of {listed([f'`{name}`' for name in names])} makes another loop, with a proof of its own."
-
-
-def _held(proofs: Sequence[Proof]) -> str:
-    endless = any(each.box.held < 1 for each in proofs)
-    return f" ({100 * HELD:g} % of the draws: some have no ends)" if endless else ""
+def outside_the_box(t: ReportData) -> list[str]:
+    """Sentences about sampled quantities that the box does not contain."""
+    found = list[str]()
+    if outside := dict.fromkeys(f"`{name}`" for each in t.proofs for name in each.box.outside):
+        found.append(f"Not in the box, since no proof depends on it: {listed(list(outside))}.")
+    if unknown := dict.fromkeys(f"`{name}`" for each in t.proofs for name in each.box.unknown):
+        names = listed(list(unknown))
+        found.append(f"Each value of {names} changes the equations, so that it needs a proof of its own.")
+    return found

@@ -1,4 +1,4 @@
-"""All values that a study draws, as intervals of parameters and of starts."""
+"""Box of all values that a study samples: intervals of parameters and initial states."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from dmframe.robot.rational import decimal
 from dmframe.study.design import Spread
 from dmframe.study.varied import SETTINGS, Factor
 
-HELD: Final = 0.99
-"""Probability of the box, where what is drawn has no ends."""
+COVERAGE: Final = 0.99
+"""Probability of the box if some distribution is unbounded."""
 
 Ends = tuple[np.ndarray, np.ndarray]
 
@@ -24,35 +24,46 @@ Ends = tuple[np.ndarray, np.ndarray]
 @final
 @dataclass(frozen=True, eq=False)
 class Box:
-    """All values that parameters and starts take in a study.
+    """Intervals of all parameters and initial states that a study samples.
 
     Parameters
     ----------
     ends
-        By ``block.parameter``, and ``start.block.state``, its lower and its upper ends, in its own shape.
-    held
-        The probability that a sample lies in it; 1 where everything that is drawn has ends.
+        By ``block.parameter`` and ``start.block.state``, lower and upper bounds in its own shape.
+    probability
+        Probability that a sample lies in the box; 1 if all distributions are bounded.
     units
-        Of the parameters and starts.
+        Of the parameters and initial states.
     outside
-        Columns that are drawn and that no proof reads: a clock, the step of the solver.
+        Sampled columns that do not appear in any proof: a clock, the step of the solver.
     unknown
-        Labels that are drawn and have no interval, since another number makes another loop.
+        Sampled labels without an interval, since each value changes the equations of the loop.
     """
 
     ends: Mapping[str, Ends]
     units: Mapping[str, str]
-    held: float
+    probability: float
     outside: tuple[str, ...]
     unknown: tuple[str, ...] = ()
 
     @property
     def intervals(self) -> dict[str, list[Interval]]:
-        """As `dmframe.certify.verify` takes them: exact, of the decimals that a graph would state."""
+        """Exact intervals of the decimal numbers, as for `dmframe.certify.verify`."""
         return {
             label: [Interval(decimal(float(a)), decimal(float(b))) for a, b in zip(*map(_column, ends), strict=True)]
             for label, ends in self.ends.items()
         }
+
+
+def hull(
+    first: Mapping[str, Sequence[Interval]], second: Mapping[str, Sequence[Interval]]
+) -> dict[str, Sequence[Interval]]:
+    """Intervals that contain both, where a label has two."""
+    found = {**first}
+    for label, given in second.items():
+        pairs = zip(found.get(label, given), given, strict=True)
+        found[label] = [Interval(min(a.lower, b.lower), max(a.upper, b.upper)) for a, b in pairs]
+    return found
 
 
 def _column(values: np.ndarray) -> np.ndarray:
@@ -60,17 +71,17 @@ def _column(values: np.ndarray) -> np.ndarray:
 
 
 def box_of(diagram: Diagram, factors: Sequence[Factor], start: Mapping[str, Any] | None = None) -> Box:
-    """The box of what factors do to a loop's parameters and starts.
+    """The box of the values that factors give to a loop's parameters and initial states.
 
-    The ends are computed as the runs compute their values, and rounding never turns an order round: no run lies
-    outside. `start` is the graph's key of that name.
+    The bounds are computed with the same operations as the values of the runs; rounding is monotonic, so that no run
+    lies outside. `start` is the graph's key of that name.
     """
     own, given = _own(diagram, start or {}), start or {}
     ends, outside, unknown = dict[str, Ends](), list[str](), list[str]()
     drawn = [(factor, factor.spread) for factor in factors if factor.spread is not None]
-    endless = sum(len(factor.columns) for factor, spread in drawn if not _has_ends(spread))
-    # draws are independent, so that the probabilities of boxes multiply
-    each = HELD ** (1 / endless) if endless else 1.0
+    endless = sum(len(factor.columns) for factor, spread in drawn if not has_bounds(spread))
+    # independent draws: the probabilities of the intervals multiply
+    each = COVERAGE ** (1 / endless) if endless else 1.0
     for factor, spread in drawn:
         low, high = _reach(spread, each)
         for written in factor.labels:
@@ -81,17 +92,17 @@ def box_of(diagram: Diagram, factors: Sequence[Factor], start: Mapping[str, Any]
                 unknown.append(written)
             else:
                 outside += factor.columns
-    # a factor of zero: nothing varies, and what the graph lacks stays absent
+    # without variation the graph's own value applies
     ends = {label: pair for label, pair in ends.items() if not all(np.array_equal(end, own[label]) for end in pair)}
     units = {parameter.label: parameter.unit for parameter in diagram.loop.parameters if parameter.label in ends}
     units |= {f"{START}{v.label}": v.unit for v in diagram.loop.variables if f"{START}{v.label}" in ends}
-    return Box(ends, units, HELD if endless else 1.0, tuple(dict.fromkeys(outside)), tuple(dict.fromkeys(unknown)))
+    return Box(ends, units, COVERAGE if endless else 1.0, tuple(dict.fromkeys(outside)), tuple(dict.fromkeys(unknown)))
 
 
 def label_of(diagram: Diagram, written: str, given: Mapping[str, Any]) -> str:
-    """What a study's label is to a proof: a parameter of the loop, ``start.block.state``, or nothing.
+    """Label of a study's quantity in a proof: a parameter of the loop, ``start.block.state``, or empty.
 
-    A block's parameter may be where a state starts; a graph's key `start`, which goes before it, then decides.
+    A block's parameter may be the initial value of a state; the graph's key `start` takes precedence over it.
     """
     loop = diagram.loop
     if any(parameter.label == written for parameter in loop.parameters):
@@ -109,14 +120,14 @@ def label_of(diagram: Diagram, written: str, given: Mapping[str, Any]) -> str:
 
 
 def _own(diagram: Diagram, start: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """The graph's own numbers, of parameters and of starts."""
+    """The graph's own parameters and initial states."""
     found = {item.label: np.asarray(item.value, dtype=float) for item in diagram.loop.parameters}
     for variable in diagram.loop.variables:
         size = variable.symbol.numel()
-        held = start.get(variable.label, start.get(variable.name))
-        if held is None:
-            held = diagram.models[variable.block].values.get(variable.name, 0.0)
-        array = np.asarray(held, dtype=float)
+        value = start.get(variable.label, start.get(variable.name))
+        if value is None:
+            value = diagram.models[variable.block].values.get(variable.name, 0.0)
+        array = np.asarray(value, dtype=float)
         column = np.broadcast_to(array.ravel(order="F") if array.size > 1 else array.ravel(), (size,))
         found[f"{START}{variable.label}"] = column
     return found
@@ -132,13 +143,14 @@ def _moved(how: str, own: Ends, low: float, high: float) -> Ends:
     return np.full_like(below, low), np.full_like(below, high)
 
 
-def _has_ends(spread: Spread) -> bool:
+def has_bounds(spread: Spread) -> bool:
+    """True for a bounded distribution."""
     return bool(np.isfinite(spread.lower) and np.isfinite(spread.upper))
 
 
 def _reach(spread: Spread, probability: float) -> tuple[float, float]:
-    """The ends of a distribution; of one without, those between which so much of it lies, as much beyond each."""
-    if _has_ends(spread):
+    """Bounds of a distribution; for an unbounded one, its central interval of a probability."""
+    if has_bounds(spread):
         return spread.lower, spread.upper
     low, high = spread.at(np.array([(1 - probability) / 2, (1 + probability) / 2])).tolist()
     return low, high

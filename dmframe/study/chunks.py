@@ -1,8 +1,7 @@
-"""How the runs of a study are cut into chunks: by the time that they take, and then once and for all.
+"""Chunks of a study's runs: rectangles of points and samples, one file of results each.
 
-A chunk is a rectangle of points and samples, and one file of results. Its size is found by timing some first chunks
-(`Sizes`), which are results as all others are; then all boundaries are fixed (`Extent`), and a study of more samples
-only adds chunks.
+The size of a chunk is found by timing the first ones (`Sizes`), whose rows are kept. Then all boundaries are fixed
+(`Extent`); a study that is extended by more samples only adds chunks.
 """
 
 from __future__ import annotations
@@ -12,19 +11,19 @@ from dataclasses import dataclass
 from typing import Final, final
 
 FIRST: Final = 8
-"""Runs of the first chunk that is timed: as many as the widest machine advances at once."""
+"""Runs of the first timed chunk: as many as the widest SIMD batch."""
 GROWTH: Final = 16
-"""A chunk that is timed has at most so many times the runs of the one before it."""
+"""Largest ratio of the runs of a timed chunk to those of the one before."""
 LEAST: Final = 0.25
-"""A chunk of less time says little about the time of a run [s]."""
+"""Shortest duration of a chunk from which the time of a run is estimated [s]."""
 WORK: Final = 2.0
-"""What a chunk should take [s]."""
+"""Target duration of a chunk [s]."""
 
 
 @final
 @dataclass(frozen=True, order=True)
 class Chunk:
-    """The samples `first` to `stop` of the points `point` to `end`; `stop` and `end` are not among them."""
+    """The samples [first, stop) of the points [point, end)."""
 
     point: int
     end: int
@@ -33,11 +32,11 @@ class Chunk:
 
     @property
     def runs(self) -> int:
-        """How many."""
+        """Number of runs."""
         return (self.end - self.point) * (self.stop - self.first)
 
     def name(self, key: str) -> str:
-        """Of its file, without the ending; `key` is the study's."""
+        """Name of its file without the ending; `key` is the study's."""
         several = f"-{self.end:06}" if self.end - self.point > 1 else ""
         return f"{key[:16]}-p{self.point:06}{several}-s{self.first:09}-{self.stop:09}"
 
@@ -49,7 +48,7 @@ class Chunk:
 @final
 @dataclass(frozen=True)
 class Extent:
-    """A rectangle of points and samples that is cut into equal chunks, `points` by `samples` each."""
+    """A rectangle of points and samples, divided into equal chunks of `points` by `samples`."""
 
     point: int
     end: int
@@ -60,21 +59,21 @@ class Extent:
 
     @property
     def count(self) -> int:
-        """How many chunks."""
+        """Number of chunks."""
         return -(-(self.end - self.point) // self.points) * self._parts
 
     @property
     def _parts(self) -> int:
-        """Of a point's samples; what is left over is a part of its own, or makes the last one longer."""
+        """Parts of a point's samples; the remainder is a part by itself, or lengthens the last one."""
         return max(round((self.stop - self.first) / self.samples), 1)
 
     @property
     def runs(self) -> int:
-        """How many runs."""
+        """Number of runs."""
         return (self.end - self.point) * (self.stop - self.first)
 
     def __iter__(self) -> Iterator[Chunk]:
-        """Point by point: a worker has prepared the diagram of a point that it has met."""
+        """Chunks point by point, since a worker keeps the closed loop of its last points."""
         for point in range(self.point, self.end, self.points):
             end = min(point + self.points, self.end)
             for part in range(self._parts):
@@ -84,18 +83,18 @@ class Extent:
 
 @final
 class Sizes:
-    """Cuts the runs of a study into chunks.
+    """Divides the runs of a study into chunks.
 
     Parameters
     ----------
     points, samples
         Of the study.
     extents
-        What was cut before.
+        Existing chunks.
     each
-        Points and samples a chunk, as found before; None where that is not known yet.
+        Points and samples per chunk; None if the size has not been found yet.
     work
-        What a chunk should take [s].
+        Target duration of a chunk [s].
     """
 
     def __init__(
@@ -119,11 +118,11 @@ class Sizes:
 
     @property
     def whole(self) -> bool:
-        """True where all runs are cut."""
+        """True if every run belongs to a chunk."""
         return min(self._covered) >= self.samples
 
     def probe(self) -> Extent | None:
-        """The next chunk that is to be timed, from now on one of the study; None where all is cut."""
+        """The next chunk to time, which is added to the extents; None if every run belongs to a chunk."""
         if self.whole:
             return None
         if self._along == "samples" and self._covered[0] >= self.samples:
@@ -140,12 +139,12 @@ class Sizes:
         return extent
 
     def timed(self, extent: Extent, seconds: float) -> None:
-        """What the last `probe` took."""
+        """Report the duration of the last `probe` [s]."""
         count = extent.samples if self._along == "samples" else extent.points
         fitting = max(int(self.work * count / max(seconds, 1e-9)), 1)
-        if self._along == "samples" and seconds < self.work * count:  # a worker that has just begun prepares, too
+        if self._along == "samples" and seconds < self.work * count:  # includes the preparation of a new worker
             fitting = max(fitting, FIRST)
-        if self._timed and seconds >= LEAST:  # the first of all compiles, too
+        if self._timed and seconds >= LEAST:  # the very first one includes compilation
             self._settle(fitting)
         else:
             self._size = min(fitting, count * GROWTH)
@@ -153,7 +152,7 @@ class Sizes:
 
     @property
     def _fewest(self) -> int:
-        """Points of few samples that a machine advances at once."""
+        """Points that fill a SIMD batch when each has few samples."""
         return max(FIRST // self.samples, 1)
 
     def _settle(self, fitting: int) -> None:
@@ -161,7 +160,7 @@ class Sizes:
             whole = fitting // self._fewest * self._fewest
             few = self._fewest if fitting > 1 else 1  # a batch of one takes as long as a full one
             self.each = (whole or few, self._found or self.samples)
-        elif fitting >= self.samples and self.points > 1:  # several points make a chunk: how many, is timed next
+        elif fitting >= self.samples and self.points > 1:  # several points per chunk: time how many
             self._found = fitting
             self._rest_of_first()
             self._along, self._size, self._timed = "points", self._fewest, 0
@@ -175,8 +174,8 @@ class Sizes:
             self._add(Extent(0, 1, first, self.samples, 1, self.samples - first))
 
     def _cut(self) -> None:
-        """Cut all the rest into chunks of the size that was found."""
-        assert self.each is not None  # the callers looked
+        """Divide all remaining runs into chunks of the size that was found."""
+        assert self.each is not None  # checked by the callers
         points, samples = self.each
         for point, end in list(self._bands()):
             first = self._covered[point]
@@ -185,7 +184,7 @@ class Sizes:
             self._add(Extent(point, end, first, self.samples, min(points, end - point) if whole else 1, size))
 
     def _bands(self) -> Iterator[tuple[int, int]]:
-        """Points side by side of which as many samples are cut, where some are not."""
+        """Ranges of points with equally many samples in chunks, if some samples are not."""
         point = 0
         while point < self.points:
             end = point + 1
@@ -205,7 +204,7 @@ class Sizes:
 
 
 def _even(length: int, most: int) -> int:
-    """The size of equal parts of `length`, about `most` each; a multiple of `FIRST` where it can be."""
+    """Size of equal parts of `length`, about `most` each; a multiple of `FIRST` if possible."""
     if length <= most:
         return length
     size = -(-length // -(-length // most))

@@ -1,8 +1,7 @@
-"""Workers of a dask scheduler, on one machine or many.
+"""Executor with the workers of a dask scheduler, on one machine or many.
 
-With each chunk goes the study itself, packed with the files that its graph names: a worker needs dmframe, and neither
-the user's folder nor a shared disk. What computes must be the same everywhere: a worker with other versions, or for
-which the study has another key, is refused.
+Each chunk is sent with the study, packed with the files that its graphs name: a worker needs dmframe, but neither the
+user's folder nor a shared disk. A worker with other versions, or for which the study has another key, is refused.
 """
 
 from __future__ import annotations
@@ -15,43 +14,45 @@ import uuid
 from collections.abc import Mapping
 from contextlib import suppress
 from queue import Empty, Queue
-from typing import Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 from dmframe.errors import DmframeError, MissingError, visible
 from dmframe.interrupts import in_child
-from dmframe.study.beside import packed, unpacked
 from dmframe.study.chunks import Chunk
-from dmframe.study.computed import Computable, Computed, Failed, compute, versions
-from dmframe.study.pool import Answer
+from dmframe.study.executor import Answer, Computed, Failed, compute, machine, versions
+from dmframe.study.packing import packed, unpacked
+
+if TYPE_CHECKING:
+    from dmframe.study.plan import Study
 
 _FRESH: Final = 2.0
-"""For so long the number of workers is not asked for again [s]."""
+"""Time for which the number of workers is cached [s]."""
 _CONNECT: Final = 10.0
-"""How long a scheduler may take to answer [s]."""
+"""Timeout of the connection to a scheduler [s]."""
 
 
 @final
 class WorkersLost(DmframeError):
-    """The scheduler cannot be reached, or has gone: what was computed stays."""
+    """The scheduler cannot be reached any more; the rows computed so far are kept."""
 
 
 def exposed(address: str) -> list[str]:
-    """A notice where a scheduler listens to others than this machine, and to everybody."""
+    """A warning if a scheduler accepts connections of other machines without authentication."""
     kind, _, place = address.rpartition("://")
     host = place.rpartition(":")[0].strip("[]")
     if not address or kind not in ("", "tcp", "ws") or host in ("localhost", "::1") or host.startswith("127."):
         return []
-    return [f"{address}: whoever reaches this scheduler can run programs as you; listen on 127.0.0.1, or use tls://"]
+    return [f"{address}: anyone who can reach this scheduler can run programs as you; bind to 127.0.0.1, or use tls://"]
 
 
 @final
 class Cluster:
-    """The workers of a dask scheduler, as `Workers`.
+    """The workers of a dask scheduler, an `Executor`.
 
     Parameters
     ----------
     address
-        Of the scheduler, ``tcp://127.0.0.1:8786``; with ``tls://`` keys and certificates are those of dask's own
+        Of the scheduler, ``tcp://127.0.0.1:8786``; for ``tls://`` the keys and certificates are those of dask's
         configuration.
 
     Raises
@@ -60,7 +61,7 @@ class Cluster:
         dask.distributed is not installed.
     """
 
-    def __init__(self, study: Computable, address: str) -> None:
+    def __init__(self, study: Study, address: str) -> None:
         try:
             import distributed
         except ImportError:
@@ -70,22 +71,22 @@ class Cluster:
         self._client: Any = None
         self._answers: Queue[tuple[Chunk, Any]] = Queue()
         self._out: dict[Any, Chunk] = {}
-        self._count, self._asked = 0, 0.0
+        self._count, self._counted = 0, 0.0
 
     @property
     def count(self) -> int:
-        """How many threads the workers have that are there now. Raises `WorkersLost`."""
+        """How many threads the connected workers have. Raises `WorkersLost`."""
         now = time.monotonic()
-        if self._client is not None and now - self._asked > _FRESH:
-            self._asked = now
+        if self._client is not None and now - self._counted > _FRESH:
+            self._counted = now
             try:
                 self._count = sum(self._client.nthreads().values())
-            except Exception:  # whatever a connection raises that has ended
+            except Exception:  # of any type, from a closed connection
                 raise self._lost() from None
         return self._count
 
     def submit(self, chunk: Chunk) -> None:
-        """Let a chunk be computed. Raises `WorkersLost`."""
+        """Queue a chunk. Raises `WorkersLost`."""
         try:
             future = self._client.submit(
                 work, self._parcel, self._key, versions(), chunk, key=f"dmframe-{uuid.uuid4().hex}", pure=False
@@ -96,7 +97,7 @@ class Cluster:
         future.add_done_callback(lambda done: self._answers.put((chunk, done)))
 
     def ended(self, timeout: float) -> Answer | None:
-        """A chunk that has ended. Raises `WorkersLost`."""
+        """A finished chunk. Raises `WorkersLost`."""
         try:
             chunk, future = self._answers.get(timeout=timeout)
         except Empty:
@@ -113,7 +114,7 @@ class Cluster:
             if future.status in ("cancelled", "lost") or self._client.status != "running":
                 raise self._lost() from None
             kind = type(error).__name__
-            if kind == "KilledWorker":  # of several workers, and of each all chunks that waited there
+            if kind == "KilledWorker":  # blames every chunk that waited at a worker that died
                 return Failed("each worker that computed it was ended", alone=True)
             if isinstance(error, ModuleNotFoundError) or "No module named 'dmframe" in str(error):
                 raise WorkersLost("a worker has no dmframe; install the same version there") from None
@@ -122,12 +123,12 @@ class Cluster:
             future.release()
         if isinstance(answer, Refused):
             raise WorkersLost(answer.text)
-        assert isinstance(answer, Computed | Failed)  # that is what `work` returns
+        assert isinstance(answer, Computed | Failed)  # what `work` returns
         return answer
 
     def __enter__(self) -> Cluster:
         for name in ("distributed", *logging.root.manager.loggerDict):
-            if name.partition(".")[0] == "distributed":  # what is lost is told in one sentence
+            if name.partition(".")[0] == "distributed":  # a lost connection is reported in one sentence
                 logging.getLogger(name).setLevel(logging.CRITICAL)
         try:
             self._client = _client(self._library)(
@@ -139,7 +140,7 @@ class Cluster:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with suppress(Exception):  # of a scheduler that has gone
+        with suppress(Exception):  # the scheduler may have ended
             self._client.cancel(list(self._out), force=True)
         with suppress(Exception):
             self._client.close(timeout=2)
@@ -149,7 +150,7 @@ class Cluster:
 
 
 def _client(library: Any) -> Any:
-    """Dask's client, but for its end where it could not connect: there it waits, and then complains."""
+    """Dask's client without its destructor, which waits and then warns if the connection failed."""
 
     class Client(library.Client):  # type: ignore[misc]
         def __del__(self) -> None:
@@ -160,18 +161,18 @@ def _client(library: Any) -> Any:
 
 @final
 class Refused:
-    """A worker that must not compute, and why."""
+    """Reason for which a worker must not compute."""
 
     def __init__(self, text: str) -> None:
         self.text = text
 
 
-_studies: dict[str, Computable] = {}
+_studies: dict[str, Study] = {}
 _one = threading.Lock()
 
 
 def _renew() -> None:
-    """In a copy of a worker: no chunk is computed there, and what one has begun to prepare is not used."""
+    """Reset the state in a forked copy of a worker."""
     global _one
     _one = threading.Lock()
     _studies.clear()
@@ -181,17 +182,15 @@ in_child(_renew)
 
 
 def work(parcel: bytes, key: str, wanted: Mapping[str, str], chunk: Chunk) -> Computed | Failed | Refused:
-    """In a worker: the rows of a chunk. The study stays in the process, with the diagrams that it has prepared."""
+    """Task of a worker: the rows of a chunk. The worker keeps the study with its closed loops."""
     here = versions()
     other = [
         f"{name} {here.get(name)} where the client has {its}" for name, its in wanted.items() if here.get(name) != its
     ]
     if other:
-        from dmframe.study.computed import machine
-
         return Refused(f"a worker on {machine()['host']} has {', '.join(other)}; install the same versions there")
     digest = hashlib.sha256(parcel).hexdigest()
-    with _one:  # a worker of several threads computes one chunk after another
+    with _one:  # a worker with several threads computes one chunk at a time
         if digest not in _studies:
             try:
                 study = unpacked(parcel)

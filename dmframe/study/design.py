@@ -1,4 +1,4 @@
-"""Where in the unit cube the samples of a study lie: the same numbers for a sample, whoever asks for which others."""
+"""Sampling designs: points of the unit cube; a sample's numbers do not depend on which others are requested."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ class Design:
     Parameters
     ----------
     method
-        ``random``: independent; ``sobol``: a scrambled Sobol sequence; ``latin_hypercube``: one of `samples` points.
+        ``random``: independent draws; ``sobol``: a scrambled Sobol sequence; ``latin_hypercube``: `samples` points.
     seed
-        Decides the numbers.
+        Of the random numbers.
     names
-        Of the dimensions; with ``random``, one's numbers do not depend on the others.
+        Of the dimensions; with ``random``, the numbers of one do not depend on the others.
     samples
-        How many there are.
+        Number of samples.
     """
 
     method: Method
@@ -46,24 +46,24 @@ class Design:
 
     @property
     def extends(self) -> bool:
-        """True where more samples leave those that there are as they are."""
+        """True if more samples leave the existing ones unchanged."""
         return self.method != "latin_hypercube" or not self.names
 
     def __post_init__(self) -> None:
         if self.method == "latin_hypercube" and self.samples * len(self.names) > MOST_LATIN:
             raise ValueFault(
-                f"sample.runs: expected at most {MOST_LATIN // len(self.names)} with latin_hypercube, which is made as "
-                f"a whole, found {self.samples}; take sobol, or random",
+                f"sample.runs: expected at most {MOST_LATIN // len(self.names)} with latin_hypercube, which is "
+                f"computed as a whole, found {self.samples}; use sobol or random",
                 path=("sample", "runs"),
             )
 
     def points(self, first: int, stop: int) -> np.ndarray:
-        """(stop - first, dimensions), each number between 0 and 1 without the ends.
+        """(stop - first, dimensions), numbers strictly between 0 and 1.
 
         Raises
         ------
         ValueFault
-            Samples that there are not.
+            Samples outside of the design.
         """
         if not 0 <= first <= stop <= self.samples:
             raise ValueFault(f"samples: expected some from 0 to {self.samples}, found {first} to {stop}")
@@ -77,13 +77,13 @@ class Design:
 
 
 MOST_LATIN: Final = 10**7
-"""Numbers of a Latin hypercube: it is made as a whole, in memory."""
+"""Numbers of a Latin hypercube, which is computed as a whole in memory."""
 
 
 def _stream(seed: int, name: str, first: int, stop: int) -> np.ndarray:
     words = np.frombuffer(hashlib.sha256(name.encode()).digest(), dtype=np.uint32).tolist()
     generator = np.random.PCG64(np.random.SeedSequence([seed, *words])).advance(first)
-    raw = generator.random_raw(stop - first)  # the bits, of which NumPy promises that they stay
+    raw = generator.random_raw(stop - first)  # NumPy guarantees these bits across versions
     return np.asarray(((raw >> np.uint64(64 - _BITS)) + 0.5) * 2.0**-_BITS)
 
 
@@ -92,7 +92,7 @@ def _sobol(seed: int, dimensions: int, first: int, stop: int) -> np.ndarray:
 
     engine = qmc.Sobol(dimensions, scramble=True, bits=_SOBOL_BITS, rng=np.random.default_rng(seed))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of a number of samples that is no power of two
+        warnings.simplefilter("ignore", UserWarning)  # about a number of samples that is not a power of two
         if first:
             engine.fast_forward(first)
         return np.asarray(engine.random(stop - first)) + 2.0 ** -(_SOBOL_BITS + 1)
@@ -116,7 +116,7 @@ class Spread:
     kind
         ``uniform`` and ``log`` lie between `a` and `b`; ``normal`` has mean `a` and standard deviation `b`.
     lower, upper
-        The ends between which it lies; infinite where it has none.
+        Bounds; infinite without one.
     """
 
     kind: Literal["uniform", "log", "normal"]
@@ -126,7 +126,7 @@ class Spread:
     upper: float
 
     def at(self, points: np.ndarray) -> np.ndarray:
-        """What is drawn at points between 0 and 1, rounded to `DIGITS`: the distribution's quantiles."""
+        """Quantiles at points between 0 and 1, rounded to `DIGITS`."""
         drawn = map(self._quantile, points.tolist())
         rounded = (float(f"{value:.{DIGITS - 1}e}") for value in drawn)
         return np.array([min(max(value, self.lower), self.upper) for value in rounded])
@@ -140,8 +140,8 @@ class Spread:
 
 
 def _normal(lower: float, upper: float, point: float) -> float:
-    """The quantile of the standard normal distribution between two ends."""
-    if lower > 0:  # by symmetry: the upper tail's shares are all near 1
+    """Quantile of the standard normal distribution truncated to an interval."""
+    if lower > 0:  # by symmetry: probabilities in the upper tail are all near 1
         return -_normal(-upper, -lower, 1 - point)
     from scipy.special import ndtr, ndtri
 
@@ -150,5 +150,5 @@ def _normal(lower: float, upper: float, point: float) -> float:
 
 
 def columns_of(name: str, elements: int | None) -> Sequence[str]:
-    """The dimensions of a varied quantity: itself, or one for each of its elements."""
+    """Columns of a varied quantity: one, or one per element."""
     return [name] if elements is None else [f"{name}[{k}]" for k in range(elements)]

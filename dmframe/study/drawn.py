@@ -1,4 +1,4 @@
-"""Which samples of a study fulfil the proof: by margins at each one's own numbers, or by its own graph's `verify`."""
+"""Samples that meet a proof's conditions: by margins at each sample's numbers, or by `verify` of its graph."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.values import with_values
 from dmframe.errors import DmframeError, ValueFault
 from dmframe.exact.rational import evaluate
+from dmframe.parameter import PAIRS, specs
 from dmframe.robot.rational import decimal
 from dmframe.study.box import Box, label_of
 
@@ -30,15 +31,15 @@ if TYPE_CHECKING:
     from dmframe.study.plan import Study
 
 LOOKED: Final = 20_000
-"""Samples of which each is looked at by itself, where the proof does not hold over the whole box."""
+"""Samples that are examined one by one if the proof does not hold over the whole box."""
 EDGE: Final = 1e-12
-"""Margins so near to zero, relative to the largest, are decided exactly: rounding may have turned them."""
+"""Margins smaller than this, relative to the largest, are decided exactly, because of rounding."""
 EXACT: Final = 200
-"""Samples of which margins are decided exactly, at most."""
+"""Largest number of samples with margins decided exactly."""
 SINGLE: Final = 6
-"""Samples that are verified one by one, where margins say nothing of them."""
+"""Samples that are verified one by one if their margins are not decisive."""
 SECONDS: Final = 15.0
-"""After so long no further one is begun, for each grid point."""
+"""Time after which no further sample is verified, per grid point [s]."""
 
 HOLDS, FAILS, OPEN = 1, 0, -1
 
@@ -46,43 +47,44 @@ HOLDS, FAILS, OPEN = 1, 0, -1
 @final
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """Of each of the first samples: does it fulfil every condition of the proof by itself?
+    """Whether each of the first samples meets every condition of the proof.
 
     Parameters
     ----------
     fulfil
         (n,) bool.
     unknown
-        (n,) bool, of which it is not known.
-    verified
-        How many of them were verified as graphs of their own.
+        (n,) bool: undecided samples.
     """
 
     fulfil: np.ndarray
     unknown: np.ndarray
-    verified: int = 0
 
     @property
-    def told(self) -> bool:
-        """Something is known of some sample."""
+    def known(self) -> bool:
+        """True if some sample is decided."""
         return not bool(self.unknown.all())
+
+    @property
+    def counts(self) -> tuple[int, int, int]:
+        """Numbers of samples that meet all conditions, of all samples, and of undecided ones."""
+        return int(self.fulfil.sum()), len(self.fulfil), int(self.unknown.sum())
 
 
 def drawn_of(study: Study, index: int, diagram: Diagram, box: Box, verdict: Verdict) -> Drawn:
-    """The samples of a grid point, of which the whole box is not proved."""
+    """Examine the samples of a grid point whose box is not proved as a whole."""
     count, experiment = min(study.samples, LOOKED), study.points[index].graph.experiment
     stated, values = experiment.intervals(diagram), study.values(index, 0, count)
     found = None if box.unknown else held_at(diagram, experiment.start, values, count, verdict, stated)
     found = np.full(count, OPEN) if found is None else found
-    verified, begun = 0, time.perf_counter()
+    begun = time.perf_counter()
     for sample in np.flatnonzero(found == OPEN)[:SINGLE].tolist():
         if time.perf_counter() - begun > SECONDS:
             break
         with suppress(DmframeError):
             graph = study.graph_of(sample * len(study.points) + index)
             found[sample] = HOLDS if graph.experiment.verify().outcome == "proved" else FAILS
-            verified += 1
-    return Drawn(found == HOLDS, found == OPEN, verified)
+    return Drawn(found == HOLDS, found == OPEN)
 
 
 def held_at(
@@ -93,24 +95,24 @@ def held_at(
     verdict: Verdict,
     stated: Intervals | None = None,
 ) -> np.ndarray | None:
-    """Which of `count` samples fulfil every condition, each at its own numbers: `HOLDS`, `FAILS`, or `OPEN`.
+    """Whether `count` samples meet every condition, each at its own numbers: `HOLDS`, `FAILS`, or `OPEN`.
 
     Parameters
     ----------
     values
-        Rows by ``block.parameter``, as `Study.values` has them.
+        Rows by ``block.parameter``, see `Study.values`.
     verdict
         Over the box of all these values.
     stated
-        The graph's own intervals, over which each sample's proof is one, too.
+        The graph's own intervals, over which each sample's proof must hold.
 
     Returns
     -------
     (count,) int
-        None where nothing is known of any: the claim is not proved but for its conditions, or a value makes another
-        loop.
+        None if no sample can be decided: the claim fails for other reasons than its conditions, or a value changes the
+        equations.
     """
-    claim = verdict.claim if verdict.samples is None else verdict.samples.base
+    claim = verdict.claim
     if claim is None or diagram.unit_faults or not _but_for_conditions(verdict):
         return None
     with SYMBOLIC:
@@ -120,7 +122,7 @@ def held_at(
         moved = {label.removeprefix(START) for label in rows if label.startswith(START)}
         everything = elsewhere(verdict.conditions, claim, stated or {}, moved)
     silent = {item.checked.name for item in everything if item.tacit}
-    # what is no condition of a single graph, but was not decided over the box, is looked at again by its own margin
+    # conditions that were undecided over the box are evaluated again at each sample
     judged = [
         item for item in everything if item.tacit or not (item.checked.source == NEEDED and item.checked.name in silent)
     ]
@@ -130,7 +132,7 @@ def held_at(
 
 
 def _but_for_conditions(verdict: Verdict) -> bool:
-    """The identity is proved, and all was decided: what fails, if anything does, are conditions."""
+    """True if the identity is proved and only conditions fail, if anything does."""
     if verdict.test is None or not verdict.test.zero or not verdict.conditions:
         return False
     if verdict.outcome == "proved":
@@ -144,7 +146,7 @@ def _but_for_conditions(verdict: Verdict) -> bool:
 def _rows_of(
     diagram: Diagram, claim: Claim, start: Mapping[str, Any], values: Mapping[str, np.ndarray], count: int
 ) -> dict[str, np.ndarray] | None:
-    """(elements, count) of each parameter and start that moves; None where a value makes another loop or claim."""
+    """(elements, count) of each varied parameter and initial state; None if a value changes the equations."""
     shapes = {item.label: item.value.shape for item in claim.loop.parameters}
     shapes |= {f"{START}{label}": (symbol.numel(),) for label, symbol in claim.starts.items()}
     rows, written = dict[str, np.ndarray](), dict[str, Any]()
@@ -153,8 +155,8 @@ def _rows_of(
         if label not in shapes:
             continue
         try:
-            rows[label] = _rows(column, shapes[label], count)
-        except ValueError:  # a matrix that the loop holds in other numbers
+            rows[label] = _rows(_held(diagram, label, column), shapes[label], count)
+        except ValueError:  # a matrix that the loop stores in another form
             return None
         if not name.startswith(START) and name.partition(".")[0] in diagram.blocks:
             written[name] = column[0].tolist()
@@ -162,14 +164,14 @@ def _rows_of(
 
 
 def _alone(diagram: Diagram, claim: Claim, written: Mapping[str, Any], rows: Mapping[str, np.ndarray]) -> bool:
-    """The first sample's graph has the same claim, and no other number than those that were drawn."""
+    """True if the first sample's graph has the same claim, and differs in the drawn numbers only."""
     try:
         changed = with_values(diagram, written)
     except DmframeError:
         return False
     for new, old in zip(changed.loop.parameters, diagram.loop.parameters, strict=True):
         if new.label in rows and new.label not in written:
-            continue  # a number of the robot, which no block has
+            continue  # a parameter of the robot model, not of a block
         wanted = rows[new.label][:, 0] if new.label in rows else old.value.ravel(order="F")
         if not np.array_equal(new.value.ravel(order="F"), wanted):
             return False
@@ -177,8 +179,17 @@ def _alone(diagram: Diagram, claim: Claim, written: Mapping[str, Any], rows: Map
     return all(claims_alike(claim, changed, block) for block in blocks)
 
 
+def _held(diagram: Diagram, label: str, values: np.ndarray) -> np.ndarray:
+    """As the loop stores them: it has a row of two ends for each element, where a file has two rows of ends."""
+    block, _, name = label.partition(".")
+    spec = specs(type(diagram.blocks[block])).get(name) if block in diagram.blocks else None
+    if spec is None or spec.form not in PAIRS:
+        return values
+    return np.moveaxis(values, 1, -1) if values.ndim > 2 else values[:, None, :]
+
+
 def _rows(values: np.ndarray, shape: tuple[int, ...], count: int) -> np.ndarray:
-    """(elements, count): each sample's parameter, column by column; one number stands for all elements."""
+    """(elements, count): each sample's parameter in column-major order; one number is repeated for all elements."""
     if values.ndim == 1:
         values = values.reshape(count, *(1 for _ in shape))
     full = np.broadcast_to(values, (count, *shape))
@@ -187,7 +198,7 @@ def _rows(values: np.ndarray, shape: tuple[int, ...], count: int) -> np.ndarray:
 
 @final
 class _Samples:
-    """The numbers of all samples, at which margins are evaluated."""
+    """Numbers of all samples, for the evaluation of margins."""
 
     def __init__(self, claim: Claim, rows: Mapping[str, np.ndarray], count: int) -> None:
         self._count, self._starts = count, [label for label in rows if label.startswith(START)]
@@ -201,7 +212,7 @@ class _Samples:
         self._moved = symbols_in(symbol for label, symbol in zip(labels, self._symbols, strict=True) if label in rows)
 
     def judged(self, items: Sequence[Elsewhere]) -> np.ndarray:
-        """What all of them say together of each sample."""
+        """Conjunction of all conditions, for each sample."""
         found = np.full(self._count, HOLDS)
         for item in items:
             each = self._of(item)
@@ -219,7 +230,7 @@ class _Samples:
         values = np.array(values).reshape(-1, self._count)
         least = np.min(values, axis=0)
         above = np.where(least > 0 if item.checked.strict else least >= 0, HOLDS, OPEN if item.opens else FAILS)
-        endless = np.isinf(values).any(axis=0)  # a divisor that is zero is no margin, however large
+        endless = np.isinf(values).any(axis=0)  # a margin with a zero divisor is undecided
         size = np.where(np.isfinite(values), np.abs(values), 0)
         near = endless | (np.abs(least) <= EDGE * (1 + np.max(size, initial=0)))
         for place, sample in enumerate(np.flatnonzero(near).tolist()):
@@ -227,7 +238,7 @@ class _Samples:
         return above
 
     def _exactly(self, function: Any, item: Elsewhere, sample: int) -> int:
-        """Of one sample, in the decimals that its graph would state."""
+        """Decide one sample exactly, with the decimal numbers of its graph."""
         given = [[decimal(float(x)) for x in column[:, sample]] for column in self._columns]
         try:
             values = evaluate(function, given)[0]
@@ -237,6 +248,3 @@ class _Samples:
         if least > 0 if item.checked.strict else least >= 0:
             return HOLDS
         return OPEN if item.opens else FAILS
-
-
-__all__ = ["FAILS", "HOLDS", "OPEN", "Drawn", "drawn_of", "held_at"]

@@ -1,4 +1,4 @@
-"""Run a study: cut it into chunks, have them computed, keep their rows; go on where another process was ended."""
+"""Run a study: divide it into chunks, have them computed, and keep their rows; continue what another process began."""
 
 from __future__ import annotations
 
@@ -9,47 +9,51 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final, final
+from typing import TYPE_CHECKING, Any, Final, final
 
-from dmframe.errors import OutputError, ValueFault
+from dmframe.errors import DmframeError, OutputError, ValueFault
 from dmframe.files import append, encoded, put, writing
-from dmframe.study.beside import files_beside
+from dmframe.simulate.many import cores
 from dmframe.study.chunks import WORK, Chunk, Extent, Sizes
 from dmframe.study.cluster import Cluster, WorkersLost, exposed
-from dmframe.study.computed import Computable, Computed, Failed, versions
-from dmframe.study.pool import Pool, Workers
+from dmframe.study.executor import Computed, Executor, Failed, compute, versions
+from dmframe.study.journal import difference, kept_in, read_lock
+from dmframe.study.pool import Pool
 from dmframe.study.store import PROCESSES, PROVENANCE, Store, opened
 
+if TYPE_CHECKING:
+    from dmframe.study.plan import Study
+
 ATTEMPTS: Final = 3
-"""How often a chunk is tried."""
+"""Attempts per chunk."""
 AHEAD: Final = 3
-"""Chunks a worker that are submitted: one is computed, the others wait."""
+"""Chunks submitted per worker: one is computed, the others wait."""
 _LOOK: Final = 0.5
-"""How often somebody is told that nothing has changed [s]."""
+"""Interval of progress reports without a change [s]."""
 
 
 @final
 @dataclass
 class State:
-    """How far a study is.
+    """Progress of a study.
 
     Attributes
     ----------
     runs, kept
-        All runs, and those whose rows are there.
+        All runs, and those whose rows are in the folder.
     computed
-        Of these, those that were computed now.
+        Runs computed by this call.
     failed
-        Why, by chunk, for chunks that failed as often as they are tried.
+        Reason, by chunk, for chunks that failed in all attempts.
     lost
-        Why it ended early; empty where it did not.
+        Why it ended early; empty if it did not.
     notices
-        What a user should know.
+        Warnings.
     seconds
-        It has taken until now.
+        Elapsed time [s].
     """
 
     runs: int
@@ -63,22 +67,19 @@ class State:
 
     @property
     def complete(self) -> bool:
-        """True where every row is there."""
+        """True if every row is in the folder."""
         return self.kept == self.runs
 
 
-Told = Callable[[State], None]
-
-
 def run_study(
-    study: Computable,
+    study: Study,
     out: str | Path,
     *,
     workers: int | None = None,
     scheduler: str | None = None,
     force: bool = False,
     chunk: int | None = None,
-    told: Told | None = None,
+    report: Callable[[State], None] | None = None,
     command: Sequence[str] | None = None,
 ) -> State:
     """Compute those rows of a study that its folder does not hold yet.
@@ -86,75 +87,69 @@ def run_study(
     Parameters
     ----------
     out
-        The folder; one that was begun before is gone on with.
+        The folder; one that was begun before is continued.
     workers
-        Processes on this machine; as many as there are cores without it.
+        Processes on this machine; by default as many as there are cores.
     scheduler
         Address of a dask scheduler, whose workers compute instead.
     force
-        Where the folder holds another study, throw its runs away.
+        If the folder holds another study, delete its runs.
     chunk
-        Samples a chunk; without it, as many as take some seconds.
-    told
+        Samples per chunk; by default as many as take some seconds.
+    report
         Called with the state whenever it changes, and twice a second.
     command
-        For the record; that of this process without it.
+        Command line for the record; by default that of this process.
 
     Returns
     -------
     State
-        With the chunks that failed `ATTEMPTS` times, if any, and why the workers were lost, if they were.
+        With the chunks that failed `ATTEMPTS` times and, if the workers were lost, the reason.
 
     Raises
     ------
     DmframeError
-        Of the folder, see `opened`; or no worker can be started.
+        The folder cannot be used, see `opened`; or no worker can be started.
     """
     if workers is not None and workers < 1:
         raise ValueFault(f"workers: expected at least 1, found {workers}")
     if workers is not None and scheduler is not None:
-        raise ValueFault("workers: the scheduler has its own; leave one of the two out")
+        raise ValueFault("workers: not with a scheduler, which has its own workers; remove one of the two")
     if chunk is not None and chunk < 1:
         raise ValueFault(f"chunk: expected at least 1 sample, found {chunk}")
     began, moment = time.monotonic(), datetime.now(UTC)
     state = State(study.runs)
-    with opened(out, study, files_beside(study), force=force) as store:
+    with opened(out, study, study.files(), force=force) as store:
         state.kept, state.notices = store.runs_done, [*store.notices, *exposed(scheduler or "")]
         each = store.each or (None if chunk is None else (1, chunk))
 
-        def tell() -> None:
+        def update() -> None:
             state.seconds = time.monotonic() - began
-            if told is not None:
-                told(state)
+            if report is not None:
+                report(state)
 
-        tell()
+        update()
         if not state.complete:
             try:
-                with _workers(study, workers, scheduler) as place:
+                with Pool(study, workers) if scheduler is None else Cluster(study, scheduler) as executor:
                     sizes = Sizes(len(study.points), study.samples, extents=store.extents, each=each, work=WORK)
-                    _Marching(store, place, state, tell).all(sizes)
+                    _Dispatcher(store, executor, state, update).all(sizes)
             except WorkersLost as lost:
                 state.lost = lost.text
             finally:
                 state.seconds = time.monotonic() - began
-                with suppress(OutputError):  # where the disk is full, that is told of the rows
+                with suppress(OutputError):  # a full disk is reported by the rows
                     _record(store, state, moment, scheduler, command)
-        tell()
+        update()
     return state
 
 
-def _workers(study: Computable, workers: int | None, scheduler: str | None) -> Workers:
-    if scheduler is None:
-        return Pool(study, workers)
-    return Cluster(study, scheduler)
-
-
 @final
-class _Marching:
-    """The loop: chunks go out, a few a worker; rows come back and are kept."""
+class _Dispatcher:
+    """Submits chunks, a few per worker, and keeps the rows that come back."""
 
-    def __init__(self, store: Store, workers: Workers, state: State, tell: Callable[[], None]) -> None:
-        self._store, self._workers, self._state, self._tell = store, workers, state, tell
+    def __init__(self, store: Store, executor: Executor, state: State, update: Callable[[], None]) -> None:
+        self._store, self._executor, self._state, self._update = store, executor, state, update
         self._out = set[Chunk]()
         self._again = list[Chunk]()
         self._alone = list[Chunk]()
@@ -162,49 +157,49 @@ class _Marching:
         self._tried = Counter[Chunk]()
 
     def all(self, sizes: Sizes) -> None:
-        """All chunks: those that are cut already, those that are timed, the rest."""
+        """Compute all chunks: those fixed before, those that are timed to find a chunk's size, then the rest."""
         store = self._store
         store.cut(sizes.extents, sizes.each)
-        self._those(_left(store))
+        self._compute(_left(store))
         while (probe := sizes.probe()) is not None:
             store.cut(sizes.extents, sizes.each)
-            self._those(iter(probe))
+            self._compute(iter(probe))
             sizes.timed(probe, self._seconds(probe))
         store.cut(sizes.extents, sizes.each)
-        self._those(_left(store))
+        self._compute(_left(store))
 
     def _seconds(self, probe: Extent) -> float:
-        """That a timed chunk took; where it failed, a guess that makes chunks small."""
+        """Duration of a timed chunk; after a failure a guess that makes chunks small."""
         (chunk,) = probe
         kept = self._store.kept.get(self._store.file(chunk).name)
         return kept.seconds if kept else float(chunk.runs)
 
-    def _those(self, chunks: Iterator[Chunk]) -> None:
-        """Compute chunks: never more at once than keeps the workers busy, however many there are."""
+    def _compute(self, chunks: Iterator[Chunk]) -> None:
+        """Compute chunks, with at most `AHEAD` per worker submitted at a time."""
         waiting = (chunk for chunk in chunks if chunk not in self._state.failed)
         while True:
-            self._state.workers = self._workers.count
-            while len(self._out) < AHEAD * max(self._workers.count, 1):
+            self._state.workers = self._executor.count
+            while len(self._out) < AHEAD * max(self._executor.count, 1):
                 chunk = self._again.pop() if self._again else next(waiting, None)
                 if chunk is None:
                     break
                 self._out.add(chunk)
-                self._workers.submit(chunk)
-            if not self._out:  # what may have been ended for another's sake comes last, and one by one
+                self._executor.submit(chunk)
+            if not self._out:  # chunks that another one may have made fail come last, one at a time
                 if not self._alone:
                     return
                 self._out.add(chunk := self._alone.pop())
-                self._workers.submit(chunk)
-            if (answer := self._workers.ended(_LOOK)) is not None:
+                self._executor.submit(chunk)
+            if (answer := self._executor.ended(_LOOK)) is not None:
                 self._take(*answer)
-            self._tell()
+            self._update()
 
     def _take(self, chunk: Chunk, answer: Computed | Failed) -> None:
         self._out.discard(chunk)
         if isinstance(answer, Computed):
             try:
                 self._store.write(chunk, answer)
-            except ValueFault as fault:  # rows that are not those of the chunk
+            except ValueFault as fault:  # rows of another chunk
                 answer = Failed(fault.text, final=True)
             else:
                 self._state.kept += chunk.runs
@@ -222,12 +217,12 @@ class _Marching:
 
 
 def _left(store: Store) -> Iterator[Chunk]:
-    cut = list(store.extents)  # those that are timed come to it meanwhile
-    return (chunk for extent in cut for chunk in extent if chunk not in store.done)
+    extents = list(store.extents)  # timed chunks are added meanwhile
+    return (chunk for extent in extents for chunk in extent if chunk not in store.done)
 
 
 def _record(store: Store, state: State, moment: datetime, scheduler: str | None, command: Sequence[str] | None) -> None:
-    """Say in ``provenance.json`` what ran last and what made the rows, and add this process to those before it."""
+    """Write to ``provenance.json`` what ran last and what made the rows, and append this process to the list."""
     this = {
         "time": moment.isoformat(timespec="seconds"),
         "command": list(sys.argv if command is None else command),
@@ -249,3 +244,80 @@ def _record(store: Store, state: State, moment: datetime, scheduler: str | None,
     with writing(store.path, "folder"):
         put(store.path / PROVENANCE, encoded(json.dumps(this | made | failed, indent=2, ensure_ascii=False) + "\n"))
         append(store.path / PROCESSES, json.dumps(this | failed, ensure_ascii=False) + "\n")
+
+
+@final
+@dataclass(frozen=True)
+class Foreseen:
+    """Estimate of a study's work.
+
+    Parameters
+    ----------
+    kept
+        Runs whose rows are in the folder.
+    chunks, each
+        Number of remaining chunks, and the runs of the largest.
+    rate
+        Runs per second of one worker on this machine.
+    seconds
+        Estimated time for the remaining chunks on `workers` workers.
+    """
+
+    points: int
+    samples: int
+    runs: int
+    kept: int
+    chunks: int
+    each: int
+    rate: float
+    workers: int
+    seconds: float
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return asdict(self)
+
+
+def foreseen(study: Study, place: Path, workers: int | None = None) -> Foreseen:
+    """Divide a study into chunks without running it; if its folder has no timing, some runs are timed.
+
+    Raises
+    ------
+    DmframeError
+        The timed runs cannot be prepared.
+    """
+    lock = read_lock(place)
+    mine = lock is not None and not difference(lock, study.identity)
+    kept = kept_in(place) if mine else {}
+    extents = [Extent(*numbers) for numbers in lock["extents"]] if lock and mine else []
+    each = tuple(lock["each"]) if lock and mine and lock["each"] else None
+    sizes = Sizes(len(study.points), study.samples, extents=extents, each=each)
+    count, seconds = sum(line.rows for line in kept.values()), sum(line.seconds for line in kept.values())
+    rate = count / seconds if seconds and each else _timed(study, sizes)
+    left = [chunk for extent in sizes.extents for chunk in extent if f"{chunk.name(study.key)}.parquet" not in kept]
+    many = workers or cores()
+    return Foreseen(
+        points=len(study.points),
+        samples=study.samples,
+        runs=study.runs,
+        kept=count,
+        chunks=len(left),
+        each=max((chunk.runs for chunk in left), default=0),
+        rate=rate,
+        workers=many,
+        seconds=sum(chunk.runs for chunk in left) / rate / min(many, max(len(left), 1)),
+    )
+
+
+def _timed(study: Study, sizes: Sizes) -> float:
+    """Find the size of chunks by timing some in this process; returns the runs per second."""
+    rate = 1.0
+    while (probe := sizes.probe()) is not None:
+        (chunk,) = probe
+        found = compute(study, chunk)
+        if isinstance(found, Failed):
+            raise DmframeError(f"{chunk}: {found.text}")
+        sizes.timed(probe, found.seconds)
+        rate = chunk.runs / max(found.seconds, 1e-9)
+    return rate

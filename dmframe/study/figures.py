@@ -1,4 +1,4 @@
-"""The figures of a study: how figures of merit are distributed, when they fall, what decides them, and where."""
+"""Plots of a study: distributions, errors over the run, influences and maps."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ import numpy as np
 from dmframe.plotting import COLUMN, GREY, PAGE, look, names_above, page, unit_text, verbatim
 from dmframe.results.drawn_runs import shown_unit
 from dmframe.results.error_figure import log_ticks
-from dmframe.study.findings import DIVERGED, SHOWN, Drawn, Findings, Found
+from dmframe.study.findings import SHOWN, Drawn, Findings, Found
 from dmframe.study.statistics import Axis
 
 MOST: Final = 1500
-"""Points of a curve; more of a distribution's steps would not be seen."""
+"""Largest number of points of a curve."""
 BARS: Final = 40
-"""Grid points of which the share that diverged is drawn."""
+"""Largest number of grid points in the plot of divergences."""
 FACTORS: Final = 12
 
 
 def figures_of(found: Findings) -> dict[str, Any]:
-    """All figures that the findings allow, by the names of their files."""
+    """All plots that the findings allow, by file name."""
     made = {
         "divergence": divergence_figure(found),
         "distribution": distribution_figure(found),
@@ -34,13 +34,13 @@ def figures_of(found: Findings) -> dict[str, Any]:
 
 
 def grouped(maps: Sequence[Drawn]) -> list[list[Drawn]]:
-    """Maps of the same two factors together."""
+    """Maps grouped by their two factors."""
     pairs = dict.fromkeys((each.x, each.y) for each in maps)
     return [[each for each in maps if (each.x, each.y) == pair] for pair in pairs]
 
 
 def label(found: Findings, name: str) -> tuple[str, float]:
-    """What an axis is called, with the unit in which it is drawn, and the factor to it."""
+    """Label of an axis with its unit, and the factor to that unit."""
     column = next((each for each in found.results.study.varied if each.name == name), None)
     if column is not None and column.how == "scale":
         return f"{verbatim(name)}, factor", 1.0
@@ -49,7 +49,7 @@ def label(found: Findings, name: str) -> tuple[str, float]:
 
 
 def divergence_figure(found: Findings) -> Any:
-    """The share of runs that diverged at each grid point, with its interval; None for one point, or where none did."""
+    """Share of runs that diverged at each grid point, with its interval; None for one point or no divergence."""
     place = found.events.index(found.diverging)
     points = [each for each in found.points if each.runs]
     if not 2 <= len(points) <= BARS or not any(each.alone[place].count for each in points):
@@ -57,10 +57,10 @@ def divergence_figure(found: Findings) -> Any:
     shares = [each.alone[place] for each in points]
     with page(COLUMN, 0.7 + 0.2 * len(points)) as figure:
         axes = figure.subplots()
-        for row, told in enumerate(shares):
-            if told.low is not None and told.high is not None:
-                axes.plot([100 * told.low, 100 * told.high], [row, row], color=look(0)["color"], linewidth=1.6)
-            axes.plot([100 * told.value], [row], "o", color=look(4)["color"], markersize=3.5)
+        for row, share in enumerate(shares):
+            if share.low is not None and share.high is not None:
+                axes.plot([100 * share.low, 100 * share.high], [row, row], color=look(0)["color"], linewidth=1.6)
+            axes.plot([100 * share.value], [row], "o", color=look(4)["color"], markersize=3.5)
         axes.set_yticks(range(len(points)), [_short(each) for each in points])
         axes.set_ylim(len(points) - 0.5, -0.5)
         axes.set_xlim(left=0)
@@ -69,7 +69,7 @@ def divergence_figure(found: Findings) -> Any:
 
 
 def distribution_figure(found: Findings) -> Any:
-    """The share of runs whose main figure is at most so much; a curve that ends below 100 % has runs that diverged."""
+    """Cumulative distribution of the main figure; a curve that ends below 100 % lacks the runs that diverged."""
     main, sheet = found.results.main, found.sheet
     shown = [each for each in found.points[:SHOWN] if each.runs > 1]
     if not main or not shown:
@@ -99,7 +99,7 @@ def distribution_figure(found: Findings) -> Any:
 
 
 def eighths_figure(found: Findings) -> Any:
-    """The error's RMS in each eighth of the run: median, and the thin line below which 95 % of the runs stay."""
+    """RMS of the error in each eighth of the run: median, and the 95 % quantile as a thin line."""
     shown = [each for each in found.points[:SHOWN] if each.eighths.size and np.isfinite(each.eighths[1]).any()]
     if not shown:
         return None
@@ -127,7 +127,7 @@ def eighths_figure(found: Findings) -> Any:
 
 
 def influence_figure(found: Findings) -> Any:
-    """How much of the ranks' variance each factor explains alone: bars, a colour a grid point."""
+    """Share of the ranks' variance that each factor explains alone: bars, with a colour per grid point."""
     main = found.results.main
     shown = [each for each in found.points[:SHOWN] if each.influences.get(main)]
     if not main or not shown:
@@ -137,9 +137,9 @@ def influence_figure(found: Findings) -> Any:
         axes = figure.subplots()
         height = 0.8 / len(shown)
         for place, each in enumerate(shown):
-            told = {item.factor: item.share for item in each.influences[main]}
+            by_factor = {item.factor: item.share for item in each.influences[main]}
             rows = np.arange(len(factors)) + (place - (len(shown) - 1) / 2) * height
-            shares = [100 * told.get(name, 0.0) for name in factors]
+            shares = [100 * by_factor.get(name, 0.0) for name in factors]
             axes.barh(rows, shares, 0.9 * height, label=_short(each), color=look(place)["color"])
         axes.set_yticks(range(len(factors)), [verbatim(name) for name in factors])
         axes.set_ylim(len(factors) - 0.5, -0.5)
@@ -151,7 +151,7 @@ def influence_figure(found: Findings) -> Any:
 
 
 def map_figure(found: Findings, maps: Sequence[Drawn]) -> Any:
-    """A row a grid point: the median of the main figure in each bin, and where runs diverge, their share."""
+    """A row per grid point: median of the main figure in each bin, and share of the runs that diverged."""
     import matplotlib as mpl
 
     main = found.results.main
@@ -215,7 +215,7 @@ def _field(found: Findings, axes: Any, drawn: Drawn, values: np.ndarray, norm: A
 
 
 def plain_marks(low: float, high: float) -> list[float]:
-    """Numbers with one digit, about five of them, for a logarithmic axis."""
+    """About five numbers with one digit, for a logarithmic axis."""
     decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     for digits in ((1, 2, 3, 4, 5, 6, 8), (1, 2, 5), (1,)):
         found = [float(f"{digit}e{power}") for power in decades for digit in digits]
@@ -230,21 +230,21 @@ def _edges(axis: Axis, factor: float) -> np.ndarray:
 
 
 def _scaled(axes: Any, ends: Sequence[float]) -> None:
-    """A logarithmic scale where the values span more than a factor of five, with plain numbers on it."""
+    """A logarithmic x-axis if the values span more than a factor of five."""
+    if ends and min(ends) > 0 and max(ends) / min(ends) >= 5:
+        axes.set_xscale("log")
+        plain_log_axis(axes, few=max(ends) / min(ends) < 300)
+
+
+def plain_log_axis(axes: Any, *, few: bool = True) -> None:
+    """Plain numbers on a logarithmic x-axis: 1, 2, 5 of each decade if there are `few` decades, else 1."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    if not ends or min(ends) <= 0 or max(ends) / min(ends) < 5:
-        return
-    axes.set_xscale("log")
-    few = max(ends) / min(ends) < 300
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=9))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def _short(each: Found) -> str:
-    """A grid point's name for a legend."""
+    """Name of a grid point for a legend."""
     return verbatim(each.name or "all runs")
-
-
-__all__ = ["DIVERGED", "figures_of"]

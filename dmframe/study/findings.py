@@ -1,4 +1,4 @@
-"""What a study says, gathered once for its page: shares, quantiles, comparisons, influences and maps."""
+"""Findings of a study for its report: shares, quantiles, comparisons, influences and maps."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ from dmframe.units import plain, to_unit
 DIVERGED: Final = "diverged"
 EIGHTHS: Final = tuple(f"rms_{k}" for k in range(1, 9))
 TURNED: Final = "turn_final"
-"""A tool's error of orientation is told beside that of its position."""
+"""Error of the tool's orientation, reported in addition to that of its position."""
 SHOWN: Final = 6
-"""Grid points of which influences and maps are shown, and curves are drawn; of more a page would be a book."""
+"""Grid points with influences, maps and curves in the report."""
 _EVENT: Final = re.compile(r"\s*(\S+)\s*(<=|>=|<|>)\s*(.+?)\s*")
 
 
 @final
 @dataclass(frozen=True)
 class Event:
-    """Something of which the probability is told: divergence, or a figure beyond a limit.
+    """An event with an estimated probability: divergence, or a figure beyond a limit.
 
-    A run that diverged is beyond every limit: its figure is infinite. A run without the figure is no case of it.
+    A run that diverged is beyond every limit: its figure is infinite. A run without the figure is not counted.
     """
 
     figure: str
@@ -52,7 +52,7 @@ class Event:
 
     @property
     def name(self) -> str:
-        """As a page says it."""
+        """The event in words."""
         if self.figure == DIVERGED:
             return DIVERGED
         return f"{self.figure} {'>' if self.above else '<'} {plain(self.limit, self.unit, 6)}"
@@ -65,7 +65,7 @@ class Event:
         return np.asarray(values > self.limit if self.above else values < self.limit)
 
     def known(self, sheet: Sheet) -> np.ndarray:
-        """(points, samples) bool: the runs of which it can be said."""
+        """(points, samples) bool: the runs for which the event is defined."""
         return sheet.done if self.figure == DIVERGED else ~np.isnan(sheet.figure(self.figure))
 
 
@@ -90,20 +90,20 @@ def event_of(text: str, units: Mapping[str, str]) -> Event:
 @final
 @dataclass(frozen=True)
 class Found:
-    """What the runs of one grid point say.
+    """Findings at one grid point.
 
     Parameters
     ----------
     runs, failed, missing
-        Those that were made, that could not be made, and that are not there yet.
+        Numbers of completed runs, of runs that could not be prepared, and of runs that have not been computed.
     alone, together
-        The share of each event, with intervals for it alone, and such that those of all points hold at once.
+        Share of each event, with intervals for this point alone, and with intervals that hold at all points at once.
     quantiles
         By figure.
     eighths
-        Of the error's RMS in each eighth: rows 5, 50 and 95 %; empty where it is not measured.
+        Quantiles of the error's RMS in each eighth: rows 5, 50 and 95 %; empty if it is not measured.
     influences
-        By figure, and `DIVERGED`: of each sampled factor, the greatest first.
+        By figure, and `DIVERGED`: of each sampled factor, the largest first.
     """
 
     index: int
@@ -121,7 +121,7 @@ class Found:
 @final
 @dataclass(frozen=True)
 class Compared:
-    """A grid point against the first, on the same samples: the main figure, and divergence."""
+    """Comparison of a grid point with the first, on the same samples: the main figure, and divergence."""
 
     index: int
     name: str
@@ -134,7 +134,7 @@ class Compared:
 @final
 @dataclass(frozen=True)
 class Drawn:
-    """A map of one grid point, or of all where a grid quantity is one of its axes."""
+    """A map of one grid point, or of all if one of its axes is a grid quantity."""
 
     x: str
     y: str
@@ -145,7 +145,7 @@ class Drawn:
 @final
 @dataclass(frozen=True, repr=False)
 class Findings:
-    """All that a page says of a table."""
+    """Findings at all grid points."""
 
     results: Results
     sheet: Sheet
@@ -156,7 +156,7 @@ class Findings:
 
     @property
     def steady(self) -> list[Found]:
-        """The points with runs of which none diverged."""
+        """The points with runs, none of which diverged."""
         place = [event.figure for event in self.events].index(DIVERGED)
         return [found for found in self.points if found.runs and not found.alone[place].count]
 
@@ -167,29 +167,29 @@ class Findings:
 
 
 def findings_of(results: Results) -> Findings:
-    """Read a table once, and compute all that its page says.
+    """Read a table and compute its findings.
 
     Raises
     ------
     DmframeError
-        What the study wants to see is not measured, or does not vary; all such faults at once.
+        The report names a figure that is not measured, or a quantity that does not vary; all such faults at once.
     """
-    asked, units, main = results.study.file.report, results.units, results.main
+    section, units, main = results.study.file.report, results.units, results.main
     there, measured = set(results.frame.collect_schema()), [column.name for column in results.study.measures]
     faults = list[DmframeError]()
     events = list[Event]()
-    for text in dict.fromkeys((DIVERGED, *asked.probability)):
+    for text in dict.fromkeys((DIVERGED, *section.probability)):
         try:
             events.append(event_of(text, {key: units[key] for key in measured if key in there}))
         except DmframeError as error:
             faults.append(error)
     varied = [column.name for column in results.study.varied]
-    for pair in asked.map:
+    for pair in section.map:
         faults += [
             UnknownNameError(f"report.map {list(pair)}", "varied quantity", n, varied) for n in pair if n not in varied
         ]
     turned = [TURNED] if TURNED in measured else []
-    figures = [name for name in dict.fromkeys((main, *turned, *asked.worst)) if name in there and not is_time(name)]
+    figures = [name for name in dict.fromkeys((main, *turned, *section.worst)) if name in there and not is_time(name)]
     raise_all(faults)
     names = [*figures, *(event.figure for event in events if event.figure != DIVERGED), *varied, *EIGHTHS]
     sheet = results.sheet(*(name for name in dict.fromkeys(names) if name in there))
@@ -228,7 +228,7 @@ def _found(results: Results, sheet: Sheet, events: Sequence[Event], figures: Seq
 
 
 def _eighths(sheet: Sheet, k: int) -> np.ndarray:
-    """(3, 8): the quantiles 5, 50 and 95 % of the error's RMS in each eighth, what diverged until then infinite."""
+    """(3, 8): quantiles 5, 50 and 95 % of the error's RMS in each eighth; infinite for runs that diverged before."""
     if any(name not in sheet.columns for name in EIGHTHS) or not sheet.done[k].any():
         return np.empty((3, 0))
     values = np.stack([sheet.of(k, sheet.columns[name]) for name in EIGHTHS])
@@ -241,17 +241,17 @@ def _eighths(sheet: Sheet, k: int) -> np.ndarray:
 
 def _influences(results: Results, sheet: Sheet, k: int) -> dict[str, tuple[Influence, ...]]:
     factors = [c.name for c in results.study.varied if c.kind == "sampled" and c.name in sheet.columns]
-    told = dict[str, np.ndarray]()
+    targets = dict[str, np.ndarray]()
     if results.main:
-        told[results.main] = sheet.figure(results.main)[k] * (-1 if results.main.endswith(LEAST) else 1)
+        targets[results.main] = sheet.figure(results.main)[k] * (-1 if results.main.endswith(LEAST) else 1)
     lost = sheet.diverged[k].sum()
     if 0 < lost < sheet.done[k].sum():
-        told[DIVERGED] = np.where(sheet.done[k], sheet.diverged[k].astype(float), np.nan)
+        targets[DIVERGED] = np.where(sheet.done[k], sheet.diverged[k].astype(float), np.nan)
     found = dict[str, tuple[Influence, ...]]()
-    for figure, values in told.items():
+    for figure, values in targets.items():
         known = values[~np.isnan(values)]
         if len(np.unique(known)) < 2 or len(known) < FEWEST:
-            continue  # there is nothing to explain, or nothing to explain it by
+            continue  # no variation, or too few runs
         each = [influence(name, sheet.draws(name, k), values, independent=results.independent) for name in factors]
         ps = adjusted([item.chance for item in each])
         each = [
@@ -293,7 +293,7 @@ def _maps(results: Results, sheet: Sheet) -> list[Drawn]:
     values, found = sheet.figure(results.main), list[Drawn]()
     for x, y in _pairs(results, sheet):
         if not {x, y} <= sheet.columns.keys():
-            continue  # a text has no place on an axis
+            continue  # texts cannot be on an axis
         both = logs.get(x, False), logs.get(y, False)
         if {x, y} & grid:
             across, up = sheet.columns[x], sheet.columns[y]
@@ -307,11 +307,11 @@ def _maps(results: Results, sheet: Sheet) -> list[Drawn]:
 
 
 def _pairs(results: Results, sheet: Sheet) -> Sequence[tuple[str, str]]:
-    """Those that the study asks for; without any, the two sampled factors that matter most at the first point."""
+    """The maps of the study's file; by default the two factors with the largest influence at the first point."""
     if results.study.file.report.map:
         return results.study.file.report.map
     if sheet.samples < 2:
         numbers = [c.name for c in results.study.varied if c.kind == "grid" and c.name in sheet.columns]
         return [(numbers[0], numbers[1])] if len(numbers) == 2 else []
-    told = _influences(results, sheet, 0).get(results.main, ())
-    return [(told[0].factor, told[1].factor)] if len(told) > 1 else []
+    found = _influences(results, sheet, 0).get(results.main, ())
+    return [(found[0].factor, found[1].factor)] if len(found) > 1 else []

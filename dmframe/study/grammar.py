@@ -1,4 +1,4 @@
-"""The grammar of a study file: its keys, and what may stand under them."""
+"""Grammar of a study file: its keys and their values."""
 
 from __future__ import annotations
 
@@ -7,14 +7,16 @@ from typing import Annotated, Any, Final, Literal, TypeAlias, final
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, model_validator
 
-from dmframe.config.document import Kind
+from dmframe.config.document import Document, Kind
 from dmframe.config.grammar import Path, Section, seed_of, shown
 from dmframe.config.grammar import version as checked_version
+from dmframe.config.places import placed
+from dmframe.errors import DmframeError, Faults
 
 STUDY: Final = Kind("study", "dmframe-study: 1")
 VERSION: Final = "dmframe-study"
 MOST_RUNS: Final = 10**9
-"""More than anyone waits for; a design's numbers are no larger."""
+"""Largest number of samples, trials and saved runs."""
 
 _QUANTITY: Final = {"type": ["number", "string"]}
 _PAIR: Final = {"type": "array", "items": _QUANTITY, "minItems": 2, "maxItems": 2}
@@ -33,7 +35,7 @@ def _pair(value: Any) -> Any:
 
 
 def _factors(value: Any) -> Any:
-    """Two numbers alone are the ends of a uniform distribution."""
+    """Two numbers are the bounds of a uniform distribution."""
     return {"uniform": value} if isinstance(value, list) else value
 
 
@@ -60,12 +62,12 @@ _DRAWN: Final = {
 
 
 class Distribution(Section):
-    """How a number is drawn; one of the three kinds."""
+    """Distribution of a number; one of three kinds."""
 
-    uniform: Pair | None = Field(None, description="equally likely between two ends")
-    log: Pair | None = Field(None, description="its logarithm equally likely between two ends above zero")
+    uniform: Pair | None = Field(None, description="uniform between two bounds")
+    log: Pair | None = Field(None, description="log-uniform between two bounds above zero")
     normal: Pair | None = Field(None, description="mean and standard deviation")
-    clip: Pair | None = Field(None, description="the normal distribution between these ends alone")
+    clip: Pair | None = Field(None, description="truncates the normal distribution to these bounds")
 
     @model_validator(mode="after")
     def _one_kind(self) -> Distribution:
@@ -73,17 +75,17 @@ class Distribution(Section):
             found = " and ".join(self.kinds) or "none"
             raise ValueError(f"expected one of {', '.join(self.choices())}, found {found}")
         if self.clip is not None and self.kinds != ["normal"]:
-            raise ValueError(f"clip goes with normal, found it with {self.kinds[0]}, which has ends of its own")
+            raise ValueError(f"clip goes with normal, found it with {self.kinds[0]}, which has bounds already")
         return self
 
     @classmethod
     def choices(cls) -> tuple[str, ...]:
-        """The keys of which there is one."""
+        """Keys of which exactly one is required."""
         return KINDS
 
     @property
     def kinds(self) -> list[str]:
-        """Those that there are."""
+        """Kinds that are given."""
         return [kind for kind in self.choices() if getattr(self, kind) is not None]
 
 
@@ -92,23 +94,23 @@ Factors: TypeAlias = Annotated[
     BeforeValidator(_factors),
     WithJsonSchema({"anyOf": [_PAIR, _DRAWN]}),
 ]
-"""A distribution of factors or differences, or the two ends of a uniform one."""
+"""A distribution of factors or differences, or the two bounds of a uniform one."""
 
 
 @final
 class Variation(Distribution):
-    """How a parameter varies: its value, or a factor or a difference from the graph's own value."""
+    """Variation of a parameter: its value, or a factor of the graph's own value or a difference from it."""
 
     scale: Factors = Field(None, description="a factor of the graph's own value")
     shift: Factors = Field(None, description="a difference from the graph's own value")
     of: Labels = Field((), description="the parameters that vary together, by one draw, under a name of your own")
     per: Literal["joint", "element"] | None = Field(
-        None, description="a draw for each joint, or for each element; without it, one for all"
+        None, description="a draw for each joint, or for each element; by default, one for all"
     )
 
     @classmethod
     def choices(cls) -> tuple[str, ...]:
-        """The keys of which there is one."""
+        """Keys of which exactly one is required."""
         return (*KINDS, "scale", "shift")
 
 
@@ -124,20 +126,20 @@ Count: TypeAlias = Annotated[int, BeforeValidator(_runs)]
 
 
 class _Open(BaseModel):
-    """A section that holds variations of parameters beside its own keys."""
+    """A section with variations of parameters in addition to its own keys."""
 
     model_config = ConfigDict(frozen=True, extra="allow")
     __pydantic_extra__: dict[str, Variation]
 
     @property
     def variations(self) -> dict[str, Variation]:
-        """By ``block.parameter``, or a name of the user's own."""
+        """By ``block.parameter``, or a name of the user's choice."""
         return dict(self.__pydantic_extra__ or {})
 
 
 @final
 class SampleSection(_Open):
-    """What is drawn at random, and how often."""
+    """Section ``sample``: what is drawn at random, and how often."""
 
     runs: Count = Field(1, description="how many samples; each is run at every point of the grid")
     method: Literal["random", "latin_hypercube", "sobol"] = Field(
@@ -149,11 +151,11 @@ class SampleSection(_Open):
 
 @final
 class MeasureSection(Section):
-    """What is measured of each run beside the tracking error."""
+    """Section ``measure``: what is measured in each run, in addition to the tracking error."""
 
-    signals: Labels = Field((), description="block.signal of those whose extremes and RMS are kept")
+    signals: Labels = Field((), description="block.signal whose extremes and RMS are kept")
     limits: dict[str, Quantity] = Field(
-        {}, description="absolute values whose first crossing is looked for, {error: 10 mm, servo.u: 100 V}"
+        {}, description="absolute values whose first crossing is recorded, {error: 10 mm, servo.u: 100 V}"
     )
 
 
@@ -165,10 +167,10 @@ def _fraction(value: Any) -> Any:
 
 @final
 class ReportSection(Section):
-    """What the report shows."""
+    """Section ``report``: what the report shows."""
 
     probability: Labels = Field(
-        ("diverged",), description="events whose probability is told: diverged, or a figure beyond a limit"
+        ("diverged",), description="events whose probability is estimated: diverged, or a figure beyond a limit"
     )
     quantiles: tuple[Annotated[float, BeforeValidator(_fraction)], ...] = Field(
         (0.5, 0.95, 0.99), description="of the figures, between 0 and 1"
@@ -181,7 +183,7 @@ class ReportSection(Section):
 
 @final
 class TuneSection(_Open):
-    """What is searched, for what, under which constraints."""
+    """Section ``tune``: what is searched, with which objectives and constraints."""
 
     minimise: Labels = Field(description="objectives over the sampled family, such as worst rms_final")
     subject_to: Labels = Field(("conditions",), description="conditions, stable period, or an inequality of a figure")
@@ -189,7 +191,7 @@ class TuneSection(_Open):
     seed: Annotated[int, BeforeValidator(seed_of)] = Field(0, description="decides which are tried")
     fresh: Count | None = Field(None, description="how many plants the result is checked on; as many as runs")
     screen: Annotated[float, BeforeValidator(_fraction)] | None = Field(
-        0.25, description="share of the family that runs first; a hopeless candidate's rest is left out"
+        0.25, description="fraction of the plants that runs first; the rest is skipped for candidates that cannot win"
     )
 
 
@@ -201,23 +203,21 @@ class StudyFile(Section):
         alias=VERSION, description="version of this format"
     )
     title: str = Field("", description="one line that a reader understands")
-    graph: str = Field(description="name of a packaged graph, or the path of a graph file beside the study")
-    set: dict[str, Any] = Field({}, description="values that the whole study changes, as --set has them")
+    graph: str = Field(description="name of a packaged graph, or path of a graph file relative to the study")
+    set: dict[str, Any] = Field({}, description="values that the whole study changes, in the form of --set")
     sample: SampleSection = SampleSection()
-    grid: dict[str, Any] = Field(
-        {}, description="values of which each combination is run: lists by key, or named cases"
-    )
+    grid: dict[str, Any] = Field({}, description="values whose combinations are run: lists by key, or named cases")
     measure: MeasureSection = MeasureSection()
     report: ReportSection = ReportSection()
     tune: TuneSection | None = None
 
 
 KEYS: Final = tuple(field.alias or name for name, field in StudyFile.model_fields.items())
-"""Of a study file."""
+"""Keys of a study file."""
 
 
 def keys_at(path: Path) -> Sequence[str]:
-    """The keys that a section of a study file may hold."""
+    """Keys that a section of a study file may have."""
     sections: dict[Path, type[BaseModel]] = {
         ("sample",): SampleSection,
         ("measure",): MeasureSection,
@@ -235,8 +235,14 @@ def keys_at(path: Path) -> Sequence[str]:
 
 
 def own_name(key: str) -> bool:
-    """True for a name that is no ``block.parameter``."""
+    """True for a name other than ``block.parameter``."""
     return "." not in key
+
+
+def raise_placed(faults: Sequence[DmframeError], document: Document) -> None:
+    """Raise the faults, if there are any, at their places in the study's file."""
+    if faults:
+        raise placed(faults[0] if len(faults) == 1 else Faults(faults), document, KEYS)
 
 
 def study_schema() -> dict[str, Any]:
@@ -252,6 +258,3 @@ def study_schema() -> dict[str, Any]:
     named = {"type": "object", "additionalProperties": {"type": "object"}}
     schema["properties"]["grid"]["additionalProperties"] = {"anyOf": [values, scaled, named]}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": "dmframe study"}
-
-
-__all__ = ["KEYS", "STUDY", "StudyFile", "Variation", "keys_at", "study_schema"]

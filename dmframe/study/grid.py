@@ -1,4 +1,4 @@
-"""The grid of a study: axes whose cases are combined, each case values that it sets, or a factor."""
+"""Grid of a study: axes whose cases are combined; a case sets values, scales parameters or names a graph."""
 
 from __future__ import annotations
 
@@ -10,31 +10,31 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.config.document import Document, Node, mapping_of
-from dmframe.config.experiment import Experiment, experiment_of
+from dmframe.config.experiment import Experiment
 from dmframe.config.given import node_of
 from dmframe.config.grammar import KEYS, shown
 from dmframe.config.overrides import put_at
 from dmframe.config.reality import names_reality
 from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault, raise_all
-from dmframe.files import told_apart
+from dmframe.files import made_distinct
 from dmframe.study.grammar import own_name
 from dmframe.study.varied import SETTINGS, Factor
 from dmframe.units import shorten
 
 GRAPH: Final = "graph"
 """The axis whose values are graphs."""
-_LONGEST: Final = 40  # letters of a value that a table shows
+_LONGEST: Final = 40  # of a text value in a table
 _TIMES: Final = {"clock": "s", "duration": "s", "jitter": "s", "solver.step": "s", "robot.friction_velocity": "rad/s"}
 
 
 @final
 @dataclass(frozen=True)
 class Given:
-    """A value that the study file sets in a graph, and where the file does."""
+    """A value that the study file sets in a graph; `place` is the value's place in the file."""
 
     label: str
     node: Node
-    said: str
+    place: str
 
     @property
     def plain(self) -> Any:
@@ -44,11 +44,11 @@ class Given:
     def put(self, document: Document) -> Document:
         """The graph's document with the value. Raises `DmframeError` at the value's place in the study."""
         try:
-            return put_at(document, self.label, self.node, self.said, KEYS)
+            return put_at(document, self.label, self.node, self.place, KEYS)
         except DmframeError as error:
             for fault in error.faults:
-                if fault.text.startswith(f"{self.said}: "):
-                    fault.location, fault.text = self.said, f"{self.label}{fault.text.removeprefix(self.said)}"
+                if fault.text.startswith(f"{self.place}: "):
+                    fault.location, fault.text = self.place, f"{self.label}{fault.text.removeprefix(self.place)}"
             raise
 
 
@@ -59,17 +59,17 @@ class Case:
 
     Parameters
     ----------
-    told
-        What the table holds: a number in the axis's unit, or a text.
+    value
+        In the table: a number in the axis's unit, or a text.
     sets
-        What it sets in the graph.
+        Values that it sets in the graph.
     factor
-        By what it multiplies the axis's parameters.
+        Of the axis's parameters.
     graph
-        The graph that it takes; empty for the study's own.
+        Name of its graph; empty for the study's own.
     """
 
-    told: float | str
+    value: float | str
     sets: tuple[Given, ...] = ()
     factor: float | None = None
     graph: str = ""
@@ -78,12 +78,12 @@ class Case:
 @final
 @dataclass(frozen=True)
 class Axis:
-    """Cases of which each is run with each of the other axes'.
+    """One dimension of the grid.
 
     Parameters
     ----------
     scaled
-        What the factors of its cases multiply; empty where they set values.
+        Parameters that the factors of its cases multiply; empty if the cases set values.
     """
 
     name: str
@@ -93,28 +93,28 @@ class Axis:
 
     @property
     def labels(self) -> set[str]:
-        """All that its cases set."""
+        """Labels that its cases set."""
         return {given.label for case in self.cases for given in case.sets}
 
 
 def axis_of(name: str, document: Document) -> Axis:
-    """An axis as the study's document has it; what its values mean in a graph is not known yet.
+    """An axis from the study's document; its values are not applied to a graph yet.
 
     Raises
     ------
     ValueFault, MissingError, UnknownNameError
-        It is no list, no factors and no named cases.
+        It is neither a list, nor factors, nor named cases.
     """
     path = ("grid", name)
-    held = document.node(path).value
-    if isinstance(held, list):
-        return Axis(name, tuple(_case(name, item, document, (*path, k)) for k, item in enumerate(_some(name, held))))
-    if isinstance(held, dict) and "scale" in held:
-        return _scaled(name, held, path)
-    if isinstance(held, dict) and held:
-        return Axis(name, tuple(_named(name, key, node, document) for key, (_, node) in held.items()))
+    entry = document.node(path).value
+    if isinstance(entry, list):
+        return Axis(name, tuple(_case(name, item, document, (*path, k)) for k, item in enumerate(_some(name, entry))))
+    if isinstance(entry, dict) and "scale" in entry:
+        return _scaled(name, entry, path)
+    if isinstance(entry, dict) and entry:
+        return Axis(name, tuple(_named(name, key, node, document) for key, (_, node) in entry.items()))
     raise ValueFault(
-        f"grid.{name}: expected a list of values, {{scale: [...]}} or named cases, found {shown(held)}", path=path
+        f"grid.{name}: expected a list of values, {{scale: [...]}} or named cases, found {shown(entry)}", path=path
     )
 
 
@@ -132,8 +132,8 @@ def _case(label: str, node: Node, document: Document, path: tuple[str | int, ...
     return Case("", (Given(label, node, document.locate(path)),))
 
 
-def _scaled(name: str, held: Mapping[str, tuple[Node, Node]], path: tuple[str, str]) -> Axis:
-    data = {key: Given(key, node, "").plain for key, (_, node) in held.items()}
+def _scaled(name: str, entry: Mapping[str, tuple[Node, Node]], path: tuple[str, str]) -> Axis:
+    data = {key: Given(key, node, "").plain for key, (_, node) in entry.items()}
     for key in data:
         if key not in ("scale", "of"):
             raise UnknownNameError(f"grid.{name}.{key}", "key", key, ("scale", "of"), path=(*path, key))
@@ -157,7 +157,7 @@ def _scaled(name: str, held: Mapping[str, tuple[Node, Node]], path: tuple[str, s
 
 
 def _named(name: str, key: str, node: Node, document: Document) -> Case:
-    """A case with a name of its own, which sets several values."""
+    """A named case, which sets several values."""
     path = ("grid", name, key)
     if not isinstance(node.value, dict):
         raise ValueFault(f"grid.{name}.{key}: expected keys with values, found {shown(node.value)}", path=path)
@@ -176,14 +176,14 @@ def changed(base: Experiment, sets: Sequence[Given]) -> Experiment:
         return base
     texts, faults = [f"{given.label}={json.dumps(given.plain)}" for given in sets], list[DmframeError]()
     real, others = ([given.put for given in sets if names_reality(given.label) is first] for first in (True, False))
-    document, asked = base.with_steps(real, others, faults)
+    document = base.with_steps(real, others, faults)
     try:
-        made = experiment_of(document, like=base)
+        made = base.remade(document, texts)
     except DmframeError as error:
         raise_all([*faults, *error.faults])
         raise
     raise_all(faults)
-    return replace(made, name=base.name, overrides=(*base.overrides, *texts), asked=asked)
+    return made
 
 
 def scaled(experiment: Experiment, factors: Sequence[tuple[Axis, float]]) -> Experiment:
@@ -193,28 +193,30 @@ def scaled(experiment: Experiment, factors: Sequence[tuple[Axis, float]]) -> Exp
     values = dict[str, np.ndarray]()
     for axis, factor in factors:
         Factor(axis.name, axis.scaled, "scale", None, None, "").put(values, np.array([[factor]]), experiment)
-    said = f"grid.{', grid.'.join(axis.name for axis, _ in factors)}"
-    return changed(
-        experiment, [Given(label, node_of(rows[0].tolist(), (label,), said), said) for label, rows in values.items()]
-    )
+    return changed(experiment, given_of(values, f"grid.{', grid.'.join(axis.name for axis, _ in factors)}"))
 
 
-def told_in(axis: Axis, graphs: Sequence[Experiment]) -> Axis:
-    """The axis with what its cases are in their graphs: numbers in their unit where all are that, else texts."""
-    own = [case.sets[0].label for case in axis.cases if len(case.sets) == 1 and case.told == ""]
-    if len(own) < len(axis.cases):  # factors, graphs and named cases say what they are
+def given_of(values: Mapping[str, np.ndarray], place: str) -> list[Given]:
+    """Values to set in a graph, from one row of numbers each."""
+    return [Given(label, node_of(rows[0].tolist(), (label,), place), place) for label, rows in values.items()]
+
+
+def with_values_of(axis: Axis, graphs: Sequence[Experiment]) -> Axis:
+    """The axis with the values of its cases in their graphs: numbers in their unit if all are numbers, else texts."""
+    own = [case.sets[0].label for case in axis.cases if len(case.sets) == 1 and case.value == ""]
+    if len(own) < len(axis.cases):  # factors, graphs and named cases have their values already
         return axis
     found = [_number(label, graph) for label, graph in zip(own, graphs, strict=True)]
     numbers = [value for value, _ in found if value is not None]
     if len(numbers) == len(axis.cases):
-        cases = [replace(case, told=value) for case, value in zip(axis.cases, numbers, strict=True)]
+        cases = [replace(case, value=value) for case, value in zip(axis.cases, numbers, strict=True)]
         return replace(axis, cases=tuple(cases), unit=found[0][1])
-    texts = told_apart([_text(case.sets[0]) for case in axis.cases], lambda text, k: f"{text} ({k})")
-    return replace(axis, cases=tuple(replace(case, told=text) for case, text in zip(axis.cases, texts, strict=True)))
+    texts = made_distinct([_text(case.sets[0]) for case in axis.cases], lambda text, k: f"{text} ({k})")
+    return replace(axis, cases=tuple(replace(case, value=text) for case, text in zip(axis.cases, texts, strict=True)))
 
 
 def _number(label: str, experiment: Experiment) -> tuple[float | None, str]:
-    """A value as the graph understands it, where it is one number."""
+    """A value as the graph parses it, and its unit; None if it is not one number."""
     from dmframe.parameter import specs
 
     keys = label.removeprefix("blocks.").split(".")

@@ -1,4 +1,4 @@
-"""What makes two studies the same: everything that decides the numbers of a row, and nothing else."""
+"""Identity of a study: everything that decides the numbers of a row, and nothing else."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from dmframe.study.plan import Study
 
 FORMAT: Final = 1
-"""Of the table: another one makes another study."""
+"""Version of the table's format, part of the identity."""
 
 
 def identity_of(study: Study) -> dict[str, Any]:
-    """As plain data that JSON can hold."""
+    """The identity as plain data for JSON."""
     file = study.file
     sample: dict[str, Any] = {
         factor.name: {
@@ -37,7 +37,7 @@ def identity_of(study: Study) -> dict[str, Any]:
     if study.factors:
         sample |= {"method": file.sample.method, "seed": file.sample.seed}
         if not study.design.extends:
-            sample["runs"] = file.sample.runs  # with another number all samples lie elsewhere
+            sample["runs"] = file.sample.runs  # another number moves all samples
     grid = {
         axis.name: [
             [case.graph, case.factor, list(axis.scaled), [[given.label, given.plain] for given in case.sets]]
@@ -66,13 +66,13 @@ def _spread(spread: Spread | None) -> list[str] | None:
 
 
 def key_of(identity: Mapping[str, Any]) -> str:
-    """SHA-256 in hexadecimal digits."""
+    """SHA-256 of an identity, in hexadecimal digits."""
     text = json.dumps(identity, sort_keys=True, separators=(",", ":"), default=str)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def files_of(study: Study) -> dict[str, str]:
-    """A hash of each file that decides how the graphs move: sources of blocks, models of robots."""
+    """Digest of each file that decides the dynamics: sources of blocks, models of robots."""
     found = dict[str, str]()
     for experiment in graphs_of(study):
         for path in _paths(experiment):
@@ -81,19 +81,9 @@ def files_of(study: Study) -> dict[str, str]:
 
 
 def graphs_of(study: Study) -> list[Experiment]:
-    """Its graphs, and one for each case that puts in a block or a robot of its own: together they name all files."""
-    return [*study.bases.values(), *_first_of_each(study)]
-
-
-def _first_of_each(study: Study) -> list[Experiment]:
-    """A graph for each case that puts in a block or a robot of its own."""
-    found = list[Experiment]()
-    for k, axis in enumerate(study.axes):
-        whole = [any(label.split(".")[0] in ("blocks", "robot") for label in axis.labels)]
-        for place in range(len(axis.cases)) if any(whole) else ():
-            places = [place if j == k else 0 for j in range(len(study.axes))]
-            found.append(study._point(places).graph.experiment)
-    return found
+    """Its graphs, and one for each case with a block or a robot of its own: together they name all files."""
+    points = study.cases_that(lambda axis: any(label.split(".")[0] in ("blocks", "robot") for label in axis.labels))
+    return [*study.bases.values(), *(point.graph.experiment for point in points)]
 
 
 def _paths(experiment: Experiment) -> list[Path]:

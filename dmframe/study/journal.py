@@ -1,123 +1,133 @@
-"""The journal of a search: trials as Optuna keeps them in a folder, asked by whichever process works on it."""
+"""Journal of a study's folder: ``study.lock.json``, which study it holds, and ``chunks.jsonl``, a line per chunk."""
 
 from __future__ import annotations
 
-import hashlib
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+import json
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final, final
 
-from dmframe.errors import MissingError, OutputError
-from dmframe.files import writing
-from dmframe.study.identity import key_of
-from dmframe.study.kernel_lock import journal_lock
+from dmframe.errors import OutputError
+from dmframe.files import append, is_hidden, put
+from dmframe.study.chunks import Extent
+from dmframe.study.executor import versions
+from dmframe.units import shorten
 
-if TYPE_CHECKING:
-    import optuna
-
-    from dmframe.study.tune import Tuning
-
-JOURNAL: Final = "tune.journal"
-NAME: Final = "tune"
-"""Of the search in the journal."""
-ORDER, STOPPED, FIGURES, WHY = "hardest", "stopped", "figures", "why"
-"""What a trial keeps beside its values: its hardest plants, whether it was stopped early, what it came to, and why."""
+LOCK: Final = "study.lock.json"
+CHUNKS: Final = "chunks.jsonl"
+_SHOWN: Final = 4
+"""Differences that a message lists."""
 
 
-@contextmanager
-def opened(folder: Path, tuning: Tuning, *, create: bool) -> Iterator[optuna.Study]:
-    """The search of a folder."""
+@final
+@dataclass(frozen=True)
+class Kept:
+    """A chunk that was written: one line of ``chunks.jsonl``."""
+
+    file: str
+    sha256: str
+    rows: int
+    seconds: float
+    made: Mapping[str, str]
+
+
+def kept_in(folder: Path) -> dict[str, Kept]:
+    """The last line of each file; an incomplete line is of a process that was ended."""
+    found = dict[str, Kept]()
     try:
-        import optuna
-        from optuna.storages import JournalStorage
-        from optuna.storages.journal import JournalFileBackend
-    except ImportError:
-        raise MissingError('tuning needs Optuna: pip install "dmframe[tune]"') from None
-    path = folder / JOURNAL
-    if not create and not path.is_file():
-        raise MissingError(f"{folder}: expected a search, {JOURNAL}, found none")
-    with writing(folder, "folder"):
-        folder.mkdir(parents=True, exist_ok=True)
-        path.touch()
-    before = optuna.logging.get_verbosity()
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
+        text = (folder / CHUNKS).read_text(encoding="utf-8", errors="replace")
+    except FileNotFoundError:
+        return found
+    for line in text.splitlines():
+        try:
+            kept = Kept(**json.loads(line))
+        except (ValueError, TypeError):
+            continue
+        found[kept.file] = kept
+    return found
+
+
+def end_line(path: Path) -> None:
+    """End an incomplete line, so that the next one starts a new line."""
+    with suppress(FileNotFoundError):
+        with path.open("rb") as file:
+            whole = file.read()[-1:] in (b"", b"\n")
+        if not whole:
+            append(path, "\n")
+
+
+def is_partial(name: str) -> bool:
+    """True for a temporary file of a process that was ended; earlier versions used the ending ``.tmp``."""
+    return is_hidden(name) or name.endswith(".tmp")
+
+
+def put_below(folder: Path, name: str, content: bytes) -> None:
+    """Write a file in a folder that may not exist yet, unless it has that content already."""
+    target = folder / name
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if not target.is_file() or target.read_bytes() != content:
+        put(target, content)
+
+
+def read_lock(path: Path) -> dict[str, Any] | None:
+    """The content of ``study.lock.json``; None if there is none. Raises `OutputError` if it is not valid."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-            storage = JournalStorage(JournalFileBackend(str(path), lock_obj=journal_lock(path)))
-            held = optuna.create_study(
-                storage=storage,
-                sampler=_sampler(tuning.section.seed),
-                study_name=NAME,
-                directions=["minimize"] * len(tuning.objectives),
-                load_if_exists=True,
-            )
-            _check_same(held, tuning, folder)
-            yield held
-    finally:
-        optuna.logging.set_verbosity(before)
-
-
-def _check_same(held: optuna.Study, tuning: Tuning, folder: Path) -> None:
-    """Refuse a folder whose trials were made for another search."""
-    mine = {name: key_of({"": part}) for name, part in tuning.identity.items()}
-    there = held.user_attrs.get("identity")
-    if there is None:
-        held.set_user_attr("identity", mine)
-        return
-    differ = [name for name in {**there, **mine} if there.get(name) != mine.get(name)]
-    if differ:
+        lock = json.loads((path / LOCK).read_text(encoding="utf-8"))
+        if not {"key", "versions", "identity", "samples", "extents", "each", "types"} <= lock.keys():
+            raise ValueError
+        _checked(lock)
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, TypeError, AttributeError):
         raise OutputError(
-            f"{folder}: holds another search, which differs in: {', '.join(sorted(differ))}; name another folder, or "
-            "take the study's file as it was"
-        )
+            f"{path / LOCK}: expected what a study has written, found something else; name another folder"
+        ) from None
+    return dict(lock)
 
 
-def _sampler(seed: int) -> optuna.samplers.BaseSampler:
-    """TPE, whose random numbers follow from the seed and the trial's number: a search that goes on is the same."""
-    from optuna.samplers import BaseSampler, TPESampler
-
-    class ByNumber(BaseSampler):
-        def _of(self, trial: Any, what: str = "") -> TPESampler:
-            digest = hashlib.sha256(f"{seed} {trial.number} {what}".encode()).digest()
-            return TPESampler(seed=int.from_bytes(digest[:4], "big"))
-
-        def infer_relative_search_space(self, study: Any, trial: Any) -> dict[str, Any]:
-            return self._of(trial).infer_relative_search_space(study, trial)
-
-        def sample_relative(self, study: Any, trial: Any, search_space: dict[str, Any]) -> dict[str, Any]:
-            return self._of(trial).sample_relative(study, trial, search_space)
-
-        def sample_independent(self, study: Any, trial: Any, param_name: str, param_distribution: Any) -> Any:
-            return self._of(trial, param_name).sample_independent(study, trial, param_name, param_distribution)
-
-    return ByNumber()
+def begun_as(path: Path) -> str:
+    """Name of the study that a folder holds; empty if it holds none."""
+    try:
+        name = json.loads((path / LOCK).read_text(encoding="utf-8"))["study"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""
+    return name if isinstance(name, str) else ""
 
 
-def ended(held: optuna.Study) -> int:
-    """Trials that say something; one that was stopped by Ctrl-C does not."""
-    from optuna.trial import TrialState
-
-    return len(held.get_trials(deepcopy=False, states=(TrialState.COMPLETE, TrialState.PRUNED)))
-
-
-def feasible(held: optuna.Study) -> list[list[float]]:
-    """The objectives of all trials that ran to their end and broke nothing."""
-    from optuna.trial import TrialState
-
-    found = held.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
-    return [each.values for each in found if not each.user_attrs.get(STOPPED)]
+def _checked(lock: Mapping[str, Any]) -> None:
+    """Raise `ValueError` or `TypeError` if a part has the wrong type."""
+    extents, each = ([Extent(*numbers) for numbers in lock["extents"]], lock["each"] or ())
+    numbers = [lock["samples"], *each, *(number for extent in extents for number in astuple(extent))]
+    sizes = [*each, *(size for extent in extents for size in (extent.points, extent.samples))]
+    whole = all(type(number) is int for number in numbers) and all(size > 0 for size in sizes) and len(each) in (0, 2)
+    sections = [lock["identity"], lock["versions"], {} if lock["types"] is None else lock["types"]]
+    if not whole or not all(isinstance(section, dict) for section in sections):
+        raise ValueError
 
 
-def hardest(held: optuna.Study, size: int) -> list[int]:
-    """All plants; first those that were the hardest for the best trial so far."""
-    from optuna.trial import TrialState
+def difference(lock: Mapping[str, Any], identity: Mapping[str, Any]) -> str:
+    """What has changed since a study was begun, in one sentence; empty if nothing has."""
+    old = _leaves(lock["identity"]) | _leaves(lock["versions"], "versions.")
+    now = _leaves(plain(identity)) | _leaves(dict(versions()), "versions.")
+    changed = [name for name in {**old, **now} if old.get(name) != now.get(name)]
+    shown = [f"{name} was {_shown(old, name)}, now {_shown(now, name)}" for name in changed[:_SHOWN]]
+    more = f"; and {len(changed) - _SHOWN} more" if len(changed) > _SHOWN else ""
+    return f"holds another study: {'; '.join(shown)}{more}" if changed else ""
 
-    found = [
-        each for each in held.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)) if ORDER in each.user_attrs
-    ]
-    best = min(found, key=lambda each: (each.values[0], each.number), default=None)
-    first = [] if best is None else list(best.user_attrs[ORDER])
-    return [*first, *sorted(set(range(size)) - set(first))]
+
+def plain(data: Any) -> Any:
+    """Data as JSON returns it."""
+    return json.loads(json.dumps(data, default=str))
+
+
+def _leaves(data: Any, path: str = "") -> dict[str, str]:
+    """Each number and text in nested data, by its path."""
+    if not isinstance(data, dict):
+        return {path.strip("."): json.dumps(data)}
+    return {name: leaf for key, value in data.items() for name, leaf in _leaves(value, f"{path}{key}.").items()}
+
+
+def _shown(leaves: Mapping[str, str], name: str) -> str:
+    return shorten(leaves[name]) if name in leaves else "nothing"

@@ -1,4 +1,4 @@
-"""Numbers as a study's page says them: a limit is never rounded to the side that would make it untrue."""
+"""Numbers in a study's page; a limit is rounded to the side that keeps it true."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import math
 from typing import Final
 
 from dmframe.study.statistics import Quantile, Share
+from dmframe.study.varied import Factor
 from dmframe.units import plain
 
 ALMOST: Final = 0.999999
-"""Of a share above it no more digits are said."""
+"""Largest share that is printed with more digits."""
 
 
 def count(number: int) -> str:
@@ -18,7 +19,7 @@ def count(number: int) -> str:
 
 
 def percent(share: float, up: bool | None = None) -> str:
-    """A share with two digits, rounded up or down where it is a limit; near 1, the two digits are those that lack."""
+    """A share with two digits, rounded up or down if it is a limit; near 1, two digits of its difference from 1."""
     if not math.isfinite(share):
         return "-"
     if share > ALMOST:
@@ -40,21 +41,21 @@ def _two(value: float, up: bool | None) -> float:
 
 
 def interval(share: Share) -> str:
-    """The two-sided interval of a share; empty where there is none."""
+    """Two-sided interval of a share; empty without one."""
     if share.low is None or share.high is None:
         return ""
     return f"{percent(share.low, up=False)} to {percent(share.high, up=True)}"
 
 
 def figure(value: float, unit: str) -> str:
-    """A figure of a run; infinite where it diverged."""
+    """A figure of a run; ``diverged`` if infinite."""
     if math.isinf(value):
         return "diverged"
     return "-" if math.isnan(value) else plain(value, unit)
 
 
 def between(found: Quantile, unit: str) -> str:
-    """The interval of a quantile; empty where there is none."""
+    """Interval of a quantile; empty without one."""
     if found.low is None or found.high is None or found.low == math.inf:
         return ""
     low = "no lower limit" if found.low == -math.inf else figure(found.low, unit)
@@ -63,7 +64,7 @@ def between(found: Quantile, unit: str) -> str:
 
 
 def chance(p: float | None) -> str:
-    """A test's probability."""
+    """Probability of a test."""
     if p is None:
         return ""
     return "below 1e-6" if p < 1e-6 else f"{p:.2g}"
@@ -72,3 +73,20 @@ def chance(p: float | None) -> str:
 def span(low: float, high: float, unit: str) -> str:
     """``400 to 1600 V s/rad``."""
     return f"{low:.5g} to {high:.5g} {unit}".rstrip()
+
+
+def distribution(factor: Factor) -> str:
+    """How a quantity is sampled or searched, in words."""
+    spread, unit = factor.spread, factor.unit
+    if spread is None:
+        return ""
+    what = {"value": "", "scale": "times the graph's own value, ", "shift": "added to the graph's own value, "}
+    ends = span(spread.lower, spread.upper, unit)
+    if spread.kind == "normal":
+        bounded = math.isfinite(spread.lower) or math.isfinite(spread.upper)
+        clip = f", between {ends.replace(' to ', ' and ')}" if bounded else ""
+        text = f"normal, mean {plain(spread.a, unit, 5)}, standard deviation {plain(spread.b, unit, 5)}{clip}"
+    else:
+        text = f"{ends}, {'uniform' if spread.kind == 'uniform' else 'log-uniform'}"
+    of = f"; of {', '.join(factor.labels)}" if factor.labels != (factor.name,) else ""
+    return f"{what[factor.how]}{text}{of}"

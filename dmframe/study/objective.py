@@ -1,4 +1,4 @@
-"""What tuning asks for: statistics of a figure over the sampled family, and bounds on them."""
+"""Objectives and constraints of tuning: statistics of a figure over the sampled plants, and bounds on them."""
 
 from __future__ import annotations
 
@@ -10,40 +10,39 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from dmframe.batch.columns import Column
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, UnknownNameError, ValueFault
 from dmframe.port import Side
-from dmframe.study.table import Column
 from dmframe.units import plain, to_unit
 
 EFFORT: Final = "effort"
-"""The figure of the servo's voltages: Euclidean norm of their RMS in the last eighth."""
+"""Figure of the servo's voltages: Euclidean norm of their RMS in the last eighth."""
 CONDITIONS, EVERYWHERE, PERIOD = "conditions", "conditions everywhere", "stable period"
 _FORM: Final = re.compile(r"(?:(worst|median|mean)|quantile\s+([0-9.]+))\s+([^\s<>=]+)")
 _LIMIT: Final = re.compile(r"(.+?)\s*(<=|>=|<|>)\s*(.+)")
 _NOT_NEGATIVE: Final = re.compile(r"(rms|turn)_(\d|final)|(error|turn)_most|diverged|.*\.(rms_final|peak)|effort")
 _KINDS: Final = {"rms_final": ("rms_final",), "peak": ("least", "most"), "most": ("most",)}
-"""Figures of a signal of which there are statistics, and the columns that they need."""
+"""Figures of a signal with statistics, and the columns that they need."""
 _OTHER: Final = ("diverged_at", "error_crossed", "turn_crossed")
-"""Columns of which there are none: most runs have nothing there."""
+"""Columns without statistics: most runs have no value there."""
 
 
 @final
 @dataclass(frozen=True)
 class Statistic:
-    """A number of a family of runs.
+    """A statistic of a figure over a family of runs.
 
     Parameters
     ----------
     text
-        As the study's file has it, ``worst rms_final``.
+        In the study's file, ``worst rms_final``.
     share
-        It is at least this share of the runs' figures, the least such: 1 for the worst, 0.5 for the median; None for
-        the mean.
+        Probability of the quantile: 1 for the worst, 0.5 for the median; None for the mean.
     figure
         The figure's name, or `EFFORT`.
     columns
-        Of the table, by which it is computed: the norm of RMS values over a signal's rows, the largest of others.
+        Of the table: the figure is the norm of RMS values over a signal's rows, the largest of other figures.
     unit
         Of the figure.
     """
@@ -55,23 +54,23 @@ class Statistic:
     unit: str
 
     def figures(self, rows: Mapping[str, Any]) -> np.ndarray:
-        """The figure of each run; infinite for one that diverged or could not be made."""
-        held = np.stack([np.asarray(rows[name], dtype=float) for name in self.columns])
+        """The figure of each run; infinite for a run that diverged or could not be prepared."""
+        data = np.stack([np.asarray(rows[name], dtype=float) for name in self.columns])
         if self.figure.endswith("rms_final") or self.figure == EFFORT:
-            found = np.sqrt((held**2).sum(axis=0)) if len(held) > 1 else held[0]
+            found = np.sqrt((data**2).sum(axis=0)) if len(data) > 1 else data[0]
         else:
-            found = (np.abs(held) if self.figure.endswith(".peak") else held).max(axis=0)
+            found = (np.abs(data) if self.figure.endswith(".peak") else data).max(axis=0)
         if self.figure == "diverged":
             return np.asarray(np.where([fault is not None for fault in rows["fault"]], 1.0, found))
         lost = np.asarray(rows["diverged"], dtype=bool) | ~np.isfinite(found)
         return np.where(lost, np.inf, found)
 
     def of(self, figures: np.ndarray) -> float:
-        """The statistic of all runs of the family."""
+        """The statistic over all runs of the family."""
         return self.at_least(figures, len(figures))
 
     def at_least(self, figures: np.ndarray, runs: int) -> float:
-        """What it is at the least over `runs` runs, some of which have these figures, whatever the others have."""
+        """Lower bound of the statistic over `runs` runs, of which only these figures are known."""
         rest, floor = runs - len(figures), 0.0 if _NOT_NEGATIVE.fullmatch(self.figure) else -math.inf
         if self.share is None:
             return float((figures.sum() + (rest * floor if rest else 0.0)) / runs)
@@ -86,13 +85,7 @@ class Statistic:
 @final
 @dataclass(frozen=True)
 class Bound:
-    """A statistic that has to stay at or below a limit, or above it.
-
-    Parameters
-    ----------
-    above
-        True where the statistic must be at least the limit.
-    """
+    """A constraint: a statistic at most a limit or, with `above`, at least."""
 
     statistic: Statistic
     limit: float
@@ -100,16 +93,16 @@ class Bound:
 
     @property
     def text(self) -> str:
-        """As a sentence has it."""
+        """The constraint in words."""
         return f"{self.statistic.text} {'>=' if self.above else '<='} {plain(self.limit, self.statistic.unit, 4)}"
 
     def excess(self, value: float) -> float:
-        """How far a value is beyond the limit, in limits; at most zero where it is not."""
+        """Violation relative to the limit; at most zero if the constraint holds."""
         beyond = self.limit - value if self.above else value - self.limit
         return min(beyond / (abs(self.limit) or 1.0), 1e6)
 
     def broken(self, figures: np.ndarray, runs: int) -> bool:
-        """True where some of the runs show already that it does not hold over all."""
+        """True if the figures of some runs prove that the constraint fails over all."""
         return not self.above and self.statistic.at_least(figures, runs) > self.limit
 
 
@@ -122,7 +115,7 @@ def signals_of(text: str) -> list[str]:
 
 
 def efforts(diagram: Diagram) -> list[str]:
-    """The voltages of the plant, by label."""
+    """Labels of the plant's voltages."""
     return [
         signal.label
         for signal in diagram.loop.outputs
@@ -131,12 +124,12 @@ def efforts(diagram: Diagram) -> list[str]:
 
 
 def statistic(text: str, columns: Sequence[Column], diagram: Diagram) -> Statistic:
-    """A statistic of the table's columns.
+    """Parse a statistic of the table's columns.
 
     Raises
     ------
     ValueFault, UnknownNameError
-        It is none, or of no figure that the runs have.
+        The text is not a statistic, or names an unknown figure.
     """
     found = _FORM.fullmatch(text.strip())
     if not found:
@@ -150,7 +143,7 @@ def statistic(text: str, columns: Sequence[Column], diagram: Diagram) -> Statist
 
 
 def bound(text: str, columns: Sequence[Column], diagram: Diagram) -> Bound:
-    """A statistic with its limit. Raises what `statistic` does, and for a limit in another unit."""
+    """Parse a constraint. Raises as `statistic` does, and for a limit with the wrong unit."""
     found = _LIMIT.fullmatch(text.strip())
     if not found:
         known = f"{CONDITIONS}, {EVERYWHERE}, {PERIOD} >= 10 ms, or worst rms_final <= 5 mm"
@@ -160,7 +153,7 @@ def bound(text: str, columns: Sequence[Column], diagram: Diagram) -> Bound:
 
 
 def least_period(text: str) -> float | None:
-    """The period of ``stable period >= 10 ms`` [s]; None for another text. Raises `UnitError` and `ValueFault`."""
+    """Period of ``stable period >= 10 ms`` [s]; None for another constraint. Raises `UnitError` and `ValueFault`."""
     found = _LIMIT.fullmatch(text.strip())
     if not text.strip().startswith(PERIOD):
         return None
@@ -193,15 +186,15 @@ def _columns(figure: str, columns: Sequence[Column], diagram: Diagram) -> tuple[
     ends = "|".join(_KINDS.get(kind, ()))
     names = [name for name in units if ends and re.fullmatch(rf"{re.escape(signal)}(\[\d+\])?\.({ends})", name)]
     if not names:
-        plain_ones = [name for name in units if "." not in name and name not in _OTHER]
+        figures = [name for name in units if "." not in name and name not in _OTHER]
         wholes = {re.sub(r"(\[\d+\])?\.\w+$", "", name) for name in units if "." in name}
         of_signals = [f"{whole}.{end}" for whole in wholes for end in _KINDS]
-        raise UnknownNameError(figure, "figure", figure, [*plain_ones, *of_signals, EFFORT])
+        raise UnknownNameError(figure, "figure", figure, [*figures, *of_signals, EFFORT])
     return tuple(names), units[names[0]]
 
 
-def told(error: DmframeError, path: tuple[str | int, ...]) -> DmframeError:
-    """The fault at its place in the study's file."""
+def at_path(error: DmframeError, path: tuple[str | int, ...]) -> DmframeError:
+    """The fault with its place in the study's file."""
     error.path = path
     error.text = f"{'.'.join(map(str, path[:2]))}: {error.text}"
     return error

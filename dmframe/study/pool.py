@@ -1,7 +1,8 @@
-"""Processes on this machine: one a core, one thread each.
+"""Executor with worker processes on this machine: one per core, each with one thread.
 
-They are started as programs of their own, not by `multiprocessing`: that would import the user's script or notebook
-once more in each, and where one is killed it cannot tell whose chunk was lost.
+The workers are separate programs, not processes of `multiprocessing`: that would import the user's script or notebook
+again in each, and could not report which chunk a killed worker was computing. A worker reads chunks from standard input
+and writes their rows to standard output; it ends when its input ends, so that no worker outlives this process.
 """
 
 from __future__ import annotations
@@ -13,20 +14,20 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Mapping
 from contextlib import suppress
-from queue import Empty, Queue
-from types import TracebackType
-from typing import IO, Any, Final, Protocol, final
+from queue import Empty, Queue, SimpleQueue
+from typing import IO, TYPE_CHECKING, Any, Final, final
 
 from dmframe.errors import EngineError, visible
+from dmframe.simulate.many import cores
 from dmframe.study.chunks import Chunk
-from dmframe.study.computed import Computable, Computed, Failed, cores
+from dmframe.study.executor import Answer, Computed, Failed, compute
 
-Answer = tuple[Chunk, Computed | Failed]
+if TYPE_CHECKING:
+    from dmframe.study.plan import Study
 
 _START: Final = (
-    "import sys, pickle; sys.path[:] = pickle.load(sys.stdin.buffer); from dmframe.study.worker import serve; serve()"
+    "import sys, pickle; sys.path[:] = pickle.load(sys.stdin.buffer); from dmframe.study.pool import serve; serve()"
 )
 _THREADS: Final = (
     "MKL_NUM_THREADS",
@@ -36,42 +37,14 @@ _THREADS: Final = (
     "POLARS_MAX_THREADS",
 )
 _PATIENCE: Final = 5.0
-"""How long a worker may take to end by itself [s]."""
-
-
-class Workers(Protocol):
-    """Where chunks are computed."""
-
-    @property
-    def count(self) -> int:
-        """How many chunks are computed at once."""
-
-    def submit(self, chunk: Chunk) -> None:
-        """Let a chunk be computed."""
-
-    def ended(self, timeout: float) -> Answer | None:
-        """A chunk that has ended, after at most so long [s]; None where none has."""
-
-    def __enter__(self) -> Workers:
-        """Start them."""
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """End them, whatever they do."""
+"""Time for a worker to end by itself [s]."""
 
 
 @final
 class Pool:
-    """Worker processes on this machine, `Workers` that end with this process.
+    """Worker processes on this machine, an `Executor`; as many as there are cores if `count` is None."""
 
-    Parameters
-    ----------
-    count
-        How many; as many as there are cores without it.
-    """
-
-    def __init__(self, study: Computable, count: int | None = None) -> None:
+    def __init__(self, study: Study, count: int | None = None) -> None:
         self._count = count or cores()
         self._study = pickle.dumps(study, protocol=pickle.HIGHEST_PROTOCOL)
         self._tasks: Queue[Chunk | None] = Queue()
@@ -82,20 +55,20 @@ class Pool:
 
     @property
     def count(self) -> int:
-        """How many."""
+        """Number of workers."""
         return self._count
 
     @property
     def processes(self) -> list[int]:
-        """Their process numbers."""
+        """Process numbers of the workers."""
         return [worker.process.pid for worker in list(self._processes.values())]
 
     def submit(self, chunk: Chunk) -> None:
-        """Let a chunk be computed."""
+        """Queue a chunk."""
         self._tasks.put(chunk)
 
     def ended(self, timeout: float) -> Answer | None:
-        """A chunk that has ended. Raises `EngineError` where workers cannot be started."""
+        """A finished chunk. Raises `EngineError` if a worker cannot be started."""
         try:
             answer = self._answers.get(timeout=timeout)
         except Empty:
@@ -114,22 +87,22 @@ class Pool:
         for _place in self._threads:
             self._tasks.put(None)
         for worker in list(self._processes.values()):
-            worker.process.kill()  # what is half computed is computed again, whenever that is
+            worker.process.kill()  # its chunk is computed again by the next call
         for thread in self._threads:
             thread.join(_PATIENCE)
 
     def _serve(self, place: int) -> None:
-        """Keep one worker busy; where it ends, say so of its chunk, and start another."""
+        """Keep one worker busy; if it ends, report its chunk as failed and start another."""
         worker: _Worker | None = None
         try:
             while (chunk := self._tasks.get()) is not None and not self._closed.is_set():
                 try:
                     if worker is None:
                         worker = self._processes[place] = _Worker(self._study)
-                        if self._closed.is_set():  # it was started too late to be killed with the others
+                        if self._closed.is_set():  # started too late to be killed with the others
                             return
                         worker.begin()
-                    answer = worker.ask(chunk)
+                    answer = worker.compute(chunk)
                 except EngineError as error:
                     self._answers.put(error)
                     return
@@ -142,69 +115,69 @@ class Pool:
 
 
 class _Ended(Exception):
-    """A worker that ended over a chunk."""
+    """A worker ended while it computed a chunk."""
 
 
 @final
 class _Worker:
-    """One process, and the two pipes to it."""
+    """One process, and two pipes to it."""
 
     def __init__(self, study: bytes) -> None:
         self._study = study
-        self._said: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - it lives as long as the process
+        self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - it lives as long as the process
         self.process = subprocess.Popen(
             [sys.executable, "-c", _START],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=self._said,
-            env=_environment(),
+            stderr=self._errors,
+            env={**os.environ, **dict.fromkeys(_THREADS, "1")},
         )
 
     def begin(self) -> None:
-        """Send it the study. Raises `EngineError` where it cannot work."""
+        """Send it the study. Raises `EngineError` if it cannot read it."""
         try:
             self._send([path or os.getcwd() for path in sys.path])  # noqa: PTH109 - a text
             self._send(self._study)
             self._receive()
         except (OSError, EOFError, pickle.UnpicklingError):
-            raise EngineError(f"study: a worker process could not be started: {self._last_words()}") from None
+            raise EngineError(f"study: a worker process could not be started: {self._reason()}") from None
 
-    def ask(self, chunk: Chunk) -> Computed | Failed:
-        """Have a chunk computed. Raises `_Ended`."""
+    def compute(self, chunk: Chunk) -> Computed | Failed:
+        """Send a chunk and wait for its rows. Raises `_Ended`."""
         try:
             self._send(chunk)
             answer = self._receive()
         except (OSError, EOFError, pickle.UnpicklingError):
-            raise _Ended(f"its process was ended: {self._last_words()}") from None
-        assert isinstance(answer, Computed | Failed)  # that is what `serve` answers
+            raise _Ended(f"its process was ended: {self._reason()}") from None
+        assert isinstance(answer, Computed | Failed)  # what `serve` sends
         return answer
 
     def end(self) -> None:
-        """Let it end by itself, which it does when nothing more can come; or end it."""
+        """Close the pipes, upon which it ends by itself; else kill it."""
         for pipe in (self.process.stdin, self.process.stdout):
             if pipe is not None:
-                with suppress(OSError):  # it has gone already
+                with suppress(OSError):  # it has ended already
                     pipe.close()
         try:
             self.process.wait(_PATIENCE)
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()
-        self._said.close()
+        self._errors.close()
 
     def _send(self, what: object) -> None:
-        assert self.process.stdin is not None  # it was asked for
+        assert self.process.stdin is not None  # a pipe, see __init__
         pickle.dump(what, self.process.stdin, protocol=pickle.HIGHEST_PROTOCOL)
         self.process.stdin.flush()
 
     def _receive(self) -> Any:
-        assert self.process.stdout is not None  # it was asked for
+        assert self.process.stdout is not None  # a pipe, see __init__
         return pickle.load(self.process.stdout)
 
-    def _last_words(self) -> str:
+    def _reason(self) -> str:
         status = self.process.wait()
-        self._said.seek(0)
-        lines = self._said.read().decode("utf-8", "replace").strip().splitlines()
+        self._errors.seek(0)
+        lines = self._errors.read().decode("utf-8", "replace").strip().splitlines()
         self.end()
         if status == -getattr(signal, "SIGKILL", 0):
             return "killed, as by a system that runs out of memory"
@@ -213,5 +186,38 @@ class _Worker:
         return visible(lines[-1]) if lines else f"exit status {status}"
 
 
-def _environment() -> Mapping[str, str]:
-    return {**os.environ, **dict.fromkeys(_THREADS, "1")}
+def serve() -> None:
+    """Main function of a worker: read a pickled study, then compute chunks until the input ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the parent process
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # keeps what a block prints out of the answers
+    inbox = SimpleQueue[Any]()
+    threading.Thread(target=_listen, args=(inbox,), daemon=True).start()
+    try:
+        study = pickle.loads(inbox.get())
+    except Exception as error:
+        sys.stderr.write(f"{type(error).__name__}: {' '.join(str(error).split())}\n")
+        sys.stderr.flush()
+        os._exit(1)  # a normal exit would wait for the listening thread
+    _answer(answers, "ready")
+    while True:
+        _answer(answers, compute(study, inbox.get()))
+
+
+def _answer(answers: Any, what: object) -> None:
+    try:
+        pickle.dump(what, answers, protocol=pickle.HIGHEST_PROTOCOL)
+        answers.flush()
+    except BrokenPipeError:
+        os._exit(0)
+
+
+def _listen(inbox: SimpleQueue[Any]) -> None:
+    """Read chunks in a thread, to notice the end of the input while a chunk is computed."""
+    while True:
+        try:
+            inbox.put(pickle.load(sys.stdin.buffer))
+        except EOFError:
+            os._exit(0)
+        except pickle.UnpicklingError:  # truncated: the parent process was ended
+            os._exit(1)

@@ -1,8 +1,8 @@
-"""From a study's file to a checked `Study`; all faults at once, each with its line and column."""
+"""Read a study's file into a checked `Study`; all faults at once, each with its line and column."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from io import StringIO
@@ -17,18 +17,16 @@ from dmframe.config.document import Document, Steps, read_document, read_file
 from dmframe.config.experiment import Experiment
 from dmframe.config.given import document_of
 from dmframe.config.grammar import fault_of
-from dmframe.config.places import placed
-from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError, Faults, UnknownNameError, ValueFault, raise_all
+from dmframe.errors import DmframeError, UnknownNameError, ValueFault
 from dmframe.files import expanded
-from dmframe.study.grammar import KEYS, STUDY, StudyFile, keys_at, own_name
-from dmframe.study.grid import Axis, Given, axis_of, changed, scaled, told_in
-from dmframe.study.lock import begun_as
+from dmframe.study.grammar import STUDY, StudyFile, keys_at, own_name, raise_placed
+from dmframe.study.grid import Axis, Given, axis_of, changed, scaled, with_values_of
+from dmframe.study.journal import begun_as
 from dmframe.study.plan import Study
-from dmframe.study.varied import SETTINGS, Factor, factor, told_twice
+from dmframe.study.varied import SETTINGS, Factor, factors_of, set_twice
 
 TEXT = "study"
-"""What messages call a study that came from no file."""
+"""Name of a study without a file."""
 KEPT = "study.yaml"
 """The study's file in a folder of results."""
 
@@ -45,26 +43,26 @@ def load_study(
     Parameters
     ----------
     source
-        A path; a text of more than one line; a dictionary as the file would hold it; a `Study` is returned as it is.
+        A path; a text of more than one line; a dictionary with the file's content; a `Study` is returned unchanged.
     runs, seed
-        Instead of those of the section ``sample``.
+        Replace those of the section ``sample``.
     overrides
-        Changes of the graph beside those of the section ``set``, each as ``--set`` has it.
+        Changes of the graph in addition to the section ``set``, in the form of ``--set``.
 
     Raises
     ------
     DmframeError
-        All faults of the file at once, each with its line and column. (What needs the closed loop, wires say, is told
-        by `Study.check`.)
+        All faults of the file at once, each with its line and column. (`Study.check` finds those that need the closed
+        loop, such as faults of wiring.)
     """
     if isinstance(source, Study):
         return source
     document, text, path = _read(source)
     if isinstance(document.data.get("sample", {}), dict):
         data = dict(document.data)
-        told = {key: value for key, value in (("runs", runs), ("seed", seed)) if value is not None}
-        if told:
-            data["sample"] = {**(data.get("sample") or {}), **told}
+        replaced = {key: value for key, value in (("runs", runs), ("seed", seed)) if value is not None}
+        if replaced:
+            data["sample"] = {**(data.get("sample") or {}), **replaced}
             text = _written(data)
         document = replace(document, data=data)
     file, faults = _checked(document)
@@ -79,7 +77,9 @@ def load_study(
         factors, more = _factors(file, bases[""], axes)
         faults += more
     if file.sample.runs > 1 and not file.sample.variations:
-        text_ = f"sample.runs: {file.sample.runs} runs of which nothing varies; name what does, or leave runs out"
+        text_ = (
+            f"sample.runs: {file.sample.runs} runs, but nothing varies between them; name what varies, or remove runs"
+        )
         faults.append(ValueFault(text_, path=("sample", "runs")))
     raise_placed(faults, document)
     return Study(_name(path), path, text, document, file, bases, tuple(axes), tuple(factors))
@@ -90,12 +90,6 @@ def _name(path: Path | None) -> str:
     if path is None:
         return TEXT
     return (begun_as(path.parent) if path.name == KEPT else "") or path.stem
-
-
-def raise_placed(faults: Sequence[DmframeError], document: Document) -> None:
-    """Raise nothing, or the faults at their places in the study's file."""
-    if faults:
-        raise placed(faults[0] if len(faults) == 1 else Faults(faults), document, KEYS)
 
 
 def _read(source: Any) -> tuple[Document, str, Path | None]:
@@ -121,14 +115,14 @@ def _written(data: Mapping[str, Any]) -> str:
 
 
 def _checked(document: Document) -> tuple[StudyFile, list[DmframeError]]:
-    """The file's grammar, and unknown keys beside it; names of parameters are not looked at yet."""
+    """Validate the file against the grammar, and find unknown keys; names of parameters are checked later."""
     faults, data = list[DmframeError](), dict(document.data)
     for section in ("sample", "tune"):
         found = document.data.get(section)
-        held = found if isinstance(found, dict) else {}
-        for key in held:
+        entries = found if isinstance(found, dict) else {}
+        for key in entries:
             known = [*keys_at((section,))]
-            if own_name(key) and key not in (*known, *SETTINGS) and not _is_group(held[key]):
+            if own_name(key) and key not in (*known, *SETTINGS) and not _is_group(entries[key]):
                 faults.append(UnknownNameError(f"{section}.{key}", "key", key, known, path=(section, key)))
                 data[section] = {other: value for other, value in data[section].items() if other != key}
     try:
@@ -146,7 +140,7 @@ def _is_group(value: Any) -> bool:
 def _graphs(
     file: StudyFile, document: Document, folder: Path, overrides: Sequence[str]
 ) -> tuple[dict[str, Experiment], list[Axis], list[DmframeError]]:
-    """The graphs that the study names, with what it sets, and its axes."""
+    """The graphs that the study names with the section ``set`` applied, and the axes of the grid."""
     faults, axes = list[DmframeError](), list[Axis]()
     for name in file.grid:
         try:
@@ -159,7 +153,7 @@ def _graphs(
             if case.graph:
                 place: Steps = ("grid", axis.name, k)
                 if axis.name != "graph":
-                    place = ("grid", axis.name, str(case.told), "graph")
+                    place = ("grid", axis.name, str(case.value), "graph")
                 names.setdefault(case.graph, (case.graph, place))
     sets = [Given(label, document.node(("set", label)), document.locate(("set", label))) for label in file.set]
     bases = dict[str, Experiment]()
@@ -174,13 +168,13 @@ def _graphs(
 
 
 def _graph(name: str, folder: Path, overrides: Sequence[str]) -> Experiment:
-    beside = folder / name
-    found = beside if name.endswith((".yaml", ".yml")) and not Path(name).is_absolute() else find_graph(name)
+    path = folder / name
+    found = path if name.endswith((".yaml", ".yml")) and not Path(name).is_absolute() else find_graph(name)
     return load_experiment(found, overrides)
 
 
 def _in_graphs(bases: Mapping[str, Experiment], axes: Sequence[Axis]) -> tuple[list[Axis], list[DmframeError]]:
-    """The axes with what their cases mean: each case is put into the graph, the others at their first."""
+    """The axes with the values of their cases: each applied to the graph, the other axes at their first."""
     faults, found = list[DmframeError](), list[Axis]()
     for k, axis in enumerate(axes):
         graphs = list[Experiment]()
@@ -195,28 +189,17 @@ def _in_graphs(bases: Mapping[str, Experiment], axes: Sequence[Axis]) -> tuple[l
             except DmframeError as error:
                 for fault in error.faults:
                     fault.path = fault.path if fault.location else ("grid", axis.name)
-                    if fault.text not in [other.text for other in faults]:  # a name is wrong in each of its cases
+                    if fault.text not in [other.text for other in faults]:  # a wrong name recurs in each case
                         faults.append(fault)
-        found.append(told_in(axis, graphs) if len(graphs) == len(axis.cases) else axis)
+        found.append(with_values_of(axis, graphs) if len(graphs) == len(axis.cases) else axis)
     return found, faults
 
 
 def _factors(file: StudyFile, base: Experiment, axes: Sequence[Axis]) -> tuple[list[Factor], list[DmframeError]]:
-    faults, found = list[DmframeError](), list[Factor]()
-    diagram: Callable[[], Diagram] = cache(base.diagram)
-    for name, variation in file.sample.variations.items():
-        try:
-            found.append(factor(name, variation, base, diagram))
-        except DmframeError as error:
-            for fault in error.faults:
-                fault.path = fault.path if fault.location else ("sample", name, *fault.path)
-                fault.text = f"sample.{name}: {fault.text.removeprefix(f'{name}: ')}"
-                faults.append(fault)
-    faults += told_twice(found, {label for axis in axes for label in axis.labels})
+    """What is sampled, bound to the graph."""
+    found, faults = factors_of("sample", file.sample.variations, base, cache(base.diagram))
+    faults += set_twice(found, {label for axis in axes for label in axis.labels})
     columns = [axis.name for axis in axes] + [name for each in found for name in each.columns]
     for name in {name for name in columns if columns.count(name) > 1}:
         faults.append(ValueFault(f"sample.{name}: the grid has an axis of that name; keep one", path=("sample", name)))
     return found, faults
-
-
-__all__ = ["load_study", "raise_all", "raise_placed"]

@@ -1,4 +1,4 @@
-"""A study's report: one page, its figures as files, and its worst runs as graphs."""
+"""Report of a study: one page, its plots as files, and its worst runs as graphs."""
 
 from __future__ import annotations
 
@@ -13,16 +13,13 @@ from dmframe.copies import shared
 from dmframe.files import write_bytes, write_text, writing
 from dmframe.plotting import files_of
 from dmframe.port import Side
-from dmframe.report import html
-from dmframe.report.html import Html, plain, tag
-from dmframe.report.page import document
-from dmframe.study.answer import Saved, Told, best_of, lead
-from dmframe.study.basis import what
-from dmframe.study.beside import write_graph
+from dmframe.study.answer import ReportData, Saved, best_of, lead
 from dmframe.study.figures import figures_of
 from dmframe.study.findings import Findings, findings_of
+from dmframe.study.packing import write_graph
+from dmframe.study.pages import study_page
 from dmframe.study.proof import proofs_of
-from dmframe.study.sections import sections
+from dmframe.study.sections import scope, sections
 
 if TYPE_CHECKING:
     from dmframe.study.results import Results
@@ -33,7 +30,7 @@ WORST: Final = "worst_{}.yaml"
 
 
 def write_report(folder: str | Path, results: Results | None = None, *, proofs: bool = True) -> Path:
-    """Write a study's report into its folder; see `reported`. Returns the page."""
+    """Write a study's report into its folder, see `reported`; returns the page."""
     return reported(folder, results, proofs=proofs)[0]
 
 
@@ -45,11 +42,11 @@ class Reported(NamedTuple):
     page
         Its file.
     answer
-        The sentence that it begins with: the verdict on the proof, and what the runs did.
+        Its first sentence: the verdict on the proof, and the result of the runs.
     outcome
         Of both together: ``proved``, ``refuted``, ``not_applicable`` or ``open``.
     proofs
-        Of each setting that was looked at: its name, and ``proved``, ``refuted``, ``not_applicable`` or ``not_known``.
+        For each examined setting its name, and ``proved``, ``refuted``, ``not_applicable`` or ``not_known``.
     """
 
     page: Path
@@ -61,25 +58,25 @@ class Reported(NamedTuple):
 def reported(folder: str | Path, results: Results | None = None, *, proofs: bool = True) -> Reported:
     """Write ``report.html``, ``figures/`` and the worst runs, ``worst_1.yaml`` and so on, into a study's folder.
 
-    Those of before are replaced. Nothing is run: the table is read, and the proof is decided over what was drawn.
+    Earlier ones are replaced. Nothing is simulated: the table is read, and the proof is decided over what was drawn.
 
     Parameters
     ----------
     results
-        The folder's, where they are at hand.
+        Those of the folder, if they have been read already.
     proofs
-        Decide the proof; it takes about two seconds a grid point, of a dozen at most.
+        Decide the proof, which takes about two seconds per grid point, for at most a dozen.
 
     Raises
     ------
     DmframeError
-        There is no study in the folder; its report asks for what the table has not; it cannot be written.
+        The folder has no study, the table lacks a figure of the report, or the folder cannot be written.
     """
     from dmframe.study.results import Results
 
     results = results or Results(folder)
     found = findings_of(results)
-    told = Told(
+    data = ReportData(
         found,
         tuple(_saved(results, found)),
         tuple(proofs_of(results.study, results.names)) if proofs else (),
@@ -90,25 +87,21 @@ def reported(folder: str | Path, results: Results | None = None, *, proofs: bool
     page, files = results.folder / PAGE, _figures(found)
     _write_figures(results.folder / FIGURES, files)
     pictures = {Path(name).stem: content.decode() for name, content in files.items() if name.endswith(".svg")}
-    write_text(page, as_html(told, pictures))
-    answer = lead(told)
+    write_text(page, as_html(data, pictures))
+    answer = lead(data)
     text = f"{answer.headline}: {answer.sentence.text}".replace("`", "")
-    return Reported(page, text, answer.outcome, [{"setting": each.name, "proof": each.state} for each in told.proofs])
+    return Reported(page, text, answer.outcome, [{"setting": each.name, "proof": each.state} for each in data.proofs])
 
 
-def as_html(told: Told, pictures: Mapping[str, str]) -> str:
-    """The page, in one file that fetches nothing; `pictures` are SVG by name."""
-    name, title = told.found.results.name, told.found.results.study.title
-    titled = [tag("p", plain(title), class_="doc-title")] if title else []
-    titled.append(tag("p", plain(what(told.found.results.study)), class_="note"))
-    head = tag("header", tag("p", plain("Study of a control loop"), class_="doc-kind"), tag("h1", plain(name)), *titled)
-    writer, parts, answer = html.Writer("s"), list(sections(told, pictures)), lead(told)
-    inside = [html.lead(answer), writer.contents(name, parts), *map(writer.section, parts)]
-    return document(f"{name}: {answer.headline}", [head, tag("article", html.joined(map(Html, inside)), id="s")])
+def as_html(data: ReportData, pictures: Mapping[str, str]) -> str:
+    """The page, as one self-contained file; `pictures` are SVG by name."""
+    results = data.found.results
+    note, parts = scope(results.study), list(sections(data, pictures))
+    return study_page("Study of a control loop", results.name, results.study.title, note, lead(data), parts)
 
 
 def _figures(found: Findings) -> dict[str, bytes]:
-    """All figures as files; matplotlib takes most of a report's time, on other cores where there are some."""
+    """All plots as files, on several cores, since matplotlib takes most of a report's time."""
     name = found.results.name
     jobs = [partial(files_of, figure, each, name) for each, figure in figures_of(found).items()]
     with shared(jobs) as finished:
@@ -124,10 +117,10 @@ def _write_figures(place: Path, files: Mapping[str, bytes]) -> None:
         write_bytes(place / name, content)
 
 
-def _saved(results: Results, told: Findings) -> list[Saved]:
-    """The worst runs by each figure that the study asks for, each once, written as graphs; and of the best setting one.
+def _saved(results: Results, findings: Findings) -> list[Saved]:
+    """Write the worst runs by each figure of the section ``report`` as graphs, and the worst of the best setting.
 
-    Where a bad setting is among them, the worst of all are its own, which says nothing of those that one would take.
+    Without the latter, a single bad setting could have all of the worst runs.
     """
     study, there = results.study, set(results.frame.collect_schema())
     runs = dict[int, str]()
@@ -135,7 +128,7 @@ def _saved(results: Results, told: Findings) -> list[Saved]:
         if figure in there:
             for run in results.worst_runs(figure, number):
                 runs.setdefault(run, figure)
-    best = best_of(told)
+    best = best_of(findings)
     if runs and best is not None and all(run % len(study.points) != best[0].index for run in runs):
         runs |= dict.fromkeys(results.worst_runs(results.main, 1, [best[0].index]), results.main)
     with writing(results.folder):
@@ -164,31 +157,34 @@ def _saved(results: Results, told: Findings) -> list[Saved]:
 
 
 def _robots(results: Results) -> bool:
-    """Something of the plant is drawn."""
+    """True if a parameter of the plant is sampled."""
     blocks = results.study.points[0].graph.experiment.blocks
     drawn = {label.partition(".")[0] for factor in results.study.factors for label in factor.labels}
     return any(blocks[name].side is Side.PLANT for name in drawn & blocks.keys())
 
 
 def _commands(results: Results) -> Sequence[tuple[str, str]]:
-    """As they are typed where the page was written; for a folder elsewhere, as they are typed beside it."""
+    """Commands relative to the working directory or, for a folder elsewhere, to the folder's parent."""
     folder, here = results.folder.resolve(), Path.cwd()
     place = quote(str(folder.relative_to(here)) if folder.is_relative_to(here) else folder.name)
     return (
-        (f"dmframe study {place}", "computes the runs that are not there yet"),
-        (f"dmframe study {place}/study.yaml --out AGAIN", "runs all of it again, in another folder"),
-        (f"dmframe study {place} --rerun RUN", "runs one run by its number, as a graph, and compares it with its row"),
-        (f"dmframe study report {place}", "writes this page anew, from the runs that are there"),
+        (f"dmframe study {place}", "computes the missing runs"),
+        (f"dmframe study {place}/study.yaml --out AGAIN", "repeats all runs in another folder"),
+        (
+            f"dmframe study {place} --rerun RUN",
+            "repeats one run by its number, as a graph, and compares it with its row",
+        ),
+        (f"dmframe study report {place}", "writes this page again from the existing runs"),
     )
 
 
 def _made(folder: Path) -> Sequence[tuple[str, str]]:
-    """Versions and machine, as the folder's provenance has them."""
+    """Versions and machine, from the folder's provenance."""
     try:
-        told = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
+        found = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return ()
-    return [(key, _flat(value)) for key, value in told.items() if value not in (None, "", [], {})][:14]
+    return [(key, _flat(value)) for key, value in found.items() if value not in (None, "", [], {})][:14]
 
 
 def _flat(value: Any) -> str:
@@ -196,6 +192,3 @@ def _flat(value: Any) -> str:
         counted = all(isinstance(each, int) for each in value.values())
         return ", ".join(f"{key} ({each})" if counted else f"{key} {_flat(each)}" for key, each in value.items())
     return " ".join(map(str, value)) if isinstance(value, list) else str(value)
-
-
-__all__ = ["as_html", "reported", "write_report"]

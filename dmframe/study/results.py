@@ -1,4 +1,4 @@
-"""A study's folder, as a person holds it: the table, what it says, and its worst runs as graphs."""
+"""Results of a study: the table in its folder, summary figures, the worst runs as graphs, and the report."""
 
 from __future__ import annotations
 
@@ -10,11 +10,15 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from dmframe.errors import MissingError, UnknownNameError, ValueFault
+from dmframe.errors import EngineError, MissingError, UnknownNameError, ValueFault
 from dmframe.files import expanded
-from dmframe.study.lock import begun_as
+from dmframe.graph.progress import counting
+from dmframe.results.folder import safe_name
+from dmframe.study.execute import State, run_study
+from dmframe.study.journal import begun_as
 from dmframe.study.sheet import Sheet, is_time, least_is_worst, names_of, sheet_of
 from dmframe.study.statistics import quantile, share
+from dmframe.study.store import ROW, RUNS, polars
 
 if TYPE_CHECKING:
     import polars as pl
@@ -23,33 +27,30 @@ if TYPE_CHECKING:
     from dmframe.graph import Graph
     from dmframe.study.plan import Study
 
-RUNS: Final = "runs"
-ROW: Final = ("run", "point", "sample")
-"""Columns of whole numbers that say which run a row is."""
 STUDY: Final = "study"
-"""The name of the study's file in its folder, without the ending."""
+"""Name of the study's file in its folder, without the ending."""
 FINAL: Final = "rms_final"
-"""The figure by which runs are judged where a study asks for no other."""
+"""The figure that ranks runs, unless the study names another one."""
 
 
 @final
 @dataclass(frozen=True, repr=False, eq=False)
 class Results:
-    """What a study's folder holds.
+    """The content of a study's folder.
 
     Parameters
     ----------
     folder
         As `dmframe study` writes it.
     study
-        The study; without it, that of the folder.
+        The study; by default that of the folder.
 
     Raises
     ------
     ValueFault
         A file among its runs holds something else.
     MissingError
-        There is no such folder, or none with runs; or polars is not installed.
+        There is no such folder, or it has no runs; or polars is not installed.
     """
 
     folder: Path
@@ -66,7 +67,7 @@ class Results:
 
     @cached_property
     def name(self) -> str:
-        """The study's, as it was begun: in the folder each study's file bears one name."""
+        """Name under which the study was begun: in the folder, the file of every study has the same name."""
         begun = begun_as(self.folder)
         if begun:
             return begun
@@ -74,33 +75,33 @@ class Results:
 
     @property
     def frame(self) -> pl.LazyFrame:
-        """The table, a row a run, which is read as far as a query needs it."""
-        polars = need_polars()
+        """The table with a row per run, read lazily."""
+        library = polars()
         files = sorted(self.folder.joinpath(RUNS).glob("*.parquet"))
         if not files:
             raise MissingError(f"{self.folder}: expected runs in {RUNS}/, found none; run the study first")
         for file in files:
-            told = file.stat()
-            if not _holds_runs(file, told.st_mtime_ns, told.st_size):
+            status = file.stat()
+            if not _holds_runs(file, status.st_mtime_ns, status.st_size):
                 raise ValueFault(f"{file}: expected runs of a study, found something else; run the study again")
-        table: pl.LazyFrame = polars.scan_parquet(files, missing_columns="insert", extra_columns="ignore")
+        table: pl.LazyFrame = library.scan_parquet(files, missing_columns="insert", extra_columns="ignore")
         return table
 
     @cached_property
     def units(self) -> dict[str, str]:
-        """The unit of each column of what varies and of what is measured."""
+        """Unit of each varied and each measured column."""
         return {column.name: column.unit for column in (*self.study.varied, *self.study.measures)}
 
     @cached_property
     def names(self) -> list[str]:
-        """What pages call the grid points, in their order; of one alone, nothing."""
+        """Names of the grid points in pages; empty for a single point."""
         points = self.study.points
         scales = {column.name for column in self.study.varied if column.how == "scale"}
         return [""] if len(points) == 1 else names_of([dict(point.values) for point in points], self.units, scales)
 
     @property
     def independent(self) -> bool:
-        """The samples are independent draws, so that intervals of probability are valid."""
+        """True if the samples are independent draws, so that confidence intervals are valid."""
         return self.study.file.sample.method == "random" and self.study.samples > 1
 
     def sheet(self, *names: str) -> Sheet:
@@ -113,30 +114,28 @@ class Results:
 
     @property
     def main(self) -> str:
-        """The figure by which runs are judged: the error's RMS in the end where there is one, else what is measured."""
+        """The figure that ranks runs: the final RMS of the tracking error, else the first suitable measured one."""
         measured = [column.name for column in self.study.measures]
         sampled = [name for name in measured if name.endswith((".rms_final", ".most"))]
         return next((name for name in (FINAL, "error_most", *sampled) if name in measured), "")
 
     @property
     def table(self) -> pl.DataFrame:
-        """A row a grid point: its values, runs, those that diverged, and the main figure's median and 99 % quantile."""
-        polars = need_polars()
+        """A row per grid point: values, numbers of runs and divergences, and median and 99 % quantile of `main`."""
+        library = polars()
         sheet, rows = self.sheet(*filter(None, [self.main])), list[dict[str, Any]]()
         for point in self.study.points:
-            k, told = (
-                point.index,
-                {"point": point.index, **{key: plain_value(each) for key, each in point.values.items()}},
-            )
+            k = point.index
+            row = {"point": k, **{key: plain_value(each) for key, each in point.values.items()}}
             lost = share(sheet.of(k, sheet.diverged), independent=self.independent)
-            told |= {"runs": lost.runs, "failed": int(sheet.failed[k].sum()), "diverged": lost.count}
-            told |= {"low": lost.low, "high": lost.high, "at_most": lost.most}
+            row |= {"runs": lost.runs, "failed": int(sheet.failed[k].sum()), "diverged": lost.count}
+            row |= {"low": lost.low, "high": lost.high, "at_most": lost.most}
             if self.main:
                 values = sheet.of(k, sheet.figure(self.main))
                 for name, p in (("median", 0.5), ("q99", 0.99)):
-                    told[f"{self.main}_{name}"] = quantile(values, p, independent=False).value
-            rows.append(told)
-        table: pl.DataFrame = polars.DataFrame(rows, infer_schema_length=None)
+                    row[f"{self.main}_{name}"] = quantile(values, p, independent=False).value
+            rows.append(row)
+        table: pl.DataFrame = library.DataFrame(rows, infer_schema_length=None)
         return table
 
     def worst_runs(self, figure: str = "", n: int = 1, points: Sequence[int] | None = None) -> list[int]:
@@ -145,10 +144,10 @@ class Results:
         Parameters
         ----------
         figure
-            A column of the table; the main one without it. The greatest is the worst, of a ``.least`` the smallest,
-            of a time the earliest.
+            A column of the table; by default `main`. The greatest value is the worst; for a ``.least`` the smallest,
+            for a time the earliest.
         points
-            Grid points among which they are sought; all without it.
+            Grid points to search; by default all.
         """
         figure = figure or self.main
         if isinstance(n, bool) or not isinstance(n, int) or n < 1:
@@ -157,24 +156,24 @@ class Results:
             raise MissingError("worst: expected a figure; this study measures none but divergence")
         sheet = self.sheet(figure)
         values = sheet.figure(figure) * (-1 if least_is_worst(figure) else 1)
-        if is_time(figure):  # of an event that never came
+        if is_time(figure):  # the event did not happen
             values = np.where(np.isinf(values), np.nan, values)
         if points is not None:
             values = np.where(np.isin(np.arange(sheet.points), points)[:, None], values, np.nan)
-        # a run that has neither the figure nor diverged is nowhere
+        # runs with neither the figure nor a divergence are left out
         flat, when = values.T.ravel(), np.where(sheet.diverged, sheet.diverged_at, np.inf).T.ravel()
         order = np.lexsort((np.arange(flat.size), when, -np.where(np.isnan(flat), -np.inf, flat)))
         return [int(run) for run in order[:n] if not np.isnan(flat[run])]
 
     def worst(self, figure: str = "", n: int = 1) -> list[Graph]:
-        """The n worst runs as graphs, each of which runs again exactly as it did. See `worst_runs`."""
+        """The n worst runs as graphs with the same numbers. See `worst_runs`."""
         return [self.study.graph_of(run) for run in self.worst_runs(figure, n)]
 
     def dataset(self) -> xr.Dataset:
         """All figures as an xarray dataset over the grid's dimensions and ``sample``, with units.
 
-        A grid whose points are not all combinations of its values has the one dimension ``point``. What is sampled is
-        the same at each point, and lies over ``sample`` alone.
+        A grid whose points are not all combinations of its values has the single dimension ``point``. Sampled
+        quantities are the same at each point and have the dimension ``sample`` only.
         """
         import xarray as xr
 
@@ -231,12 +230,12 @@ class Results:
 
 
 def plain_value(value: Any) -> Any:
-    """A grid value as a table holds it: a number, or a text."""
+    """A grid value as a number or a text."""
     return value if isinstance(value, int | float | str | bool) else str(value)
 
 
 def _spread(matrix: np.ndarray) -> np.ndarray:
-    """How much each column differs from row to row; rows that are not there apart."""
+    """Range of each column over its rows, without missing rows."""
     if not len(matrix):
         return np.zeros(0)
     low, high = np.fmin.reduce(matrix, axis=0), np.fmax.reduce(matrix, axis=0)
@@ -244,26 +243,17 @@ def _spread(matrix: np.ndarray) -> np.ndarray:
 
 
 def _one(matrix: np.ndarray) -> np.ndarray:
-    """The row that all rows are; of a column without any, nan."""
+    """The common row of equal rows; nan in a column without any."""
     return np.asarray(np.fmin.reduce(matrix, axis=0))
-
-
-def need_polars() -> Any:
-    """The package of tables. Raises `MissingError` where it is not installed."""
-    try:
-        import polars
-    except ImportError:
-        raise MissingError('studies keep their runs with polars; install it: pip install "dmframe[study]"') from None
-    return polars
 
 
 @lru_cache(maxsize=2**17)
 def _holds_runs(file: Path, changed: int, size: int) -> bool:
-    """True for a file of rows; the time and the size tell it from what it was before."""
-    polars = need_polars()
+    """True for a file of rows; time of change and size invalidate the cache."""
+    library = polars()
     try:
-        kinds = polars.read_parquet_schema(file)
-    except (OSError, polars.exceptions.PolarsError):
+        kinds = library.read_parquet_schema(file)
+    except (OSError, library.exceptions.PolarsError):
         return False
     return all(name in kinds and kinds[name].is_integer() for name in ROW)
 
@@ -272,3 +262,32 @@ def _study_in(folder: Path) -> Study:
     from dmframe.study.plan import load_study
 
     return load_study(folder / f"{STUDY}.yaml")
+
+
+def default_folder(study: Study) -> Path:
+    """Default folder of a study's results."""
+    return Path("studies", safe_name(study.name))
+
+
+def run_whole(
+    study: Study,
+    out: str | Path | None,
+    *,
+    workers: int | None,
+    scheduler: str | None,
+    force: bool,
+    progress: bool | None,
+) -> Results:
+    """See `Study.run`."""
+    place = default_folder(study) if out is None else out
+    with counting(study.name, study.runs, "runs", quiet=None if progress is None else not progress) as bar:
+
+        def report(state: State) -> None:
+            bar(state.kept, f"{len(state.failed)} chunks failed" if state.failed else "")
+
+        state = run_study(study, place, workers=workers, scheduler=scheduler, force=force, report=report)
+    if not state.complete:
+        why = [state.lost] if state.lost else [f"{chunk}: {text}" for chunk, text in state.failed.items()]
+        kept = f"{state.kept} of {state.runs} runs are kept in {place}, the same call continues"
+        raise EngineError(f"{study.name}: {why[0]}{f'; and {len(why) - 1} more' if len(why) > 1 else ''}; {kept}")
+    return Results(place, study)

@@ -1,95 +1,69 @@
-"""The rows of some runs of a study: samples of one point, and points that differ in numbers alone, side by side."""
+"""Rows of a study's table: what is measured of each closed loop, and the runs of some samples at some grid points."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dmframe.config.experiment import Experiment
-from dmframe.errors import DmframeError, ValueFault
-from dmframe.study.measured import asked_of
-from dmframe.study.table import Columns, Group, apart, faulty, joined, rows_of, together
-from dmframe.study.varied import START
+from dmframe.batch import Runs, Wanted
+from dmframe.batch.columns import Column, Columns, columns_of, joined, limits_in, rows_of, units_of
+from dmframe.batch.figures import ERROR, TURN
+from dmframe.diagram import Diagram
+from dmframe.errors import DmframeError, UnknownNameError
+from dmframe.study.grammar import raise_placed
 
 if TYPE_CHECKING:
-    from dmframe.study.plan import Point, Study
+    from dmframe.study.plan import Study
 
 
-def alone(study: Study, point: int, samples: np.ndarray, threads: int) -> Columns:
-    """See `Study.rows_of`."""
-    return _head(study, point, samples) | _measured(study, study.points[point], samples, threads)
+def measures_of(study: Study) -> tuple[Column, ...]:
+    """See `Study.measures`."""
+    section, known = study.file.measure, set[str]().union(*map(units_of, study.diagrams))
+    signals = known - {ERROR, TURN}
+    faults = [_unknown("signals", label, signals) for label in section.signals if label not in signals]
+    faults += [_unknown("limits", label, known) for label in section.limits if label not in known]
+    for diagram in study.diagrams:
+        faults += limits_in(units_of(diagram), section.limits, "measure.limits")[1]
+    raise_placed(faults, study.document)
+    found = dict[str, Column]()
+    for diagram in study.diagrams:
+        for column in columns_of(diagram, wanted_of(study, diagram)):
+            found.setdefault(column.name, column)
+    return tuple(found.values())
 
 
-def band(study: Study, point: int, end: int, first: int, stop: int, threads: int) -> Columns:
-    """See `Study.band`."""
-    found, count = dict[int, Columns](), stop - first
-    for group in _alike(study, point, end) if count else ():
-        values = [study.values(each, first, stop) for each in group.points]
-        batch = study._loops.batch(group.diagram, group.experiment, asked_of(study, group.diagram), threads)
-        measured = group.measured(values, count, batch)
-        if measured is None:
-            continue
-        study._loops.engine = measured.engine
-        rows = rows_of(measured, study.measures, count * len(group.points))
-        for k, each in enumerate(group.points):
-            part = {name: column[k * count : (k + 1) * count] for name, column in rows.items()}
-            found[each] = _head(study, each, np.arange(first, stop)) | part
-    rest = [each for each in range(point, end) if each not in found]
-    found |= {each: study.rows(each, first, stop, threads=threads) for each in rest}
-    return joined([found[each] for each in range(point, end)])
+def wanted_of(study: Study, diagram: Diagram) -> Wanted:
+    """What to measure of a loop: the signals of the study's file that it has, and limits in their units."""
+    units, section = units_of(diagram), study.file.measure
+    limits, faults = limits_in(units, section.limits, "measure.limits")
+    raise_placed(faults, study.document)
+    signals = dict.fromkeys([*(label for label in section.signals if label in units), *limits])
+    return Wanted(tuple(label for label in signals if label not in (ERROR, TURN)), limits)
 
 
-def _alike(study: Study, point: int, end: int) -> list[Group]:
-    """Points of one closed loop, clock, duration and solver, where there are several."""
-    if any(_apart(study, label) for factor in study.factors for label in factor.labels):
-        return []
-    groups = list[Group]()
-    for each in range(point, end):
-        experiment = study.points[each].graph.experiment
-        diagram, numbers = study._loops.of(experiment)
-        group = next((group for group in groups if group.takes(experiment, diagram)), None)
-        if group is None:
-            groups.append(group := Group(experiment, diagram))
-        group.points.append(each)
-        group.numbers.append(numbers)
-    return [group for group in groups if len(group.points) > 1]
+def _unknown(section: str, label: str, known: Iterable[str]) -> DmframeError:
+    return UnknownNameError(f"measure.{section}", "signal", label, known, path=("measure", section))
+
+
+def rows(study: Study, several: Sequence[tuple[int, np.ndarray]], threads: int) -> Columns:
+    """The table's rows of some samples at each of several grid points, one point after another."""
+    items = [
+        Runs(study.points[point].graph.experiment, study.values_of(point, samples), len(samples))
+        for point, samples in several
+    ]
+    found = study.runner.measure(items, partial(wanted_of, study), threads=threads)
+    heads = [_head(study, point, samples) for point, samples in several]
+    return joined([head | rows_of(part, study.measures) for head, part in zip(heads, found, strict=True)])
 
 
 def _head(study: Study, point: int, samples: np.ndarray) -> Columns:
-    """Which runs they are, and what varies."""
-    here, count = study.points[point], len(samples)
-    told: Columns = {"run": samples * len(study.points) + point, "point": np.full(count, point, dtype=np.int32)}
-    told["sample"] = np.asarray(samples, dtype=np.int64)
-    for name, value in here.values.items():
-        told[name] = [value] * count if isinstance(value, str) else np.full(count, value)
-    return told | study._drawn(samples)
-
-
-def _measured(study: Study, here: Point, samples: np.ndarray, threads: int) -> Columns:
-    experiment, count = here.graph.experiment, len(samples)
-    diagram, _ = study._loops.of(experiment)
-    wanted = asked_of(study, diagram)
-    if count and not any(_apart(study, label) for factor in study.factors for label in factor.labels):
-        values = study._values(here, samples)
-        found = together(study._loops, experiment, values, count, wanted, threads)
-        if found is not None:
-            return rows_of(found, study.measures, count)
-    graphs = list[Experiment | DmframeError]()
-    for sample in samples.tolist():
-        try:
-            graphs.append(study.graph_of(sample * len(study.points) + here.index).experiment)
-        except DmframeError as error:
-            graphs.append(error)
-    parts = [
-        faulty(each, study.measures, 1) if isinstance(each, DmframeError) else rows_of(each, study.measures, 1)
-        for each in apart(study._loops, graphs, wanted, threads)
-    ]
-    return joined(parts) if parts else faulty(ValueFault("none"), study.measures, 0)
-
-
-def _apart(study: Study, label: str) -> bool:
-    """True for what is no parameter of a block that has a value: its runs are prepared one by one."""
-    block, _, key = label.partition(".")
-    held = study.bases[""].blocks
-    return label.startswith(START) or block not in held or getattr(held[block], key, None) is None
+    """Numbers of the runs, and what varies."""
+    count = len(samples)
+    head: Columns = {"run": samples * len(study.points) + point, "point": np.full(count, point, dtype=np.int32)}
+    head["sample"] = np.asarray(samples, dtype=np.int64)
+    for name, value in study.points[point].values.items():
+        head[name] = [value] * count if isinstance(value, str) else np.full(count, value)
+    return head | study.drawn_at(samples)

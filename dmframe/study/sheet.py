@@ -1,4 +1,4 @@
-"""A study's table as matrices: a row a grid point, a column a sample."""
+"""A study's table as matrices: a row per grid point, a column per sample."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     import polars as pl
 
 LEAST: Final = ".least"
-"""Ends the name of a figure of which the smallest is the worst."""
+"""Suffix of figures whose smallest value is the worst."""
 
 TIMES: Final = ("diverged_at", "_crossed", ".crossed")
-"""Ends of the names of figures that are the time of an event, of which the earliest is the worst."""
+"""Suffixes of figures that are the time of an event, whose earliest value is the worst."""
 
 
 def is_time(name: str) -> bool:
@@ -27,7 +27,7 @@ def is_time(name: str) -> bool:
 
 
 def least_is_worst(name: str) -> bool:
-    """True for a figure of which the smallest is the worst."""
+    """True for a figure whose smallest value is the worst."""
     return name.endswith((LEAST, *TIMES))
 
 
@@ -39,13 +39,13 @@ class Sheet:
     Parameters
     ----------
     done : (points, samples) bool
-        The run is in the table, and could be made.
+        The run is in the table, without a fault.
     failed : (points, samples) bool
         The run is in the table, with a fault.
     diverged : (points, samples) bool
     diverged_at : (points, samples) [s]
     columns
-        Figures and factors as the table has them, (points, samples); nan where there is no row. Texts are left out.
+        Figures and factors of the table, (points, samples); nan without a row. Texts are left out.
     """
 
     done: np.ndarray
@@ -56,19 +56,19 @@ class Sheet:
 
     @property
     def points(self) -> int:
-        """Grid points."""
+        """Number of grid points."""
         return len(self.done)
 
     @property
     def samples(self) -> int:
-        """Samples at each."""
+        """Samples at each grid point."""
         return int(self.done.shape[1])
 
     def figure(self, name: str) -> np.ndarray:
-        """(points, samples): a figure, where the worst number stands for a run that diverged; nan where none could be.
+        """(points, samples): a figure, with the worst value for a run that diverged; nan for a run with a fault.
 
-        Infinite, minus infinite for a `LEAST`. The time of an event is infinite where it never came; a run that
-        diverged has left every limit then.
+        The worst value is infinite, minus infinite for a `LEAST`. The time of an event that did not happen is infinite;
+        a run that diverged exceeds every limit at that time.
         """
         values = np.where(self.done, self.columns[name], np.nan)
         if is_time(name):
@@ -77,11 +77,11 @@ class Sheet:
         return np.where(self.diverged, -np.inf if name.endswith(LEAST) else np.inf, values)
 
     def draws(self, name: str, point: int) -> np.ndarray:
-        """(samples,): a factor as drawn."""
+        """(samples,): values of a factor."""
         return np.asarray(self.columns[name][point])
 
     def of(self, point: int, values: np.ndarray) -> np.ndarray:
-        """A row of a matrix, of the runs that could be made."""
+        """A row of a matrix, without runs with a fault."""
         return np.asarray(values[point][self.done[point]])
 
 
@@ -91,7 +91,7 @@ def sheet_of(frame: pl.LazyFrame, points: int, samples: int, names: Collection[s
     Raises
     ------
     ValueFault
-        A run stands twice in the table, or lies outside of the study.
+        A run is twice in the table, or outside of the study.
     """
     import polars as pl
 
@@ -109,7 +109,7 @@ def sheet_of(frame: pl.LazyFrame, points: int, samples: int, names: Collection[s
     seen = np.bincount(point * samples + sample, minlength=points * samples) if len(table) else np.zeros(1)
     if seen.max() > 1:
         run = int(seen.argmax())
-        raise ValueFault(f"runs: sample {run % samples} of point {run // samples} stands {seen.max()} times in it")
+        raise ValueFault(f"runs: sample {run % samples} of point {run // samples} is {seen.max()} times in the table")
 
     def matrix(values: np.ndarray, empty: object) -> np.ndarray:
         found = np.full((points, samples), empty)
@@ -134,18 +134,18 @@ def _floats(column: pl.Series) -> np.ndarray:
 
 
 def names_of(values: Sequence[dict[str, Any]], units: Mapping[str, str], scales: Collection[str] = ()) -> list[str]:
-    """What pages call grid points, ``Gamma = 10, clock = 8 ms, servo x 3``; only what differs among them is said.
+    """Names of grid points from the values in which they differ, ``Gamma = 10, clock = 8 ms, servo x 3``.
 
-    `scales` are those whose values are factors.
+    The values of `scales` are factors.
     """
     differ = [key for key in (values[0] if values else {}) if len({str(each.get(key)) for each in values}) > 1]
     keys = differ or list(values[0] if values else {})
     last = [key.rpartition(".")[2] for key in keys]
     short = {key: end if last.count(end) == 1 else key for key, end in zip(keys, last, strict=True)}
 
-    def said(key: str, value: Any) -> str:
+    def shown(key: str, value: Any) -> str:
         if isinstance(value, bool) or not isinstance(value, int | float):
             return f"{short[key]} = {value}"
         return f"{short[key]} x {value:g}" if key in scales else f"{short[key]} = {plain(value, units.get(key, ''), 6)}"
 
-    return [", ".join(said(key, each.get(key)) for key in keys) for each in values]
+    return [", ".join(shown(key, each.get(key)) for key in keys) for each in values]

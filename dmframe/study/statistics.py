@@ -1,8 +1,8 @@
-"""What many runs say: shares, quantiles, comparisons and influences, with intervals only where they are valid.
+"""Statistics of many runs: shares, quantiles, comparisons and influences, with confidence intervals if they are valid.
 
-A run that diverged has no figure; in all that follows its figure is infinite, so that it is worse than every run that
-came to its end, and no quantile forgets it. Intervals are exact or distribution-free, and hold for independent draws
-alone: of a design that spreads its points (Sobol, Latin hypercube) estimates are given without any.
+The figure of a run that diverged is infinite, so that it is worse than every completed run and no quantile ignores it.
+Intervals are exact or distribution-free and require independent draws; for a design that spreads its points (Sobol,
+Latin hypercube) only estimates are given.
 """
 
 from __future__ import annotations
@@ -15,27 +15,27 @@ import numpy as np
 from scipy import stats
 
 LEVEL: Final = 0.95
-"""Of every interval."""
+"""Confidence level of every interval."""
 
 FEWEST: Final = 16
-"""Runs below which nothing is said of influences: there are two bins of eight at least."""
+"""Fewest runs for influences: two bins of eight."""
 
 BINS: Final = 16
-"""Into which a factor's draws are cut for its influence, each with as many runs."""
+"""Bins of a factor's draws for its influence, with equally many runs each."""
 
 
 @final
 @dataclass(frozen=True)
 class Share:
-    """How many of some runs did something.
+    """Share of runs with an event.
 
     Parameters
     ----------
     low, high
-        Ends of the two-sided interval for the probability; None where the design gives none.
+        Two-sided interval of the probability; None if the design gives none.
     most
-        The one-sided upper limit, which is what "at most" means; None as above. It is a statement of its own: to print
-        it for no case at all, and the two-sided interval otherwise, would hold less often than it says.
+        One-sided upper limit ("at most"); None as above. It is always printed with the two-sided interval: choosing
+        between them by the count would lower the confidence level.
     """
 
     count: int
@@ -46,7 +46,7 @@ class Share:
 
     @property
     def value(self) -> float:
-        """The share itself; nan of no runs."""
+        """Share of the runs; nan without runs."""
         return self.count / self.runs if self.runs else float("nan")
 
 
@@ -60,9 +60,9 @@ def share(happened: np.ndarray, *, independent: bool, level: float = LEVEL, toge
     ----------
     happened : (N,) bool
     independent
-        The runs are independent draws; without it there is no interval.
+        The runs are independent draws; otherwise there is no interval.
     together
-        So many shares hold at the level all at once (Bonferroni).
+        Number of shares whose intervals hold simultaneously (Bonferroni).
 
     References
     ----------
@@ -78,7 +78,7 @@ def share(happened: np.ndarray, *, independent: bool, level: float = LEVEL, toge
 
 
 def _limit(count: int, runs: int, miss: float, *, upper: bool) -> float:
-    """One end of the binomial's exact interval, as a quantile of the beta distribution."""
+    """Bound of the exact binomial interval, a quantile of the beta distribution."""
     if upper:
         return 1.0 if count == runs else float(stats.beta.ppf(1 - miss, count + 1, runs - count))
     return 0.0 if count == 0 else float(stats.beta.ppf(miss, count, runs - count + 1))
@@ -87,10 +87,9 @@ def _limit(count: int, runs: int, miss: float, *, upper: bool) -> float:
 @final
 @dataclass(frozen=True)
 class Quantile:
-    """A quantile of a figure; infinite where it lies among the runs that diverged.
+    """A quantile of a figure; infinite if it lies among the runs that diverged.
 
-    `low` and `high` are the ends of its interval: None where the design gives none, infinite where the runs are too few
-    for that end.
+    `low` and `high` bound its interval: None if the design gives none, infinite if the runs are too few for a bound.
     """
 
     p: float
@@ -100,11 +99,11 @@ class Quantile:
 
 
 def quantile(values: np.ndarray, p: float, *, independent: bool, level: float = LEVEL) -> Quantile:
-    r"""A quantile with its distribution-free interval: two of the values in their order.
+    r"""A quantile with its distribution-free interval between two order statistics.
 
     Of N independent draws the number not above the quantile is :math:`B \sim B(N, p)`, so that the l-th value is above
-    it with the probability :math:`P(B < l)`, and the u-th below it with :math:`P(B \ge u)`; each is at most half of
-    what is left beside the level.
+    it with the probability :math:`P(B < l)`, and the u-th below it with :math:`P(B \ge u)`; each is at most
+    half of one minus the level.
 
     Parameters
     ----------
@@ -131,18 +130,18 @@ def quantile(values: np.ndarray, p: float, *, independent: bool, level: float = 
 @final
 @dataclass(frozen=True)
 class Paired:
-    """Two grid points on the same samples; the second against the first.
+    """Comparison of two grid points on the same samples, the second with the first.
 
     Parameters
     ----------
     better, worse, alike
-        Samples on which the second has the smaller, the greater, or the same figure.
+        Numbers of samples on which the second has the smaller, the larger, or the same figure.
     difference
         The median of second minus first, with its interval.
     ratio
         The median of second over first.
     p
-        Of the sign test, two-sided: how likely so uneven a split is where neither is better; None for no random draws.
+        Of the two-sided sign test; None unless the samples are independent draws.
     """
 
     better: int
@@ -154,20 +153,20 @@ class Paired:
 
     @property
     def runs(self) -> int:
-        """Samples that both have."""
+        """Number of common samples."""
         return self.better + self.worse + self.alike
 
 
 def paired(first: np.ndarray, second: np.ndarray, *, independent: bool, level: float = LEVEL) -> Paired:
-    """Compare figures sample by sample, by their signs alone.
+    """Compare figures sample by sample with a sign test.
 
-    Nothing is assumed of how the differences are distributed, so that a run that diverged can take part: it is worse
-    than any that did not, and of two that diverged none is. (Wilcoxon's test would ask for symmetric differences.)
+    No distribution of the differences is assumed, so that runs that diverged are included: they are worse than all
+    others, and equal to one another. (Wilcoxon's test requires symmetric differences.)
 
     Parameters
     ----------
     first, second : (N,)
-        Infinite for a run that diverged; samples where either is nan, as it could not be run, are left out.
+        Infinite for a run that diverged; samples with a nan in either are left out.
     """
     there = ~(np.isnan(first) | np.isnan(second))
     first, second = first[there], second[there]
@@ -188,7 +187,7 @@ def paired(first: np.ndarray, second: np.ndarray, *, independent: bool, level: f
 
 
 def adjusted(ps: Sequence[float]) -> list[float]:
-    """Probabilities of several tests such that all hold at once (Holm 1979), in their order."""
+    """Probabilities of several tests adjusted for their number (Holm 1979), in their order."""
     order, found, most = np.argsort(ps), [0.0] * len(ps), 0.0
     for place, index in enumerate(order.tolist()):
         most = max(most, min(1.0, (len(ps) - place) * ps[index]))
@@ -199,16 +198,16 @@ def adjusted(ps: Sequence[float]) -> list[float]:
 @final
 @dataclass(frozen=True)
 class Influence:
-    """How much of a figure's variation one factor alone explains.
+    """Influence of one factor on a figure.
 
     Parameters
     ----------
     share
-        Of the variance of the figure's ranks, from 0 to 1.
+        Explained share of the variance of the figure's ranks, from 0 to 1.
     p
-        How likely so large a share is where the factor has no influence; None for no random draws.
+        Probability of so large a share if the factor has no influence; None unless the draws are independent.
     chance
-        The same as a yardstick by which a share is named or not, of any design.
+        The same for any design, as a threshold for naming a factor.
     """
 
     factor: str
@@ -218,23 +217,23 @@ class Influence:
 
 
 def influence(factor: str, draws: np.ndarray, values: np.ndarray, *, independent: bool, bins: int = BINS) -> Influence:
-    r"""The correlation ratio of ranks: a first-order Sobol index that any sample gives.
+    r"""Correlation ratio of ranks: a first-order Sobol index estimated from any sample.
 
-    With the runs in M bins of the factor's draws, as many in each, and r the ranks of the figure,
+    With the runs in M equally filled bins of the factor's draws, and r the ranks of the figure,
 
     .. math::
 
         \eta^2 = \frac{\mathrm{var}(E[r \mid \text{bin}])}{\mathrm{var}(r)}, \qquad
         S = 1 - (1 - \eta^2) \frac{N - 1}{N - M},
 
-    where S is without the share that M bins explain by chance. Ranks, since a figure of error spans decades, and a run
-    that diverged has none: it is last. Where no factor matters, :math:`(N - 1) \eta^2` is the statistic of Kruskal and
-    Wallis, whose distribution is chi-squared with M - 1 degrees of freedom.
+    where S excludes the share that M bins explain by chance. Ranks are used because an error spans decades; a run that
+    diverged has the last rank. Without any influence, :math:`(N - 1) \eta^2` is the statistic of Kruskal and Wallis,
+    which is chi-squared with M - 1 degrees of freedom.
 
     Parameters
     ----------
     draws, values : (N,)
-        Finite; and infinite for a run that diverged.
+        Draws are finite; values are infinite for a run that diverged.
 
     References
     ----------
@@ -259,7 +258,7 @@ def influence(factor: str, draws: np.ndarray, values: np.ndarray, *, independent
 
 
 def _groups(draws: np.ndarray, bins: int) -> np.ndarray:
-    """The bin of each draw, from 0 without gaps; of few values, each is a bin."""
+    """The bin of each draw, from 0 without gaps; a bin per value if there are few values."""
     distinct, place = np.unique(draws, return_inverse=True)
     if len(distinct) <= max(bins, 1):
         return np.asarray(place)
@@ -275,7 +274,7 @@ class Axis:
     Parameters
     ----------
     edges : (B + 1,)
-        Of bins; for a factor of few values the values themselves, (B,), and `each` is true.
+        Of bins; for a factor with few values the values themselves, (B,), and `each` is true.
     """
 
     edges: np.ndarray
@@ -307,15 +306,15 @@ class Map:
 
 
 def axis_of(draws: np.ndarray, runs: int, *, log: bool = False) -> Axis:
-    """Bins that the draws fill: equally wide, of a `log` axis in their logarithms; of few values, these themselves.
+    """Equally wide bins over the draws, in logarithms for a `log` axis; a bin per value if there are few values.
 
-    Few are values that come back: a dozen draws that each come once are draws all the same.
+    Values are few if they recur.
     """
     distinct = np.unique(draws)
     if len(distinct) <= 12 and (len(distinct) == 1 or 2 * len(distinct) <= len(draws)):
         return Axis(distinct, True, False)
     low, high = float(distinct[0]), float(distinct[-1])
-    # some twenty runs in a bin of two such axes
+    # about twenty runs per bin of two such axes
     count = int(np.clip(np.sqrt(runs / 20), 3, 16))
     log = log and low > 0
     edges = np.geomspace(low, high, count + 1) if log else np.linspace(low, high, count + 1)
@@ -323,9 +322,9 @@ def axis_of(draws: np.ndarray, runs: int, *, log: bool = False) -> Axis:
 
 
 def map_of(x: np.ndarray, y: np.ndarray, values: np.ndarray, *, logs: tuple[bool, bool] = (False, False)) -> Map:
-    """Cut the runs into bins of two factors; the median counts those that diverged as infinite.
+    """Runs in bins of two factors; the median counts runs that diverged as infinite.
 
-    `logs` are those of x and y that are drawn by their logarithms.
+    `logs` states which of x and y have logarithmic axes.
     """
     there = ~np.isnan(values)
     x, y, values = x[there], y[there], values[there]

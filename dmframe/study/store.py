@@ -1,7 +1,7 @@
-"""The folder of a study: one Parquet file a chunk, written by one process alone, and never half.
+"""Folder of a study: one Parquet file per chunk, written atomically by one process at a time.
 
-A chunk's file is built beside its place, forced to the disk and moved there; a line of ``chunks.jsonl``, written before
-the move, holds its digest and what made it. A file that is not what its line says is computed again.
+A chunk's file is written under a temporary name, flushed to disk and renamed; a line of ``chunks.jsonl``, written
+before the renaming, holds its digest and what made it. A file that does not match its line is computed again.
 """
 
 from __future__ import annotations
@@ -9,31 +9,44 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
 from dmframe.errors import MissingError, OutputError, ValueFault, visible
 from dmframe.files import append, encoded, expanded, put, writing
 from dmframe.study.chunks import Chunk, Extent
-from dmframe.study.computed import Computable, Computed, Table, versions
-from dmframe.study.disk import CHUNKS, Kept, end_line, is_partial, kept_in, put_below
-from dmframe.study.lock import LOCK, difference, plain, read_lock
+from dmframe.study.executor import Computed, versions
+from dmframe.study.journal import (
+    CHUNKS,
+    LOCK,
+    Kept,
+    difference,
+    end_line,
+    is_partial,
+    kept_in,
+    plain,
+    put_below,
+    read_lock,
+)
+from dmframe.study.kernel_lock import FOLDER_LOCK, alone_in
+
+if TYPE_CHECKING:
+    from dmframe.study.plan import Study
 
 RUNS: Final = "runs"
 PROVENANCE: Final = "provenance.json"
 PROCESSES: Final = "processes.jsonl"
-_HELD: Final = ".dmframe-study.lock"
-_FIXED: Final = ("run", "point", "sample")
+ROW: Final = ("run", "point", "sample")
+"""Columns of integers that identify a run."""
 
 
 def polars() -> Any:
-    """The library of tables. Raises `MissingError` where it is not installed."""
+    """The package of tables. Raises `MissingError` if it is not installed."""
     try:
         import polars
     except ImportError:
@@ -43,19 +56,19 @@ def polars() -> Any:
 
 @final
 class Store:
-    """A folder that is held for one study; see `opened`.
+    """A folder opened for one study; see `opened`.
 
     Attributes
     ----------
     extents, each
-        How the runs are cut, as `Sizes` has them.
+        How the runs are divided into chunks, see `Sizes`.
     done
-        Chunks whose rows are there.
+        Chunks whose rows are in the folder.
     notices
-        What a user should know of the folder as it was found.
+        Warnings about the folder as it was found.
     """
 
-    def __init__(self, path: Path, study: Computable) -> None:
+    def __init__(self, path: Path, study: Study) -> None:
         self.path, self.key, self.points = path, study.key, len(study.points)
         self.extents: list[Extent] = []
         self.each: tuple[int, int] | None = None
@@ -68,42 +81,42 @@ class Store:
 
     @property
     def seed(self) -> int | None:
-        """Of what is drawn; None where nothing is."""
+        """Seed of the samples; None if nothing is sampled."""
         found: int | None = self._study.identity.get("sample", {}).get("seed")
         return found
 
     @property
     def runs_done(self) -> int:
-        """How many rows are there."""
+        """Number of rows in the folder."""
         return sum(chunk.runs for chunk in self.done)
 
     def file(self, chunk: Chunk) -> Path:
-        """Where the rows of a chunk lie."""
+        """File of a chunk."""
         return self.path / RUNS / f"{chunk.name(self.key)}.parquet"
 
     def cut(self, extents: Sequence[Extent], each: tuple[int, int] | None) -> None:
-        """Fix boundaries of chunks: before any chunk of theirs is computed."""
+        """Fix the boundaries of chunks, before any of them is computed."""
         if self.extents != list(extents) or self.each != each:
             self.extents, self.each = list(extents), each
             self._write_lock()
 
     def write(self, chunk: Chunk, computed: Computed) -> None:
-        """Keep the rows of a chunk.
+        """Write the rows of a chunk.
 
         Raises
         ------
         ValueFault
-            They are not those of the chunk: a fault of the study.
+            They are not the rows of that chunk: a fault of the study.
         OutputError
-            They cannot be written; what was written before stays.
+            They cannot be written; earlier chunks are not affected.
         """
         frame = self._frame(chunk, computed.table)
-        told = {name: str(kind) for name, kind in frame.schema.items()}
+        types = {name: str(kind) for name, kind in frame.schema.items()}
         if self._types is None:
-            self._types = told
+            self._types = types
             self._write_lock()
-        elif told != self._types:
-            raise ValueFault(f"{chunk}: expected the columns {_listing(self._types)}, found {_listing(told)}")
+        elif types != self._types:
+            raise ValueFault(f"{chunk}: expected the columns {_listing(self._types)}, found {_listing(types)}")
         buffer = io.BytesIO()
         frame.write_parquet(buffer)
         content, target = buffer.getvalue(), self.file(chunk)
@@ -114,7 +127,7 @@ class Store:
         self.kept[kept.file] = kept
         self.done.add(chunk)
 
-    def _frame(self, chunk: Chunk, table: Table) -> Any:
+    def _frame(self, chunk: Chunk, table: Mapping[str, Any]) -> Any:
         library = polars()
         try:
             frame = library.DataFrame({name: _series(library, name, column) for name, column in table.items()})
@@ -161,69 +174,67 @@ class Store:
         self._write_lock()
 
     def _found(self) -> None:
-        """Look at every chunk that should be there."""
-        held = kept_in(self.path)
+        """Check every chunk against its line in the journal."""
+        lines = kept_in(self.path)
         end_line(self.path / CHUNKS)
         wanted = {f"{chunk.name(self.key)}.parquet": chunk for extent in self.extents for chunk in extent}
         wrong = list[str]()
         for item in sorted((self.path / RUNS).iterdir()):
             if is_partial(item.name) and item.is_file():
-                item.unlink()  # of a process that was ended while it wrote
+                item.unlink()  # of a process that was ended
                 continue
-            chunk, kept = wanted.get(item.name), held.get(item.name)
+            chunk, kept = wanted.get(item.name), lines.get(item.name)
             if chunk is not None and kept is not None and _is(item, kept.sha256):
                 self.done.add(chunk)
                 self.kept[item.name] = kept
             elif item.suffix == ".parquet":
                 wrong.append(item.name)
-                item.rename(item.with_suffix(".refused"))  # a reader of the table takes every .parquet
+                item.rename(item.with_suffix(".refused"))  # readers of the table take every .parquet
         if wrong:
             others = f" and {len(wrong) - 3} more" if len(wrong) > 3 else ""
             self.notices.append(
-                f"{self.path / RUNS}: {', '.join(wrong[:3])}{others}: not what this study has written; set aside as "
-                ".refused, and computed again where it is one of its chunks"
+                f"{self.path / RUNS}: {', '.join(wrong[:3])}{others}: not what this study has written; renamed to "
+                ".refused, and computed again if it is one of its chunks"
             )
 
 
 @contextmanager
-def opened(path: str | Path, study: Computable, files: Mapping[str, bytes], *, force: bool = False) -> Iterator[Store]:
-    """Hold a folder for a study, new or begun before.
+def opened(path: str | Path, study: Study, files: Mapping[str, bytes], *, force: bool = False) -> Iterator[Store]:
+    """Open a folder for a study, new or begun before, and lock it against other processes.
 
     Parameters
     ----------
     files
-        What lies beside the runs, by name: the study, its graph.
+        Files next to the runs, by name: the study, its graphs.
     force
-        Where the folder holds another study, throw its runs away.
+        If the folder holds another study, delete its runs.
 
     Raises
     ------
     OutputError
-        Another process holds it, it holds something else, or it cannot be written.
+        Another process uses it, it holds something else, or it cannot be written.
     ValueFault
-        It holds another study, or more samples of this one; the fault tells the difference.
+        It holds another study, or more samples of this one; the message names the difference.
     """
     polars()
     path = expanded(path)
     with writing(path, "folder"):
         path.mkdir(parents=True, exist_ok=True)
-    with _held(path):
+    with alone_in(path):
         store = Store(path, study)
         lock = read_lock(path)
         if lock is None:
-            ours = {_HELD, RUNS, CHUNKS, PROVENANCE, PROCESSES, *(Path(name).parts[0] for name in files)}
-            # partial ones are of a process that was ended while it began
-            strangers = [item.name for item in path.iterdir() if item.name not in ours and not is_partial(item.name)]
-            if strangers:
+            ours = {FOLDER_LOCK, RUNS, CHUNKS, PROVENANCE, PROCESSES, *(Path(name).parts[0] for name in files)}
+            # partial files are of processes that were ended
+            others = [item.name for item in path.iterdir() if item.name not in ours and not is_partial(item.name)]
+            if others:
                 raise OutputError(
-                    f"{path}: expected an empty or a new folder, or one of this study, found {strangers[0]}; name "
+                    f"{path}: expected an empty or a new folder, or one of this study, found {others[0]}; name "
                     "another folder"
                 )
         elif changed := difference(lock, study.identity):
             if not force:
-                raise ValueFault(
-                    f"{path}: {changed}; name another folder, or take --force, which throws those runs away"
-                )
+                raise ValueFault(f"{path}: {changed}; name another folder, or take --force, which deletes those runs")
             _clear(path)
         else:
             if study.samples < lock["samples"]:
@@ -252,20 +263,12 @@ def _digest(content: bytes) -> str:
 
 
 def _series(library: Any, name: str, column: Any) -> Any:
-    """A column of one of few kinds, the same in every chunk, whether or not a fault is among its texts."""
-    if isinstance(column, np.ndarray) and column.dtype.kind in "biuf":
-        if column.dtype.kind == "b":
-            return library.Series(name, column, dtype=library.Boolean)
-        kind = library.Int64 if name in _FIXED else library.Float64
-        return library.Series(name, column).cast(kind)
-    values = [None if value is None else value for value in column]
-    if values and all(isinstance(value, bool | np.bool_) for value in values):
-        return library.Series(name, [bool(value) for value in values], dtype=library.Boolean)
-    if any(value is not None for value in values) and all(
-        value is None or isinstance(value, int | float | np.number) for value in values
-    ):
-        return library.Series(name, values, dtype=library.Int64 if name in _FIXED else library.Float64)
-    return library.Series(name, [None if value is None else str(value) for value in values], dtype=library.String)
+    """A column with a type that does not depend on the chunk, nor on whether there is a fault among its texts."""
+    values = np.asarray(column)
+    if values.dtype.kind not in "biuf":
+        return library.Series(name, [None if item is None else str(item) for item in column], dtype=library.String)
+    kind = library.Int64 if name in ROW else library.Boolean if values.dtype.kind == "b" else library.Float64
+    return library.Series(name, values).cast(kind)
 
 
 def _listing(types: Mapping[str, str]) -> str:
@@ -273,34 +276,10 @@ def _listing(types: Mapping[str, str]) -> str:
 
 
 def _clear(path: Path) -> None:
-    """Throw away the runs of another study, and nothing else."""
+    """Delete the runs of another study, and nothing else."""
     with writing(path, "folder"):
         (path / CHUNKS).unlink(missing_ok=True)
         for item in (path / RUNS).iterdir() if (path / RUNS).is_dir() else ():
             if (item.suffix in (".parquet", ".refused") or is_partial(item.name)) and item.is_file():
                 item.unlink()
         (path / LOCK).unlink(missing_ok=True)
-
-
-@contextmanager
-def _held(path: Path) -> Iterator[None]:
-    """Hold a folder as long as this process lives, where the system can."""
-    try:
-        import fcntl
-    except ImportError:
-        yield
-        return
-    with writing(path, "folder"):
-        descriptor = os.open(path / _HELD, os.O_RDWR | os.O_CREAT, 0o666)
-    try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise OutputError(
-                f"{path}: another study runs there; wait until it has ended, or name another folder"
-            ) from None
-        except OSError:  # some network drives have no locks
-            pass
-        yield
-    finally:
-        os.close(descriptor)

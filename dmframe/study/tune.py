@@ -1,7 +1,7 @@
-"""Search for values of a study's graphs that are best over its sampled plants, on Optuna, to be asked and told.
+"""Tuning: search with Optuna for values of a study's graphs that are best over its sampled plants.
 
-Trials stand in a journal in the folder: the search goes on after a stop, and several processes may work on it. What is
-tried at a trial follows from the seed, its number and the trials before it alone.
+Trials are kept in a journal in the folder: the search can be continued, and several processes may work on it. The
+values of a trial depend only on the seed, its number and the trials before it.
 """
 
 from __future__ import annotations
@@ -18,10 +18,9 @@ import numpy as np
 
 from dmframe.errors import DmframeError, MissingError, ValueFault
 from dmframe.files import expanded
-from dmframe.study.candidate import Family, Proofs, excess, rounded, unstable, with_tuned
-from dmframe.study.front import Trial, dominates
-from dmframe.study.grammar import TuneSection
-from dmframe.study.journal import FIGURES, JOURNAL, ORDER, STOPPED, WHY, ended, feasible, hardest, opened
+from dmframe.simulate.many import cores
+from dmframe.study.candidate import Proofs, excess, rounded, rows_of_runs, unstable, with_tuned
+from dmframe.study.grammar import TuneSection, raise_placed
 from dmframe.study.objective import (
     CONDITIONS,
     EFFORT,
@@ -29,16 +28,27 @@ from dmframe.study.objective import (
     PERIOD,
     Bound,
     Statistic,
+    at_path,
     bound,
     efforts,
     least_period,
     signals_of,
     statistic,
-    told,
 )
 from dmframe.study.plan import Study, load_study
-from dmframe.study.read import raise_placed
-from dmframe.study.varied import Factor, factor
+from dmframe.study.trials import (
+    FIGURES,
+    ORDER,
+    STOPPED,
+    WHY,
+    Trial,
+    dominates,
+    ended,
+    feasible,
+    hardest,
+    opened,
+)
+from dmframe.study.varied import Factor, factors_of
 from dmframe.units import plain
 
 if TYPE_CHECKING:
@@ -55,9 +65,9 @@ class Tuning:
     Parameters
     ----------
     study
-        Measures what objectives and limits need.
+        With all signals measured that objectives and constraints need.
     factors
-        What is searched.
+        Searched quantities.
     """
 
     study: Study
@@ -72,23 +82,18 @@ class Tuning:
 
     @property
     def columns(self) -> dict[str, Factor]:
-        """What is searched, by the name of its column."""
+        """Searched quantities by column."""
         return {name: each for each in self.factors for name in each.columns}
 
     @cached_property
-    def family(self) -> Family:
-        """The plants."""
-        return Family(self.study)
-
-    @cached_property
     def identity(self) -> dict[str, Any]:
-        """What makes two searches the same; not how many trials there are."""
+        """Everything that identifies a search, except its number of trials."""
         section = self.section.model_dump(mode="json", exclude={"trials", "fresh"})
         return {**self.study.identity, "runs": self.study.samples, "tune": section}
 
     @property
     def own(self) -> dict[str, float] | None:
-        """The graph's own values, where they lie within the ends."""
+        """The graph's own values, if they lie within the searched bounds."""
         found = dict[str, float]()
         for each in self.factors:
             values = _own(each, self.study)
@@ -100,8 +105,8 @@ class Tuning:
                 found[name] = value
         return found
 
-    def search(self, folder: Path, trials: int | None = None, tell: Callable[[str], None] = lambda _: None) -> int:
-        """Try values until there are so many trials in the folder, those of before counted; returns how many there are.
+    def search(self, folder: Path, trials: int | None = None, report: Callable[[str], None] = lambda _: None) -> int:
+        """Run trials until the folder has this number of them, earlier ones included; returns how many there are.
 
         Raises
         ------
@@ -110,45 +115,45 @@ class Tuning:
         MissingError
             Optuna is not installed.
         KeyboardInterrupt
-            After the trial that ran was marked as stopped; the next call goes on.
+            After the running trial was marked as interrupted; the next call continues.
         """
         wanted = trials or self.section.trials
-        with opened(folder, self, create=True) as held:
+        with opened(folder, self, create=True) as search:
             own = self.own
-            if own is not None and not held.trials:
-                held.enqueue_trial(own, skip_if_exists=True)
-            while (done := ended(held)) < wanted:
-                self._try(held)
-                tell(self._line(held, done + 1, wanted))
+            if own is not None and not search.trials:
+                search.enqueue_trial(own, skip_if_exists=True)
+            while (done := ended(search)) < wanted:
+                self._try(search)
+                report(self._line(search, done + 1, wanted))
             return done
 
     def trials(self, folder: Path) -> list[Trial]:
-        """The trials of a folder that have ended. Raises `MissingError` where there is no search."""
-        with opened(folder, self, create=False) as held:
-            return [_trial(each, self) for each in held.get_trials(deepcopy=False) if each.state.is_finished()]
+        """The finished trials of a folder. Raises `MissingError` if it has no search."""
+        with opened(folder, self, create=False) as search:
+            return [_trial(each, self) for each in search.get_trials(deepcopy=False) if each.state.is_finished()]
 
-    def figures_of(self, candidate: Study, family: Family) -> tuple[list[float], dict[str, Any]]:
-        """The objectives of a candidate over a whole family, and its table."""
-        rows = family.rows(candidate, range(family.size), self.threads)
+    def figures_of(self, candidate: Study) -> tuple[list[float], dict[str, Any]]:
+        """The objectives of a candidate over all its runs, and its table."""
+        rows = rows_of_runs(candidate, range(candidate.runs), self.threads)
         return [each.of(each.figures(rows)) for each in self.objectives], rows
 
     def candidate(self, values: Mapping[str, float]) -> Study:
-        """The study with these values. Raises `DmframeError`."""
+        """The study with these values. Raises `DmframeError` if they are not allowed."""
         return with_tuned(self.study, self.factors, values)
 
     def values_of(self, params: Mapping[str, float]) -> dict[str, float]:
-        """What is tried where Optuna says so."""
+        """Values of a trial from those that Optuna suggests."""
         found = dict[str, float]()
         for name, each in self.columns.items():
-            assert each.spread is not None  # what is searched has ends
+            assert each.spread is not None  # searched quantities are bounded
             found[name] = rounded(params[name], each.spread.lower, each.spread.upper)
         return found
 
-    def _try(self, held: optuna.Study) -> None:
-        """One trial, from its values to what is told of it."""
+    def _try(self, search: optuna.Study) -> None:
+        """Run one trial and record its result."""
         from optuna.trial import TrialState
 
-        trial = held.ask()
+        trial = search.ask()
         try:
             params = {
                 name: trial.suggest_float(name, each.spread.lower, each.spread.upper, log=each.spread.kind == "log")
@@ -156,54 +161,54 @@ class Tuning:
                 if each.spread is not None
             }
             begin = time.perf_counter()
-            figures, why, name, beyond = self._judged(self.values_of(params), held, trial)
+            figures, why, name, beyond = self._judged(self.values_of(params), search, trial)
             trial.set_user_attr("seconds", time.perf_counter() - begin)
             trial.set_user_attr(WHY, why)
             trial.set_constraint(name, beyond)
             if figures is None or beyond > 0:
-                held.tell(trial, state=TrialState.PRUNED)
+                search.tell(trial, state=TrialState.PRUNED)
             else:
-                held.tell(trial, figures)
+                search.tell(trial, figures)
         except BaseException:
-            held.tell(trial, state=TrialState.FAIL)
+            search.tell(trial, state=TrialState.FAIL)
             raise
 
     def _judged(
-        self, values: Mapping[str, float], held: optuna.Study, trial: optuna.Trial
+        self, values: Mapping[str, float], search: optuna.Study, trial: optuna.Trial
     ) -> tuple[list[float] | None, str, str, float]:
-        """The objectives, why not, and the constraint that is broken with how far; at most zero where none is."""
+        """Objectives, reason of a rejection, violated constraint, and its violation (at most zero without one)."""
         try:
             candidate = self.candidate(values)
         except DmframeError as error:
             return None, error.faults[0].text, "graph", 1.0
         for point in range(len(self.study.points)):
-            for asked in self.conditions:
-                failing = self.proofs.failing(candidate, point, everywhere=asked == EVERYWHERE)
+            for condition in self.conditions:
+                failing = self.proofs.failing(candidate, point, everywhere=condition == EVERYWHERE)
                 if failing:
-                    return None, f"refused: {failing[0].name} does not hold", asked, excess(failing)
+                    return None, f"refused: {failing[0].name} does not hold", condition, excess(failing)
             if self.period is not None:
                 beyond = unstable(candidate, point, self.period)
                 if beyond is None:
-                    return None, "refused: found no set-point about which it could be linearised", PERIOD, 1.0
+                    return None, "refused: found no set-point for the linearisation", PERIOD, 1.0
                 if beyond > 0:
-                    return None, f"refused: unstable on a clock of {plain(self.period, 's')}", PERIOD, min(beyond, 1e6)
-        return self._run(candidate, held, trial)
+                    return None, f"refused: unstable at a clock of {plain(self.period, 's')}", PERIOD, min(beyond, 1e6)
+        return self._run(candidate, search, trial)
 
     def _run(
-        self, candidate: Study, held: optuna.Study, trial: optuna.Trial
+        self, candidate: Study, search: optuna.Study, trial: optuna.Trial
     ) -> tuple[list[float] | None, str, str, float]:
-        """Run the hardest plants first, and others as long as those leave the candidate a chance."""
-        size, ran = self.family.size, list[int]()
-        order, best = hardest(held, size), feasible(held)
+        """Run the hardest plants first, and the others unless the candidate is already dominated or infeasible."""
+        size, ran = self.study.runs, list[int]()
+        order, best = hardest(search, size), feasible(search)
         share = self.section.screen
         first = size if share is None or size < 8 else max(1, math.ceil(share * size))
         parts = [dict[str, Any]()]
         for chunk in (order[place : place + first] for place in range(0, size, first)):
-            parts.append(self.family.rows(candidate, chunk, self.threads))
+            parts.append(rows_of_runs(candidate, chunk, self.threads))
             ran += chunk
             rows = {name: [item for part in parts[1:] for item in part[name]] for name in parts[-1]}
             figures = [each.figures(rows) for each in self.objectives]
-            least = [each.at_least(told_, size) for each, told_ in zip(self.objectives, figures, strict=True)]
+            least = [each.at_least(known, size) for each, known in zip(self.objectives, figures, strict=True)]
             trial.set_user_attr(STOPPED, len(ran) < size)
             trial.set_user_attr(FIGURES, [value if math.isfinite(value) else None for value in least])
             lost = float(np.mean(~np.isfinite(figures[0])))
@@ -214,13 +219,13 @@ class Tuning:
                 if (len(ran) == size and beyond > 0) or each.broken(each.statistic.figures(rows), size):
                     return None, f"{each.text} does not hold", each.text, beyond
             if len(ran) < size and any(dominates(other, least) for other in best):
-                return least, "stopped: what it showed is worse than one that was found", "graph", 0.0
+                return least, "stopped: an earlier trial dominates it", "graph", 0.0
         worst = np.argsort(-figures[0], kind="stable")
         trial.set_user_attr(ORDER, [ran[place] for place in worst.tolist()[:first]])
         return least, "", "graph", 0.0
 
-    def _line(self, held: optuna.Study, done: int, wanted: int) -> str:
-        best = feasible(held)
+    def _line(self, search: optuna.Study, done: int, wanted: int) -> str:
+        best = feasible(search)
         found = min(best, default=None)
         shown = (
             "none feasible yet" if found is None else f"{self.objectives[0].text} {self.objectives[0].shown(found[0])}"
@@ -236,40 +241,33 @@ def load_tuning(source: str | Path | Mapping[str, Any] | Study, *, threads: int 
     source, options
         As of `load_study`.
     threads
-        That run plants at the same time; by default all cores.
+        Number of threads; by default all cores.
 
     Raises
     ------
     DmframeError
         All faults of the file at once, each with its line and column.
     """
-    import os
-
     study = load_study(source, **options)
     section = study.file.tune
     if section is None:
         raise MissingError(
-            f"{study.name}: expected a section tune, which says what is searched: tune: {{dynamics.Gamma: "
+            f"{study.name}: expected a section tune with the searched quantities, tune: {{dynamics.Gamma: "
             "{log: [1, 1e4]}, minimise: worst rms_final}"
         )
-    faults, factors, base = list[DmframeError](), list[Factor](), study.bases[""]
-    for name, variation in section.variations.items():
-        try:
-            found = factor(name, variation, base, lambda: study.loop_of(base)[0])
-            if found.spread is not None and found.spread.kind == "normal":
-                raise ValueFault("expected two ends, uniform or log; a search has no normal distribution")
-            factors.append(found)
-        except DmframeError as error:
-            for fault in error.faults:
-                fault.path = fault.path if fault.location else ("tune", name, *fault.path)
-                fault.text = f"tune.{name}: {fault.text.removeprefix(f'{name}: ')}"
-                faults.append(fault)
+    base = study.bases[""]
+    factors, faults = factors_of("tune", section.variations, base, lambda: study.runner.loop_of(base)[0])
+    faults += [
+        ValueFault(f"tune.{each.name}: expected two bounds, uniform or log, found normal", path=("tune", each.name))
+        for each in factors
+        if each.spread is not None and each.spread.kind == "normal"
+    ]
     if not section.variations:
         faults.append(MissingError("tune: expected parameters to search, such as dynamics.Gamma: {log: [1, 1e4]}"))
     fixed = {label for each in study.factors for label in each.labels}
     fixed |= {label for axis in study.axes for label in (*axis.labels, *axis.scaled)}
     faults += [
-        ValueFault(f"tune.{each.name}: {label} varies over the plants, too; keep one of them", path=("tune", each.name))
+        ValueFault(f"tune.{each.name}: {label} is sampled, too; keep one of them", path=("tune", each.name))
         for each in factors
         for label in each.labels
         if label in fixed
@@ -277,32 +275,30 @@ def load_tuning(source: str | Path | Mapping[str, Any] | Study, *, threads: int 
     raise_placed(faults, study.document)
     study = _measuring(study, section)
     study.check()
-    return _bound(study, section, tuple(factors), threads or os.cpu_count() or 1)
+    return _bound(study, section, tuple(factors), threads or cores())
 
 
 def _measuring(study: Study, section: TuneSection) -> Study:
-    """The study with the signals measured that objectives and limits need."""
+    """The study with all signals measured that objectives and constraints need."""
     texts = (*section.minimise, *section.subject_to)
     needed = [signal for text in texts for signal in signals_of(text)]
     if any(text.partition("<")[0].split()[-1:] == [EFFORT] for text in texts):
-        needed += efforts(study.loop_of(study.points[0].graph.experiment)[0])
+        needed += efforts(study.runner.loop_of(study.points[0].graph.experiment)[0])
     measure = study.file.measure
     signals = tuple(dict.fromkeys([*measure.signals, *needed]))
     file = study.file.model_copy(update={"measure": measure.model_copy(update={"signals": signals})})
-    other = replace(study, file=file)
-    other.__dict__["_loops"] = study._loops
-    return other
+    return study.altered(file=file)
 
 
 def _bound(study: Study, section: TuneSection, factors: tuple[Factor, ...], threads: int) -> Tuning:
     faults, columns = list[DmframeError](), study.measures
-    diagram = study.loop_of(study.points[0].graph.experiment)[0]
+    diagram = study.runner.loop_of(study.points[0].graph.experiment)[0]
     objectives, bounds, period, conditions = list[Statistic](), list[Bound](), None, list[str]()
     for text in section.minimise:
         try:
             objectives.append(statistic(text, columns, diagram))
         except DmframeError as error:
-            faults.append(told(error, ("tune", "minimise")))
+            faults.append(at_path(error, ("tune", "minimise")))
     if not section.minimise:
         faults.append(MissingError("tune.minimise: expected an objective, found none", path=("tune", "minimise")))
     for text in section.subject_to:
@@ -314,9 +310,9 @@ def _bound(study: Study, section: TuneSection, factors: tuple[Factor, ...], thre
             else:
                 bounds.append(bound(text, columns, diagram))
         except DmframeError as error:
-            faults.append(told(error, ("tune", "subject_to")))
+            faults.append(at_path(error, ("tune", "subject_to")))
     if period is not None and unstable(study, 0, period) is None:
-        text = "tune.subject_to: found no set-point about which the graph could be linearised; leave stable period out"
+        text = "tune.subject_to: found no set-point for the linearisation of the graph; remove stable period"
         faults.append(ValueFault(text, path=("tune", "subject_to")))
     raise_placed(faults, study.document)
     return Tuning(study, section, factors, tuple(objectives), tuple(bounds), period, tuple(conditions), threads)
@@ -329,18 +325,18 @@ def tune(
     trials: int | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Tuned:
-    """Search, and check what was found on fresh plants; see `dmframe.study.tuned.Tuned`.
+    """Search, and validate the result on fresh plants; see `dmframe.study.tuned.Tuned`.
 
     Parameters
     ----------
     source
         A study with a section ``tune``: its file, its text or data.
     out
-        The folder of the search, which goes on where it is there already.
+        The folder of the search, which is continued if it exists.
     trials
-        Instead of the file's.
+        Replaces the file's number.
     tell
-        Called with a line a trial.
+        Called with a line of text per trial.
     """
     from dmframe.study.tuned import tuned_of
 
@@ -350,12 +346,12 @@ def tune(
 
 
 def _own(each: Factor, study: Study) -> list[float] | None:
-    """The values of a factor that leave the graph as it is."""
+    """The values of a factor that do not change the graph."""
     if each.how != "value":
         return [1.0 if each.how == "scale" else 0.0] * len(each.columns)
-    held = dict[str, np.ndarray]()
-    replace(each, how="shift").put(held, np.zeros((1, len(each.columns))), study.bases[""])
-    first = np.unique(np.stack([rows[0] for rows in held.values()]), axis=0)
+    found = dict[str, np.ndarray]()
+    replace(each, how="shift").put(found, np.zeros((1, len(each.columns))), study.bases[""])
+    first = np.unique(np.stack([rows[0] for rows in found.values()]), axis=0)
     if len(first) > 1:
         return None
     values = np.atleast_1d(first[0])
@@ -377,6 +373,3 @@ def _trial(each: Any, tuning: Tuning) -> Trial:
     values = tuning.values_of(each.params) if set(each.params) == set(tuning.columns) else {}
     shown = tuple(math.inf if value is None else float(value) for value in figures or ())
     return Trial(each.number, values, shown, state, why)
-
-
-__all__ = ["JOURNAL", "Trial", "Tuning", "load_tuning", "tune"]

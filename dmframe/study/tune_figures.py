@@ -1,4 +1,4 @@
-"""The figures of a search: how it went, the front of what cannot be had together, and where the good values lie."""
+"""Figures of a search: its progress, the Pareto front, and the objective over each searched value."""
 
 from __future__ import annotations
 
@@ -11,21 +11,22 @@ import numpy as np
 from dmframe.plotting import COLUMN, GREY, PAGE, look, names_above, page, unit_text, verbatim
 from dmframe.results.drawn_runs import shown_unit
 from dmframe.results.error_figure import log_ticks
-from dmframe.study.front import front_of
+from dmframe.study.figures import plain_log_axis
 from dmframe.study.objective import Statistic
+from dmframe.study.trials import front_of
 
 if TYPE_CHECKING:
-    from dmframe.study.front import Trial
+    from dmframe.study.trials import Trial
     from dmframe.study.tuned import Tuned
 
 ACROSS: Final = 3
-"""Panels side by side."""
+"""Panels per row."""
 _DECADE: Final = 5.0
-"""Where the largest is more times the smallest, an axis is logarithmic."""
+"""Ratio of the largest to the smallest value from which an axis is logarithmic."""
 
 
 def figures_of(found: Tuned) -> dict[str, Any]:
-    """All figures for which there are trials, by the names of their files."""
+    """All figures for which there are trials, by file name."""
     ran = [each for each in found.trials if each.state == "ran"]
     if not ran:
         return {}
@@ -45,7 +46,7 @@ def search_figure(found: Tuned) -> Any:
         factor = _labelled(axes, of, "y")
         for state, marker, text in (
             ("ran", "o", "ran over all plants"),
-            ("stopped", "v", "stopped early, at the least"),
+            ("stopped", "v", "stopped early, lower bound"),
         ):
             mine = [each for each in trials if each.state == state and math.isfinite(each.figures[0])]
             if mine:
@@ -66,7 +67,7 @@ def search_figure(found: Tuned) -> Any:
                 "|",
                 color=look(4)["color"],
                 transform=axes.get_xaxis_transform(),
-                label="refused, or broke a limit",
+                label="refused or infeasible",
             )
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set_xlabel("trial")
@@ -75,7 +76,7 @@ def search_figure(found: Tuned) -> Any:
 
 
 def front_figure(found: Tuned) -> Any:
-    """Two objectives against one another, the front in colour."""
+    """The second objective over the first, with the Pareto front."""
     first, second = found.tuning.objectives[:2]
     ran = [each for each in found.trials if each.state == "ran"]
     with page(COLUMN, 2.8) as figure:
@@ -87,7 +88,7 @@ def front_figure(found: Tuned) -> Any:
             own = [x * found.own.searched[0], y * found.own.searched[1]]
             axes.plot(*([value] for value in own), "s", color=look(4)["color"], markersize=4, label="the graph's own")
         best = np.array([each.figures[:2] for each in front_of(ran)]) * [x, y]
-        axes.plot(*best.T, "o-", color=look(2)["color"], markersize=4, label="the front")
+        axes.plot(*best.T, "o-", color=look(2)["color"], markersize=4, label="Pareto front")
         _scaled(axes, points[:, 0].tolist(), "x")
         _scaled(axes, points[:, 1].tolist(), "y")
         names_above(figure, axes, COLUMN)
@@ -95,7 +96,7 @@ def front_figure(found: Tuned) -> Any:
 
 
 def values_figure(found: Tuned) -> Any:
-    """The first objective over each value that was searched."""
+    """The first objective over each searched value."""
     columns, of = found.tuning.columns, found.tuning.objectives[0]
     ran = [each for each in found.trials if each.state == "ran"]
     lines = math.ceil(len(columns) / ACROSS)
@@ -111,7 +112,7 @@ def values_figure(found: Tuned) -> Any:
                 )
             if factor.spread is not None and factor.spread.kind == "log":
                 axes.set_xscale("log")
-                _plain_ticks(axes)
+                plain_log_axis(axes)
             unit = unit_text(factor.unit)
             axes.set_xlabel(
                 verbatim(name) + (", factor" if factor.how == "scale" else f" [{unit}]" if factor.unit else "")
@@ -128,20 +129,11 @@ def _points(axes: Any, ran: Sequence[Trial], name: str, scale: float) -> None:
 
 
 def _labelled(axes: Any, of: Statistic, side: str) -> float:
-    """Name an axis by an objective, and return the factor to the unit in which it is drawn."""
+    """Label an axis with an objective, and return the factor to its unit."""
     unit, factor = shown_unit(of.unit)
     text = verbatim(of.text) + (f" [{unit_text(unit)}]" if unit != "1" else "")
     (axes.set_xlabel if side == "x" else axes.set_ylabel)(text)
     return factor
-
-
-def _plain_ticks(axes: Any) -> None:
-    """Plain numbers on a logarithmic x-axis, few enough that none covers its neighbour."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=8))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def _scaled(axes: Any, values: Sequence[float], side: str) -> None:
@@ -150,4 +142,4 @@ def _scaled(axes: Any, values: Sequence[float], side: str) -> None:
         if side == "y":
             log_ticks(axes)
         else:
-            _plain_ticks(axes)
+            plain_log_axis(axes)

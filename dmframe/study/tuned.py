@@ -1,4 +1,4 @@
-"""What tuning has found: the values, checked on fresh plants and over longer runs, as graphs with their proofs."""
+"""Result of tuning: values validated on fresh plants and over longer runs, as graphs with their proofs."""
 
 from __future__ import annotations
 
@@ -15,50 +15,49 @@ from dmframe.config.experiment import Experiment
 from dmframe.errors import MissingError
 from dmframe.files import write_bytes, write_text, writing
 from dmframe.graph import Graph
-from dmframe.study.beside import write_graph
-from dmframe.study.candidate import Family
-from dmframe.study.cautions import CLOSE, LONGER, near_end, notices, with_unit
-from dmframe.study.front import Trial, front_of
+from dmframe.study.cautions import LONGER, notices, with_unit
+from dmframe.study.packing import write_graph
 from dmframe.study.plan import Study
+from dmframe.study.trials import Trial, front_of
 from dmframe.study.tune import Tuning
 
 if TYPE_CHECKING:
     from dmframe.report import Verification
 
 MOST: Final = 3
-"""Points of the front that are checked and proved."""
+"""Points of the front that are validated and proved."""
 _FRESH: Final = 2**63
-"""Between the seed of the search's plants and that of the fresh ones."""
+"""Difference between the seed of the search's plants and that of the new ones."""
 PAGE, PROOF, SUMMARY, FIGURES = "report.html", "certificate.html", "tuned.json", "figures"
 
 
 @final
 @dataclass(frozen=True, repr=False, eq=False)
 class Chosen:
-    """A set of values that was checked.
+    """A validated set of values.
 
     Parameters
     ----------
     label
-        ``own``, the graph's, or ``tuned``, ``tuned_1``, ...
+        ``own``, the graph's values, or ``tuned``, ``tuned_1``, ...
     trial
-        In which it was tried; None for the graph's own values that the search did not try.
+        Its number in the search; None for the graph's own values if the search did not try them.
     values
-        By column of what was searched.
+        By searched column.
     searched
-        The objectives over the plants of the search; of values that were not tried there, nothing.
+        The objectives over the plants of the search; empty if the values were not tried there.
     fresh
-        The same over plants that the search has not seen; empty where nothing is sampled.
+        The objectives over plants that were not used in the search; empty if nothing is sampled.
     longer
-        The same over those plants and `LONGER` times as long.
+        The objectives over those plants with runs `LONGER` times as long.
     graph
         The study's graph with these values.
     radius
-        The larger spectral radius of the loop linearised on the graph's clock; None without a clock or a set-point.
+        Spectral radius of the loop linearised and sampled on the graph's clock; None without a clock or a set-point.
     proof
         Its certificate; None for the graph's own values.
     broken
-        Limits that do not hold over the fresh plants, or over longer runs, in words.
+        Constraints violated on the fresh plants or in longer runs, in words.
     """
 
     label: str
@@ -74,11 +73,11 @@ class Chosen:
 
     @property
     def unstable(self) -> bool:
-        """Near its set-point, linearised, on its clock."""
+        """The linearised loop is unstable on its clock."""
         return self.radius is not None and self.radius > 1 + TOLERANCE
 
-    def told(self, tuning: Tuning, mark: str = "") -> list[str]:
-        """Its values with their units; a `mark` stands on both sides of each name."""
+    def described(self, tuning: Tuning, mark: str = "") -> list[str]:
+        """Its values with their units; each name is enclosed in `mark`."""
         units = {name: factor.unit for name, factor in tuning.columns.items()}
         return [f"{mark}{name}{mark} = {with_unit(value, units[name])}" for name, value in self.values.items()]
 
@@ -86,18 +85,18 @@ class Chosen:
 @final
 @dataclass(frozen=True, repr=False, eq=False)
 class Tuned:
-    """A search and what it found.
+    """A search and its result.
 
     Parameters
     ----------
     trials
-        All that have ended.
+        All finished trials.
     own
-        The graph's own values; None where they lie outside of what was searched.
+        The graph's own values; None if they lie outside of the searched bounds.
     front
-        The best, of which none is better in all objectives than another; in the order of the first objective.
+        At most `MOST` points spread over the Pareto front, in the order of the first objective.
     size
-        How many of the front there are; `front` holds at most `MOST` of them, spread over it.
+        Number of points of the Pareto front.
     """
 
     tuning: Tuning
@@ -109,9 +108,9 @@ class Tuned:
 
     @property
     def best(self) -> Chosen:
-        """The best by the first objective. Raises `MissingError` where no trial keeps to all limits."""
+        """The best by the first objective. Raises `MissingError` if no trial meets all constraints."""
         if not self.front:
-            raise MissingError(f"{self.folder}: {self.counts}; none keeps to all limits")
+            raise MissingError(f"{self.folder}: {self.counts}; none meets all constraints")
         return self.front[0]
 
     @property
@@ -121,20 +120,20 @@ class Tuned:
 
     @property
     def counts(self) -> str:
-        """How the trials ended, in words."""
-        told = {
+        """Numbers of trials by their result, in words."""
+        words = {
             "ran": "ran over all plants",
             "stopped": "were stopped early",
-            "broken": "broke a limit or diverged",
+            "broken": "violated a constraint or diverged",
             "refused": "were refused before any run",
         }
-        counts = {state: sum(trial.state == state for trial in self.trials) for state in told}
-        parts = [f"{counts[state]} {text}" for state, text in told.items() if counts[state]]
+        counts = {state: sum(trial.state == state for trial in self.trials) for state in words}
+        parts = [f"{counts[state]} {text}" for state, text in words.items() if counts[state]]
         return f"of {sum(counts.values())} trials " + (", ".join(parts) or "none ended")
 
     @property
     def misled(self) -> bool:
-        """Over longer runs the best values are worse than the graph's own, or diverge."""
+        """True if in longer runs the best values are worse than the graph's own, or diverge."""
         if not self.front or not self.front[0].longer:
             return False
         own, first = self.own, self.front[0].longer[0]
@@ -142,17 +141,17 @@ class Tuned:
 
     @property
     def quiet(self) -> bool:
-        """The study's loops draw no random numbers."""
+        """True if the study's loops have no noise."""
         return not self.tuning.study.noisy
 
     @cached_property
     def notices(self) -> tuple[str, ...]:
-        """What a user should know before using the values."""
+        """Warnings about the values."""
         return tuple(notices(self))
 
     @property
     def summary(self) -> dict[str, Any]:
-        """All of it as plain data."""
+        """Plain data for JSON."""
         names = [each.text for each in self.tuning.objectives]
         return {
             "study": self.tuning.study.name,
@@ -170,7 +169,7 @@ class Tuned:
         return [*([self.own] if self.own is not None else []), *self.front]
 
     def save(self) -> Path:
-        """Write graphs, figures, the proofs' page and the report into the folder, and return the report's path.
+        """Write graphs, figures, certificates and the report into the folder, and return the report's path.
 
         Raises
         ------
@@ -205,55 +204,54 @@ class Tuned:
     def __str__(self) -> str:
         lines = [f"{self.tuning.study.name}: {self.counts}"]
         for each in self._rows:
-            lines.append(f"  {each.label}: {', '.join(each.told(self.tuning))}")
+            lines.append(f"  {each.label}: {', '.join(each.described(self.tuning))}")
             lines += [f"    {line}" for line in _figures(self.tuning, each)]
         return "\n".join([*lines, *(f"  {notice}" for notice in self.notices)])
 
 
-def tuned_of(tuning: Tuning, folder: Path, tell: Callable[[str], None] = lambda _: None) -> Tuned:
-    """What the search of a folder has found, checked and proved; see `Tuned`.
+def tuned_of(tuning: Tuning, folder: Path, report: Callable[[str], None] = lambda _: None) -> Tuned:
+    """The result of a folder's search, validated and proved; see `Tuned`.
 
     Raises
     ------
     MissingError
-        There is no search in the folder.
+        The folder has no search.
     """
     trials = tuple(tuning.trials(folder))
     front = front_of(trials)
     shown = _spread(front)
-    fresh, longer = _families(tuning)
+    fresh, longer = _plants(tuning)
     labels = ["tuned"] if len(shown) == 1 else [f"tuned_{k}" for k in range(1, len(shown) + 1)]
     found = list[Chosen]()
     for label, trial in zip(labels, shown, strict=True):
-        tell(f"checking {label}")
+        report(f"validating {label}")
         found.append(_checked(tuning, label, trial.values, trial, fresh, longer, prove=True))
     own, chosen = tuning.own, None
     if own is not None:
-        tell("checking the graph's own values")
+        report("validating the graph's own values")
         tried = next((each for each in trials if each.state == "ran" and dict(each.values) == own), None)
         chosen = _checked(tuning, "own", own, tried, fresh, longer, prove=False)
     return Tuned(tuning, folder, trials, chosen, tuple(found), len(front))
 
 
 def _spread(front: Sequence[Trial]) -> list[Trial]:
-    """At most `MOST` of them, with both ends."""
+    """At most `MOST` points, with both ends."""
     if len(front) <= MOST:
         return list(front)
     places = {round(k * (len(front) - 1) / (MOST - 1)) for k in range(MOST)}
     return [front[place] for place in sorted(places)]
 
 
-def _families(tuning: Tuning) -> tuple[Family | None, Family | None]:
-    """Fresh plants, and those to be run for longer; none where nothing is sampled, or where the grid says how long."""
+def _plants(tuning: Tuning) -> tuple[Study | None, Study | None]:
+    """Studies of fresh plants and for longer runs; None if nothing is sampled, or if the grid sets the duration."""
     study = tuning.study
     section, fresh = study.file.sample, study
     if study.factors or study.noisy:
         seed = (section.seed + _FRESH) % 2**64
         sample = section.model_copy(update={"seed": seed, "runs": tuning.section.fresh or section.runs})
-        fresh = replace(study, file=study.file.model_copy(update={"sample": sample}))
-        fresh.__dict__["_loops"] = study._loops
+        fresh = study.altered(file=study.file.model_copy(update={"sample": sample}))
     times = any(label == "duration" for axis in study.axes for label in axis.labels)
-    return (Family(fresh) if fresh is not study else None), (None if times else Family(fresh))
+    return (fresh if fresh is not study else None), (None if times else fresh)
 
 
 def _checked(
@@ -261,8 +259,8 @@ def _checked(
     label: str,
     values: Mapping[str, float],
     trial: Trial | None,
-    fresh: Family | None,
-    longer: Family | None,
+    fresh: Study | None,
+    longer: Study | None,
     *,
     prove: bool,
 ) -> Chosen:
@@ -272,40 +270,45 @@ def _checked(
         title = f"{experiment.file.title or experiment.name}; {', '.join(tuning.columns)} tuned by {tuning.study.name}"
         experiment = replace(experiment, name=label, file=experiment.file.model_copy(update={"title": title}))
     graph = Graph(experiment)
-    told, long, broken = tuple[float, ...](), tuple[float, ...](), list[str]()
+    bases, broken = candidate.bases, list[str]()
+    on_fresh, over_longer = list[float](), list[float]()
     if fresh is not None:
         if tuning.study.noisy:
-            candidate = candidate.on({name: _other_noise(base) for name, base in candidate.bases.items()})
-        figures, rows = tuning.figures_of(_of(candidate, fresh.study), fresh)
-        told = tuple(figures)
+            bases = {name: _other_noise(base) for name, base in bases.items()}
+        on_fresh, rows = tuning.figures_of(fresh.altered(bases=bases))
         broken += _broken(tuning, rows, "on fresh plants")
     if longer is not None:
-        bases = {name: base.with_duration(LONGER * base.file.duration) for name, base in candidate.bases.items()}
-        figures, rows = tuning.figures_of(_of(candidate.on(bases), longer.study), longer)
-        long = tuple(figures)
+        bases = {name: base.with_duration(LONGER * base.file.duration) for name, base in bases.items()}
+        over_longer, rows = tuning.figures_of(longer.altered(bases=bases))
         broken += _broken(tuning, rows, f"{LONGER:g} times as long")
     radius = None if graph.clock is None else sampled_radius(graph.diagram, graph.clock, experiment.start)
     proof = graph.verify() if prove else None
     searched = trial.figures if trial is not None else ()
     number = None if trial is None else trial.number
-    return Chosen(label, number, dict(values), searched, told, long, graph, radius, proof, tuple(broken))
+    return Chosen(
+        label,
+        number,
+        dict(values),
+        searched,
+        tuple(on_fresh),
+        tuple(over_longer),
+        graph,
+        radius,
+        proof,
+        tuple(broken),
+    )
 
 
 def _other_noise(base: Experiment) -> Experiment:
-    """The graph with other random numbers than those of the search."""
+    """The graph with other random numbers than in the search."""
     return base.changed({"seed": (base.file.seed + _FRESH) % 2**64})
 
 
 def _broken(tuning: Tuning, rows: Mapping[str, Any], where: str) -> list[str]:
-    """The limits that some runs do not keep to, with the figure."""
+    """Constraints that are violated, with the value of their statistic."""
     values = [(each, each.statistic.of(each.statistic.figures(rows))) for each in tuning.bounds]
-    beyond = [(each, value) for each, value in values if not each.excess(value) <= 0]  # of nan, too
+    beyond = [(each, value) for each, value in values if not each.excess(value) <= 0]  # true for nan
     return [f"{where} {each.text} does not hold: it is {each.statistic.shown(value)}" for each, value in beyond]
-
-
-def _of(candidate: Study, family: Study) -> Study:
-    """The candidate's graphs with the plants of a family."""
-    return family.on(candidate.bases)
 
 
 def _figures(tuning: Tuning, each: Chosen) -> list[str]:
@@ -318,7 +321,7 @@ def _figures(tuning: Tuning, each: Chosen) -> list[str]:
 
 
 def _plain(each: Chosen, names: Sequence[str]) -> dict[str, Any]:
-    def told(values: Sequence[float]) -> dict[str, float | None]:
+    def by_name(values: Sequence[float]) -> dict[str, float | None]:
         pairs = zip(names, values, strict=True) if values else ()
         return {name: value if math.isfinite(value) else None for name, value in pairs}
 
@@ -326,13 +329,10 @@ def _plain(each: Chosen, names: Sequence[str]) -> dict[str, Any]:
         "label": each.label,
         "trial": each.trial,
         "values": dict(each.values),
-        "searched": told(each.searched),
-        "fresh": told(each.fresh),
-        "longer": told(each.longer),
+        "searched": by_name(each.searched),
+        "fresh": by_name(each.fresh),
+        "longer": by_name(each.longer),
         "broken": list(each.broken),
         "radius": each.radius,
         "proof": None if each.proof is None else each.proof.headline,
     }
-
-
-__all__ = ["CLOSE", "LONGER", "Chosen", "Tuned", "near_end", "tuned_of"]

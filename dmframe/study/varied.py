@@ -1,4 +1,4 @@
-"""What varies: factors bound to the parameters of a graph, with units, and the values that they give to a run."""
+"""Varied quantities: factors bound to the parameters of a graph, with units, and their values in each run."""
 
 from __future__ import annotations
 
@@ -26,24 +26,22 @@ SETTINGS: Final[Mapping[str, tuple[str, str]]] = {
     "solver.step": ("s", "> 0"),
     "robot.friction_velocity": ("rad/s", "> 0"),
 }
-"""Numbers of a graph that belong to no block: their units and signs. With each value the loop is prepared anew."""
+"""Numbers of a graph outside of its blocks: units and signs. Each value needs a run of its own."""
 
 
 @final
 @dataclass(frozen=True)
 class Target:
-    """A parameter that may vary, as it stands in one graph.
+    """A parameter of one graph that may vary.
 
     Parameters
     ----------
     value
-        The graph's own, in its unit; None where it states none.
+        The graph's own, in the parameter's unit; None if the graph does not state it.
     shape
         As of a port; empty for one number.
     spreads
-        One number may stand for all its elements.
-    apart
-        It is no column of a batch: each value needs a run of its own.
+        One number may replace all its elements.
     """
 
     label: str
@@ -52,7 +50,6 @@ class Target:
     value: np.ndarray | None
     shape: str
     spreads: bool = True
-    apart: bool = False
 
 
 def target(label: str, experiment: Experiment, diagram: Callable[[], Diagram]) -> Target:
@@ -61,11 +58,11 @@ def target(label: str, experiment: Experiment, diagram: Callable[[], Diagram]) -
     Raises
     ------
     UnknownNameError, ValueFault
-        There is none, or none that can be drawn.
+        There is no such parameter, or it cannot be sampled.
     """
     if label in SETTINGS:
         unit, sign = SETTINGS[label]
-        return Target(label, unit, sign, _setting(experiment, label), "", apart=True)
+        return Target(label, unit, sign, value_in(label, experiment), "")
     if label.startswith(START):
         return _start(label, experiment, diagram())
     known = {
@@ -79,21 +76,27 @@ def target(label: str, experiment: Experiment, diagram: Callable[[], Diagram]) -
     block, key, spec = known[label]
     value = getattr(block, key)
     if spec.form in PAIRS:
-        raise ValueFault(f"{label}: {PAIRS[spec.form]} is not drawn; list values of it under grid")
+        raise ValueFault(f"{label}: {PAIRS[spec.form]} cannot be sampled; list values of it under grid")
     if isinstance(value, Prior):
         raise ValueFault(
             f"{label}: the graph has it from {value.inverse_of}; list values under grid, or set a number first"
         )
-    held = None if value is None else np.asarray(value, dtype=float)
     spreads = spec.form in ("diagonal", "gain")
-    return Target(label, spec.unit, spec.sign, held, spec.shape, spreads, apart=value is None)
+    return Target(label, spec.unit, spec.sign, value_in(label, experiment), spec.shape, spreads)
 
 
-def _setting(experiment: Experiment, label: str) -> np.ndarray | None:
-    section, _, key = label.rpartition(".")
-    holder = getattr(experiment.file, section) if section else experiment.file
-    value = getattr(holder, key, None)
-    return None if value is None else np.asarray(value, dtype=float)
+def value_in(label: str, experiment: Experiment) -> np.ndarray | None:
+    """The graph's own value of a quantity; None if it states no number."""
+    value: Any = experiment.file
+    if label in SETTINGS:
+        for key in label.split("."):
+            value = getattr(value, key, None)
+    elif label.startswith(START):
+        value = experiment.start.get(label.removeprefix(START))
+    else:
+        block, _, key = label.partition(".")
+        value = getattr(experiment.blocks.get(block), key, None)
+    return None if value is None or isinstance(value, Prior) else np.asarray(value, dtype=float)
 
 
 def _start(label: str, experiment: Experiment, diagram: Diagram) -> Target:
@@ -103,28 +106,26 @@ def _start(label: str, experiment: Experiment, diagram: Diagram) -> Target:
     if found is None:
         choices = [f"{START}{each.label}" for each in variables]
         raise UnknownNameError(label, "state", label, [*choices, *(f"{START}{each.name}" for each in variables)])
-    given = experiment.start.get(key)
-    value = None if given is None else np.asarray(given, dtype=float)
-    return Target(label, found.unit, "", value, f"{found.symbol.numel()}", apart=True)
+    return Target(label, found.unit, "", value_in(label, experiment), f"{found.symbol.numel()}")
 
 
 @final
 @dataclass(frozen=True)
 class Factor:
-    """A quantity that varies, bound to parameters of a graph.
+    """A varied quantity, bound to parameters of a graph.
 
     Parameters
     ----------
     name
-        Of its column; that of its only parameter, or the user's own.
+        Of its column: its only parameter, or a name of the user's choice.
     labels
         The parameters that it changes.
     how
-        A drawn number is the parameter's value, a factor of the graph's own, or a difference from it.
+        A drawn number is the parameter's value, a factor of the graph's own value, or a difference from it.
     spread
-        How it is drawn; None where a grid lists its values.
+        Distribution; None if a grid lists its values.
     elements
-        How many numbers are drawn, one for each element of the parameter; None for one that stands for all.
+        How many numbers are drawn, one per element of the parameter; None for one number for all elements.
     unit
         Of the drawn numbers.
     """
@@ -138,23 +139,18 @@ class Factor:
 
     @property
     def columns(self) -> Sequence[str]:
-        """Of the table: one, or one for each element."""
+        """Columns of the table: one, or one per element."""
         return columns_of(self.name, self.elements)
 
     def put(self, values: dict[str, np.ndarray], drawn: np.ndarray, experiment: Experiment) -> None:
-        """Change `values`, rows by label, as (N, columns) drawn numbers say; what is not there yet is the graph's."""
+        """Apply (N, columns) drawn numbers to `values`, rows by label; missing labels start from the graph's values."""
         for label in self.labels:
-            if (
-                label not in SETTINGS
-                and not label.startswith(START)
-                and label.partition(".")[0] not in experiment.blocks
-            ):
+            of_block = label not in SETTINGS and not label.startswith(START)
+            if of_block and label.partition(".")[0] not in experiment.blocks:
                 raise ValueFault(f"{label}: expected that block in the graph {experiment.name}, found none")
             rows = drawn if self.elements is not None else drawn[:, 0]
             if self.how == "value":
-                values[label] = rows
-                if label not in SETTINGS and not label.startswith(START) and self.elements is None:
-                    values[label] = _filled(rows, label, experiment)
+                values[label] = _filled(rows, label, experiment) if of_block and self.elements is None else rows
                 continue
             own = values[label] if label in values else _own(label, experiment)[None]
             if self.elements is None:
@@ -165,25 +161,16 @@ class Factor:
 
 
 def _own(label: str, experiment: Experiment) -> np.ndarray:
-    if label in SETTINGS:
-        found = _setting(experiment, label)
-    elif label.startswith(START):
-        given = experiment.start.get(label.removeprefix(START))
-        found = None if given is None else np.asarray(given, dtype=float)
-    else:
-        block, _, key = label.partition(".")
-        held = getattr(experiment.blocks[block], key, None) if block in experiment.blocks else None
-        found = None if held is None or isinstance(held, Prior) else np.asarray(held, dtype=float)
+    found = value_in(label, experiment)
     if found is None:
         raise ValueFault(f"{label}: expected a number in the graph {experiment.name}, found none")
     return found
 
 
 def _filled(rows: np.ndarray, label: str, experiment: Experiment) -> np.ndarray:
-    """One number a run for a parameter that has to be written out in full."""
+    """One number per run, repeated for a parameter that needs all its elements."""
     block, _, key = label.partition(".")
-    spec = specs(type(experiment.blocks[block]))[key] if block in experiment.blocks else None
-    if spec is None or spec.form != "vector":
+    if specs(type(experiment.blocks[block]))[key].form != "vector":
         return rows
     return np.repeat(rows[:, None], _own(label, experiment).size, axis=1)
 
@@ -194,7 +181,7 @@ def factor(name: str, variation: Variation, experiment: Experiment, diagram: Cal
     Raises
     ------
     DmframeError
-        A parameter that there is not, a unit that does not fit, a distribution that leaves the parameter's sign.
+        An unknown parameter, a wrong unit, a distribution that violates the parameter's sign.
     """
     labels = variation.of or (name,)
     if own_name(name) and name not in SETTINGS and not variation.of:
@@ -209,9 +196,9 @@ def factor(name: str, variation: Variation, experiment: Experiment, diagram: Cal
             raise
     kind = variation.kinds[0]
     how: How = "scale" if kind == "scale" else "shift" if kind == "shift" else "value"
-    held = getattr(variation, kind) if how != "value" else variation
+    drawn = getattr(variation, kind) if how != "value" else variation
     unit = "" if how == "scale" else _unit(targets)
-    spread = spread_of(held, unit, (kind,) if how != "value" else ())
+    spread = spread_of(drawn, unit, (kind,) if how != "value" else ())
     for each in targets:
         _check_target(each, how, spread)
     return Factor(name, labels, how, spread, _elements(name, variation, targets, diagram), unit)
@@ -221,7 +208,7 @@ def _unit(targets: Sequence[Target]) -> str:
     units = {each.unit for each in targets}
     if len(units) > 1:
         found = ", ".join(f"{each.label} [{each.unit}]" for each in targets)
-        raise ValueFault(f"expected parameters of one unit, found {found}; scale them, or let each vary alone")
+        raise ValueFault(f"expected parameters of one unit, found {found}; scale them, or let each vary by itself")
     return units.pop()
 
 
@@ -247,17 +234,17 @@ def spread_of(given: Distribution, unit: str, path: tuple[str, ...] = ()) -> Spr
             raise refuse(kind, f"expected a standard deviation above zero, found {plain(b, unit)}")
         lower, upper = pair("clip") if given.clip is not None else (-math.inf, math.inf)
         if not lower < upper:
-            raise refuse("clip", f"expected two ends, the lower one first, found {lower:g} and {upper:g}")
+            raise refuse("clip", f"expected two bounds, the lower one first, found {lower:g} and {upper:g}")
         return Spread("normal", a, b, lower, upper)
     if not a < b:
-        raise refuse(kind, f"expected two ends, the lower one first, found {a:g} and {b:g}")
+        raise refuse(kind, f"expected two bounds, the lower one first, found {a:g} and {b:g}")
     if kind == "log" and not a > 0:
-        raise refuse(kind, f"expected ends above zero, found {plain(a, unit)}")
+        raise refuse(kind, f"expected bounds above zero, found {plain(a, unit)}")
     return Spread("log" if kind == "log" else "uniform", a, b, a, b)
 
 
 def _check_target(found: Target, how: How, spread: Spread) -> None:
-    """Refuse a distribution that can leave the parameter's sign, and what the parameter cannot take."""
+    """Raise `ValueFault` for a distribution that can violate the parameter's sign or form."""
     if how == "value" and (found.value is not None and found.value.ndim > 1):
         raise ValueFault(f"{found.label}: the graph has rows of numbers there; scale them, or list values under grid")
     if how == "value" and not found.spreads and found.value is None:
@@ -273,10 +260,10 @@ def _check_target(found: Target, how: How, spread: Spread) -> None:
     if least > 0 or (least == 0 and found.sign == ">= 0"):
         return
     unit = "" if how == "scale" else found.unit
-    ends = "no lower end" if math.isinf(least) else f"{plain(least, unit)} as the least"
+    bound = "without a lower bound" if math.isinf(least) else f"down to {plain(least, unit)}"
     what = "its factor" if how == "scale" else "it"
-    remedy = "; clip: [lower, upper] gives it ends" if spread.kind == "normal" else ""
-    raise ValueFault(f"{found.label} is {found.sign}, and {what} is drawn with {ends}{remedy}")
+    remedy = "; clip: [lower, upper] sets bounds" if spread.kind == "normal" else ""
+    raise ValueFault(f"{found.label} is {found.sign}, and {what} is drawn {bound}{remedy}")
 
 
 def _elements(name: str, variation: Variation, targets: Sequence[Target], diagram: Callable[[], Diagram]) -> int | None:
@@ -305,13 +292,24 @@ def _count(each: Target, diagram: Callable[[], Diagram]) -> int:
     return int(np.shape(values[key])[0])
 
 
-def plain_numbers(value: np.ndarray) -> Any:
-    """A row of values as a graph file writes it: a number, or lists of them."""
-    return value.tolist()
+def factors_of(
+    section: str, variations: Mapping[str, Variation], experiment: Experiment, diagram: Callable[[], Diagram]
+) -> tuple[list[Factor], list[DmframeError]]:
+    """The variations of a section of the study file, bound to a graph, and their faults."""
+    found, faults = list[Factor](), list[DmframeError]()
+    for name, variation in variations.items():
+        try:
+            found.append(factor(name, variation, experiment, diagram))
+        except DmframeError as error:
+            for fault in error.faults:
+                fault.path = fault.path if fault.location else (section, name, *fault.path)
+                fault.text = f"{section}.{name}: {fault.text.removeprefix(f'{name}: ')}"
+                faults.append(fault)
+    return found, faults
 
 
-def told_twice(factors: Iterable[Factor], fixed: Iterable[str]) -> list[ValueFault]:
-    """Faults of parameters whose value is said by two, of which one would undo the other."""
+def set_twice(factors: Iterable[Factor], fixed: Iterable[str]) -> list[ValueFault]:
+    """Faults of parameters whose value is set by two quantities."""
     seen, faults = dict.fromkeys(fixed, "grid"), list[ValueFault]()
     for each in factors:
         for label in each.labels:

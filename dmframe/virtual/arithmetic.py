@@ -1,4 +1,4 @@
-"""Functions of scripts that depend on their arguments alone: numbers, poses, texts."""
+"""Functions of scripts on numbers, poses and texts, independent of the robot."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import numpy as np
 from dmframe.virtual.words import ScriptError
 
 LONGEST: Final = 1 << 16
-"""Of texts [characters]."""
+"""Maximum length of a text [characters]."""
 
 
 @final
 class Pose(list[float]):
-    """A place and a rotation vector; a list with six numbers."""
+    """Position and rotation vector: a list of six numbers."""
 
 
 def norm_(a: Any) -> float:
@@ -63,14 +63,14 @@ def str_cat_(op1: Any, op2: Any) -> str:
 
 
 def six(values: Any) -> np.ndarray:
-    """Six numbers as an array. Raises `ScriptError` for all else."""
+    """Convert six numbers to an array. Raises `ScriptError` for other values."""
     if not isinstance(values, list) or len(values) != 6:
         raise ScriptError(f"expected six numbers, found {values}")
     return np.array(values, dtype=float)
 
 
 def text(value: Any) -> str:
-    """A value as a script shows it."""
+    """Format a value as URScript prints it."""
     if isinstance(value, list):
         inner = ", ".join(map(text, value))
         return f"{'p' if isinstance(value, Pose) else ''}[{inner}]"
@@ -78,7 +78,7 @@ def text(value: Any) -> str:
 
 
 def placed(pose: Any) -> Any:
-    """A pose as a placement."""
+    """Convert a pose to an SE(3) placement."""
     import pinocchio as pin
 
     numbers = six(pose)
@@ -86,7 +86,7 @@ def placed(pose: Any) -> Any:
 
 
 def posed(rotation: np.ndarray, translation: np.ndarray) -> Pose:
-    """A placement as a pose."""
+    """Convert a placement to a pose."""
     import pinocchio as pin
 
     return Pose([*translation.tolist(), *pin.log3(rotation).tolist()])
@@ -121,4 +121,4 @@ FUNCTIONS: Final[Mapping[str, Any]] = {
     "to_num": float,
     "get_list_length": len,
 }
-"""By their names in a script."""
+"""URScript name -> function."""

@@ -1,4 +1,4 @@
-"""The six joints of a UR, of which a graph may leave some held, and where its flange is."""
+"""Kinematics of a UR's six joints, some of which the graph may hold at fixed angles."""
 
 from __future__ import annotations
 
@@ -15,42 +15,35 @@ from dmframe.config.experiment import Experiment
 from dmframe.errors import EngineError, RobotError, listed
 from dmframe.robot.chain import SerialChain, pin_configuration
 from dmframe.robot.library import find_robot
+from dmframe.runtime.ur_arm import JOINTS
 
-JOINTS: Final = (
-    "shoulder_pan_joint",
-    "shoulder_lift_joint",
-    "elbow_joint",
-    "wrist_1_joint",
-    "wrist_2_joint",
-    "wrist_3_joint",
-)
 BASE: Final = ("base",)
-"""A UR tells poses in this frame, which is turned by pi against the URDF's base_link."""
+"""Frame of a UR's poses, which is rotated by pi against the URDF's base_link."""
 FLANGE: Final = ("tool0", "ee_link")
 TOLERANCE: Final = 1e-3
-"""Faster than this a joint that is held is told to move [rad/s]."""
+"""Commanded speed of a held joint above which the robot stops [rad/s]."""
 NEAR: Final = 1e-9
-"""Of an inverse kinematics: metres and radians."""
+"""Tolerance of the inverse kinematics [m and rad]."""
 MOST_STEPS: Final = 100
 
 
 @final
 @dataclass(frozen=True)
 class Arm:
-    """A UR as a client sees it: always six joints.
+    """A UR as a client sees it, with six joints.
 
     Parameters
     ----------
     name
-        The robot's.
+        Name of the robot.
     chain
-        The graph's own; its joints are some or all of the six, in their order.
+        The graph's chain; its joints are some or all of the six, in their order.
     places
-        Where each joint of the chain stands among the six.
+        Index among the six of each joint of the chain.
     held : (6,), rad
-        Where the others are held; 0 for those that move.
+        Angles of the held joints; 0 for those that move.
     lower, upper, velocity : (6,), rad and rad/s
-        The URDF's limits; those of held joints are not finite.
+        The URDF's limits; infinite for held joints.
     """
 
     name: str
@@ -68,38 +61,38 @@ class Arm:
 
     @property
     def still(self) -> list[int]:
-        """Which of the six are held."""
+        """Indices of the held joints."""
         return [k for k in range(len(JOINTS)) if k not in self.places]
 
     def six(self, values: np.ndarray, rest: np.ndarray | float = 0.0) -> np.ndarray:
-        """Numbers of the chain's joints among the six, the others at `rest`."""
+        """Values of the chain's joints extended to the six, with `rest` for the others."""
         found = np.zeros(len(JOINTS)) + rest
         found[list(self.places)] = values
         return found
 
     def refused(self, speed: np.ndarray, ahead: np.ndarray) -> str:
-        """Why target speeds of the six stop the robot, which lead to the angles `ahead`; empty where they do not."""
+        """Reason for which target speeds, which lead to the angles `ahead`, stop the robot; empty if there is none."""
         if not np.isfinite(speed).all():
             return "a target speed is not a number"
         for k, joint in enumerate(JOINTS):
             if k not in self.places:
                 if abs(speed[k]) > TOLERANCE:
-                    return f"{joint} is told to move, and the graph holds it"
+                    return f"{joint} is commanded to move, but the graph holds it"
             elif abs(speed[k]) > self.velocity[k] * (1 + 1e-9):
-                return f"{joint} is told {speed[k]:.4g} rad/s, its limit is {self.velocity[k]:.4g} rad/s"
+                return f"{joint}: commanded speed {speed[k]:.4g} rad/s exceeds its limit {self.velocity[k]:.4g} rad/s"
             elif (ahead[k] > self.upper[k] and speed[k] > 0) or (ahead[k] < self.lower[k] and speed[k] < 0):
-                return f"{joint} is told to go to {ahead[k]:.4g} rad, outside of its limits"
+                return f"{joint}: commanded angle {ahead[k]:.4g} rad is outside its limits"
         return ""
 
     def pose(self, q: np.ndarray) -> np.ndarray:
-        """Where the flange is at six angles [rad], in the frame of a UR's base: position [m], rotation vector [rad]."""
+        """Flange pose at six angles [rad], in the UR's base frame: position [m], rotation vector [rad]."""
         import pinocchio as pin
 
         at = self._placed(q)
         return np.concatenate([at.translation, pin.log3(at.rotation)])
 
     def jacobian(self, q: np.ndarray) -> np.ndarray:
-        """(6, 6): the flange's velocity and angular velocity along the axes of the UR's base, by joint velocities."""
+        """Jacobian (6, 6) of the flange's velocity and angular velocity, in the axes of the UR's base."""
         import pinocchio as pin
 
         model, data = self._model
@@ -114,17 +107,17 @@ class Arm:
         return six
 
     def inverse(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
-        """Angles that bring the flange to a pose, found from others near by.
+        """Joint angles of a flange pose, by damped least squares from the angles `near`.
 
         Raises
         ------
         EngineError
-            Some joints are held, or none were found.
+            Some joints are held, or the iteration did not converge.
         """
         import pinocchio as pin
 
         if not self.whole:
-            raise EngineError(f"inverse kinematics: {self.name} of this graph has only {len(self.places)} free joints")
+            raise EngineError(f"inverse kinematics: {self.name} has only {len(self.places)} free joints in this graph")
         goal, q = pin.SE3(pin.exp3(pose[3:]), pose[:3]), near.copy()
         for _ in range(MOST_STEPS):
             at = self._placed(q)
@@ -136,7 +129,7 @@ class Arm:
             J = self.jacobian(q)
             size = min(1.0, 0.5 / max(np.max(np.abs(error)), 1e-12))
             q = q + J.T @ np.linalg.solve(J @ J.T + 1e-10 * np.eye(6), size * error)
-        raise EngineError("inverse kinematics: no angles were found for this pose from where the robot is")
+        raise EngineError("inverse kinematics: no angles were found for this pose from the current configuration")
 
     def _placed(self, q: np.ndarray) -> Any:
         import pinocchio as pin
@@ -167,7 +160,7 @@ def arm_of(experiment: Experiment) -> Arm:
     Raises
     ------
     RobotError
-        The graph has no robot, or one that is no UR: joints of other names, or in another order.
+        The graph has no robot, or its robot is not a UR: its joints have other names, or another order.
     """
     chain, section = experiment.robot, experiment.file.robot
     if chain is None or section is None:
@@ -176,7 +169,7 @@ def arm_of(experiment: Experiment) -> Arm:
     if strange:
         raise RobotError(
             f"{experiment.name}: expected a UR, whose joints are {listed(JOINTS)}; robot {chain.name} has "
-            f"{listed(strange)}; a virtual robot speaks the protocols of URs alone"
+            f"{listed(strange)}; a virtual robot emulates URs only"
         )
     places = tuple(map(JOINTS.index, chain.joint_names))
     source = find_robot(section.model, Path(experiment.document.name).parent)

@@ -1,4 +1,4 @@
-"""What one script may use of a robot that others use as well: budgets, each with a fault of that script alone."""
+"""Resource limits of a script, so that no script stops the robot for other clients."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from typing import Any, Final, final
 from dmframe.virtual.words import ScriptError
 
 MOST_ELEMENTS: Final = 10_000
-"""Of one value, lists within lists counted through; eight characters of a text count as one."""
+"""Elements of one value, including those of nested lists; eight characters of a text count as one."""
 MOST_NESTED: Final = 20
-"""Lists within lists of one value."""
+"""Nesting depth of lists."""
 MOST_HELD: Final = 200_000
-"""Elements of all variables of a script, those of calls under way among them."""
+"""Elements of all variables of a script, including those of active calls."""
 MOST_THREADS: Final = 50
-"""Of a script."""
-MOST_BESIDE: Final = 8
-"""Secondary programs at once."""
-BESIDE: Final = 1 / MOST_BESIDE
-"""What one of them may use, of what the main program may."""
+"""Threads of a script."""
+MOST_SECONDARY: Final = 8
+"""Secondary programs that run at the same time."""
+SECONDARY_FRACTION: Final = 1 / MOST_SECONDARY
+"""Operation budget of a secondary program, as a fraction of the main program's."""
 BURST: Final = 20_000
-"""Operations that a script may do without a wait. One is a loop's turn, a call, or four elements: some 2 us."""
+"""Operations without a wait. One operation is a loop iteration, a call, or four elements: about 2 us."""
 RATE: Final = 200_000.0
-"""Operations in a second of the robot's time that a script may do on average: less than half of the cycles' time."""
+"""Average operations in a second of the robot's time: less than half of the cycle time."""
 COUNTED: Final = MOST_HELD
-"""Elements that are copied between two counts of what a script holds."""
+"""Copied elements between two counts of the stored elements."""
 
 COSTS: Final = {
     "get_inverse_kin": 4000,
@@ -34,37 +34,37 @@ COSTS: Final = {
     **dict.fromkeys("get_actual_tcp_pose get_target_tcp_pose get_actual_tcp_speed get_target_tcp_speed".split(), 30),
     **dict.fromkeys("socket_send_string socket_send_line textmsg popup norm".split(), 10),
 }
-"""Operations that a call of a function counts as; 1 for the others. An inverse kinematics may take 100 steps."""
+"""Operations that a call of a function costs; 1 for other functions. Inverse kinematics may take 100 steps."""
 
 
 @final
 class Allowance:
-    """The operations that a script has left. They come back with the robot's time, up to `BURST`.
+    """Operation budget of a script (token bucket), of at most `BURST` operations.
 
     Parameters
     ----------
     refill
-        Operations that come back in a cycle.
+        Operations that each cycle adds.
     """
 
     def __init__(self, refill: float) -> None:
         self._left, self._refill, self.copied = float(BURST), refill, 0
 
     def cycle(self) -> None:
-        """A cycle of the robot begins."""
+        """Refill the budget at the beginning of a cycle."""
         self._left = min(BURST, self._left + self._refill)
 
     def spend(self, operations: int) -> None:
-        """Raises `ScriptError` where more are wanted than are left."""
+        """Take operations from the budget. Raises `ScriptError` if they exceed it."""
         self._left -= operations
         if self._left < 0:
             raise ScriptError(
-                "a loop without sync() or another wait, or too much in each cycle: expected at most "
-                f"{BURST} operations, turns and calls at once, and {RATE:.0f} in a second"
+                "a loop without sync() or another wait, or too many operations in each cycle: expected at most "
+                f"{BURST} operations (loop iterations, calls) without a wait, and {RATE:.0f} in a second"
             )
 
     def sized(self, value: Any) -> Any:
-        """A value, if a script may hold it; its elements are paid for. Raises `ScriptError`."""
+        """Check a value's size and take its elements from the budget. Raises `ScriptError`."""
         if isinstance(value, list | str):
             count = elements(value, MOST_ELEMENTS)
             if count > MOST_ELEMENTS:
@@ -75,7 +75,7 @@ class Allowance:
 
 
 def elements(value: Any, most: int) -> int:
-    """Elements of a value, counted as far as `most` and one more. A list that several lists hold counts each time."""
+    """Count the elements of a value, up to `most` + 1. A list that occurs several times counts each time."""
     count, waiting = 0, [value]
     while waiting and count <= most:
         found = waiting.pop()
@@ -89,9 +89,9 @@ def elements(value: Any, most: int) -> int:
 
 
 def copied(value: Any, level: int = 0) -> Any:
-    """A copy, lists within lists too; texts and numbers never change. Raises `ScriptError` for a value too deep."""
+    """Copy a value deeply. Raises `ScriptError` for lists that are nested too deeply."""
     if not isinstance(value, list):
         return value
     if level >= MOST_NESTED:
-        raise ScriptError(f"expected no more than {MOST_NESTED} lists within lists, found more")
+        raise ScriptError(f"expected no more than {MOST_NESTED} nested lists, found more")
     return type(value)([copied(part, level + 1) for part in value])

@@ -1,31 +1,31 @@
-"""URScript's expressions as Python's, read once from left to right.
+"""Translation of URScript expressions to Python, by recursive descent.
 
-Operations in a row, `a + b - c`, become one call with many arguments: neither the text nor what Python nests grows with
-their number but by what is written. What is nested in the script is bounded by `MOST_DEPTH`.
+A chain of operations, `a + b - c`, becomes one call with many arguments, so that the Python source grows linearly and
+its nesting stays constant. `MOST_DEPTH` limits the nesting of the script.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Final
 
 from dmframe.virtual.words import ScriptError, Token, scopes, tokens
 
 DIGITS: Final = 10
-"""Of an integer, which has 32 bits."""
+"""Maximum digits of an integer, which has 32 bits."""
 MOST_DEPTH: Final = 40
-"""Expressions within expressions, and blocks within blocks."""
+"""Nesting depth of expressions, and of blocks."""
 
 
 class Expressions:
-    """The words of a script, read one by one, and what their expressions are in Python.
+    """Parser of a script's expressions.
 
     Parameters
     ----------
     known, waiting
-        Functions that the robot has, and those of them that take time.
+        Functions of the robot, and those of them that take time.
     """
 
     def __init__(self, text: str, known: frozenset[str], waiting: frozenset[str]) -> None:
@@ -35,7 +35,7 @@ class Expressions:
         self._own = {name.text for word, name in pairs if word.text in ("def", "thread") and word.kind == "word"}
         self._assigned, self._shared = scopes(self._tokens)
         self._scopes = [set[str]()]
-        """Local variables of each function that is being read."""
+        """Local variables of each enclosing function."""
         self._depth = 0
 
     # words
@@ -75,10 +75,10 @@ class Expressions:
 
     @contextmanager
     def _deeper(self, levels: int = 1) -> Iterator[None]:
-        """Raises `ScriptError` where this is within too many others."""
+        """Count nesting levels. Raises `ScriptError` if there are too many."""
         self._depth += levels
         if self._depth > MOST_DEPTH:
-            raise ScriptError(f"line {self._next.line}: expressions within expressions, more than can be read")
+            raise ScriptError(f"line {self._next.line}: expressions are nested too deeply")
         yield
         self._depth -= levels
 
@@ -112,22 +112,16 @@ class Expressions:
         return left
 
     def _sum(self) -> str:
-        left = self._product()
-        if not self._sees("+", "-"):
-            return left
-        parts = [left]
-        while self._sees("+", "-"):
-            parts += [repr(self._take().text), self._product()]
-        return f"_arithmetic({', '.join(parts)})"
+        return self._chain(self._product, "+", "-")
 
     def _product(self) -> str:
-        left = self._unary()
-        if not self._sees("*", "/", "%"):
-            return left
-        parts = [left]
-        while self._sees("*", "/", "%"):
-            parts += [repr(self._take().text), self._unary()]
-        return f"_arithmetic({', '.join(parts)})"
+        return self._chain(self._unary, "*", "/", "%")
+
+    def _chain(self, operand: Callable[[], str], *signs: str) -> str:
+        parts = [operand()]
+        while self._sees(*signs):
+            parts += [repr(self._take().text), operand()]
+        return parts[0] if len(parts) == 1 else f"_arithmetic({', '.join(parts)})"
 
     def _unary(self) -> str:
         with self._deeper():
@@ -139,7 +133,7 @@ class Expressions:
         return found if places is None else f"_item({found}, {places})"
 
     def _place(self) -> tuple[str, str | None]:
-        """A value, and the numbers of an element of it, elements of elements too; None for the value itself."""
+        """A value, and the indices of an element in it; None for the value itself."""
         found, places = self._primary()
         while self._accept("["):
             places.append(self._expression())
@@ -149,7 +143,7 @@ class Expressions:
         return found, f"({', '.join(places)},)" if places else None
 
     def _primary(self) -> tuple[str, list[str]]:
-        """A value, and where in it, for the one that looks like a pose: `p[0]`."""
+        """A value; with the index, if it looks like a pose: `p[0]`."""
         token = self._take()
         if token.kind == "number":
             return _number(token), []
@@ -169,7 +163,7 @@ class Expressions:
         if token.text == "[":
             return f"_list([{', '.join(self._until(']'))}])", []
         if token.kind == "name" and token.text == "p" and self._accept("["):
-            inside = list(self._until("]"))  # a variable may be called p, too
+            inside = list(self._until("]"))  # a variable may also be named p
             return (self._variable("p"), inside) if len(inside) in (1, 2) else (f"_pose([{', '.join(inside)}])", [])
         if token.kind == "name":
             return (self._call(token) if self._sees("(") else self._variable(token.text)), []

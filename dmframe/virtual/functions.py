@@ -1,9 +1,10 @@
-"""The functions that a script finds on the robot. Those that wait are generators, and yield once a cycle."""
+"""Functions that a script may call on the robot. Those that wait are generators that yield once a cycle."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from dmframe.virtual.robot import VirtualRobot
 
 STEADY: Final = 1e-3
-"""Of speeds [rad/s] at which the robot counts as standing."""
+"""Joint speed below which the robot is steady [rad/s]."""
 
 
 @final
@@ -30,37 +31,83 @@ class Halted(Exception):
 
 
 def names_of(kind: type) -> frozenset[str]:
-    """The functions that a script may call."""
-    return _own(kind) | FUNCTIONS.keys()
+    """Names of the functions that a script may call."""
+    registers = {f"{side}_{word}_register" for side in _SIDES for word in _REGISTERS}
+    return _own(kind) | FUNCTIONS.keys() | _READINGS.keys() | _MISSING.keys() | registers
 
 
 def waiting_of(kind: type) -> frozenset[str]:
-    """Those that take time."""
+    """Names of those that take time."""
     return frozenset(name for name in _own(kind) if getattr(getattr(kind, name), "waits", False))
 
 
 def _own(kind: type) -> frozenset[str]:
     names = {name for base in kind.__mro__[:-1] for name in vars(base)}
-    return frozenset(name for name in names if not name.startswith("_") and name not in _OWN)
+    return frozenset(name for name in names if not name.startswith("_") and name not in ("close", "table", "cycle"))
 
 
-_OWN: Final = frozenset(("close", "table", "cycle"))
+def _list(values: np.ndarray) -> list[float]:
+    found: list[float] = values.tolist()
+    return found
+
+
+def _int32(value: Any) -> int:
+    return (int(value) + 2**31) % 2**32 - 2**31
+
+
+_SIDES: Final = ("read_input", "read_output", "write_output")
+_REGISTERS: Final[Mapping[str, tuple[str, Callable[[Any], Any]]]] = {
+    "integer": ("int", _int32),
+    "float": ("double", float),
+    "boolean": ("bit", bool),
+}
+"""Register kinds: word in the function's name -> kind in `Registers`, and conversion of a value."""
+_READINGS: Final[Mapping[str, Callable[[VirtualRobot], Any]]] = {
+    "get_steptime": lambda robot: robot.dt,
+    "get_actual_joint_positions": lambda robot: _list(robot.q),
+    "get_joint_positions": lambda robot: _list(robot.q),
+    "get_actual_joint_speeds": lambda robot: _list(robot.dq),
+    "get_joint_speeds": lambda robot: _list(robot.dq),
+    "get_target_joint_positions": lambda robot: _list(robot.target.q),
+    "get_target_joint_speeds": lambda robot: _list(robot.target.qd),
+    "get_target_joint_accelerations": lambda robot: _list(robot.target.qdd),
+    "get_joint_torques": lambda robot: _list(robot.torque),
+    "get_actual_tcp_pose": lambda robot: Pose(_list(robot.arm.pose(robot.q))),
+    "get_actual_tool_flange_pose": lambda robot: Pose(_list(robot.arm.pose(robot.q))),
+    "get_target_tcp_pose": lambda robot: Pose(_list(robot.arm.pose(robot.target.q))),
+    "get_actual_tcp_speed": lambda robot: _list(robot.arm.jacobian(robot.q) @ robot.dq),
+    "get_target_tcp_speed": lambda robot: _list(robot.arm.jacobian(robot.target.q) @ robot.target.qd),
+    "get_tcp_offset": lambda robot: Pose([0.0] * 6),
+    "get_target_payload": lambda robot: robot.payload[0],
+    "get_target_payload_cog": lambda robot: list(robot.payload[1:]),
+    "is_steady": lambda robot: robot.target.still and bool(np.max(np.abs(robot.dq)) < STEADY),
+}
+"""Functions of scripts that have no argument and read the robot."""
+_MISSING: Final[Mapping[str, str]] = {
+    "force": "force sensor",
+    "get_joint_temp": "temperatures",
+    "get_controller_temp": "temperatures",
+    "get_tool_current": "tool",
+}
+"""Functions of scripts that return NaN, and the quantity that the model does not have."""
 
 
 @final
 class Functions(SocketFunctions):
-    """The functions of one script.
+    """Functions of one script.
 
-    Names, order and defaults of arguments are those of the maker's manual; what a function does not heed is taken by
-    ``*_``.
+    Names, order and defaults of arguments follow the maker's manual; ``*_`` collects arguments without effect.
     """
 
     def __init__(self, robot: VirtualRobot, program: Program, allowance: Allowance) -> None:
         super().__init__(robot)
         self._robot, self._program = robot, program
-        found = {**FUNCTIONS, **{name: getattr(self, name) for name in _own(Functions)}}
+        found: dict[str, Callable[..., Any]] = {**FUNCTIONS, **{name: getattr(self, name) for name in _own(Functions)}}
+        found |= {name: partial(value, robot) for name, value in _READINGS.items()}
+        found |= {name: partial(self._no_value, name, what) for name, what in _MISSING.items()}
+        found |= self._register_functions()
 
-        def paid(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def counted(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
             cost = COSTS.get(name, 1)
 
             def call(*given: Any, **named: Any) -> Any:
@@ -69,10 +116,10 @@ class Functions(SocketFunctions):
 
             return call
 
-        self.table: Mapping[str, Any] = {name: paid(name, function) for name, function in found.items()}
+        self.table: Mapping[str, Any] = {name: counted(name, function) for name, function in found.items()}
 
     def close(self) -> None:
-        """The script is over."""
+        """Close the script's sockets."""
         self._sockets.close()
 
     # motion
@@ -148,18 +195,10 @@ class Functions(SocketFunctions):
             yield
 
     def protective_stop(self) -> None:
-        self._robot.protective_stop("asked for by the script")
+        self._robot.protective_stop("requested by the script")
         raise Halted  # the robot has ended the program that runs here
 
-    # what is measured
-
-    def get_steptime(self) -> float:
-        return self._robot.dt
-
-    def get_actual_joint_positions(self) -> list[float]:
-        return _list(self._robot.q)
-
-    get_joint_positions = get_actual_joint_positions
+    # measurements; `_READINGS` has those without arguments
 
     def get_actual_joint_positions_history(self, steps: Any = 0) -> list[float]:
         past = self._robot.past
@@ -170,45 +209,9 @@ class Functions(SocketFunctions):
 
     get_joint_speeds = get_actual_joint_speeds
 
-    def get_target_joint_positions(self) -> list[float]:
-        return _list(self._robot.target.q)
-
-    def get_target_joint_speeds(self) -> list[float]:
-        return _list(self._robot.target.qd)
-
-    def get_target_joint_accelerations(self) -> list[float]:
-        return _list(self._robot.target.qdd)
-
-    def get_actual_tcp_pose(self) -> Pose:
-        return Pose(_list(self._robot.arm.pose(self._robot.q)))
-
-    get_actual_tool_flange_pose = get_actual_tcp_pose
-
-    def get_target_tcp_pose(self) -> Pose:
-        return Pose(_list(self._robot.arm.pose(self._robot.target.q)))
-
-    def get_actual_tcp_speed(self) -> list[float]:
-        return _list(self._robot.arm.jacobian(self._robot.q) @ self._robot.dq)
-
-    def get_target_tcp_speed(self) -> list[float]:
-        target = self._robot.target
-        return _list(self._robot.arm.jacobian(target.q) @ target.qd)
-
-    def get_tcp_offset(self) -> Pose:
-        return Pose([0.0] * 6)
-
     def set_tcp(self, pose: Any, *_: Any) -> None:
         if any(six(pose)):
-            raise ScriptError("set_tcp: the virtual robot has no tool but its flange; expected zeros")
-
-    def is_steady(self) -> bool:
-        return self._robot.target.still and bool(np.max(np.abs(self._robot.dq)) < STEADY)
-
-    def get_target_payload(self) -> float:
-        return self._robot.payload[0]
-
-    def get_target_payload_cog(self) -> list[float]:
-        return list(self._robot.payload[1:])
+            raise ScriptError("set_tcp: expected zeros: the virtual robot's only tool is its flange")
 
     def set_payload(self, m: Any, cog: Any = (0.0, 0.0, 0.0)) -> None:
         mass, place = float(m), [float(part) for part in cog]
@@ -218,42 +221,30 @@ class Functions(SocketFunctions):
 
     def get_forward_kin(self, q: Any = None, tcp: Any = None) -> Pose:
         if tcp is not None and any(six(tcp)):
-            raise ScriptError("get_forward_kin: the virtual robot has no tool but its flange; expected zeros as tcp")
+            raise ScriptError("get_forward_kin: expected zeros as tcp: the virtual robot's only tool is its flange")
         return Pose(_list(self._robot.arm.pose(self._robot.q if q is None else six(q))))
 
     def get_inverse_kin(self, x: Any, qnear: Any = None, *_: Any) -> list[float]:
         near = self._robot.target.q if qnear is None else six(qnear)
         try:
             return _list(self._robot.arm.inverse(six(x), near))
-        except EngineError as fault:  # the script goes on, and its client reads no number for an old one
+        except EngineError as fault:  # the script continues; NaN instead of an outdated result
             return self._unknown(fault.text)
 
     def get_inverse_kin_has_solution(self, x: Any, qnear: Any = None, *_: Any) -> bool:
         return math.isfinite(self.get_inverse_kin(x, qnear)[0])
 
-    # what the model does not tell: no numbers, and the script goes on
+    # quantities that the model does not have: NaN and a message
 
     def _unknown(self, why: str) -> list[float]:
-        self._robot.tell(f"{self._program.name}: {why}; the answer is not a number")
+        self._robot.report(f"{self._program.name}: {why}; the result is NaN")
         return [math.nan] * 6
 
-    def get_joint_torques(self) -> list[float]:
-        return _list(self._robot.torque)
+    def _no_value(self, name: str, what: str, *_: Any, **__: Any) -> float:
+        return self._unknown(f"{name}: the virtual robot has no {what}")[0]
 
     def get_tcp_force(self) -> list[float]:
-        return self._unknown("get_tcp_force: the virtual robot has no sensor of forces")
-
-    def force(self) -> float:
-        return self._unknown("force: the virtual robot has no sensor of forces")[0]
-
-    def get_joint_temp(self, j: Any) -> float:
-        return self._unknown("get_joint_temp: the virtual robot has no temperatures")[0]
-
-    def get_controller_temp(self) -> float:
-        return self._unknown("get_controller_temp: the virtual robot has no temperatures")[0]
-
-    def get_tool_current(self) -> float:
-        return self._unknown("get_tool_current: the virtual robot has no tool")[0]
+        return self._unknown("get_tcp_force: the virtual robot has no force sensor")
 
     def is_within_safety_limits(self, x: Any) -> bool:
         arm = self._robot.arm
@@ -265,41 +256,23 @@ class Functions(SocketFunctions):
 
     # registers, inputs and outputs
 
-    def _read(self, side: str, kind: str, index: Any) -> Any:
+    def _register_functions(self) -> Iterator[tuple[str, Callable[..., Any]]]:
+        """``read_input_float_register`` and its kind, by name."""
         registers = self._robot.registers
-        return registers.values[registers.register(side, kind, index)]
 
-    def _write(self, kind: str, index: Any, value: Any) -> None:
-        registers = self._robot.registers
-        registers.values[registers.register("output", kind, index)] = value
+        def read(side: str, kind: str, cast: Callable[[Any], Any]) -> Callable[..., Any]:
+            return lambda address: cast(registers.values[registers.register(side, kind, address)])
 
-    def read_input_integer_register(self, address: Any) -> int:
-        return int(self._read("input", "int", address))
+        def write(kind: str, cast: Callable[[Any], Any]) -> Callable[..., None]:
+            def call(address: Any, value: Any) -> None:
+                registers.values[registers.register("output", kind, address)] = cast(value)
 
-    def read_input_float_register(self, address: Any) -> float:
-        return float(self._read("input", "double", address))
+            return call
 
-    def read_input_boolean_register(self, address: Any) -> bool:
-        return bool(self._read("input", "bit", address))
-
-    def read_output_integer_register(self, address: Any) -> int:
-        return int(self._read("output", "int", address))
-
-    def read_output_float_register(self, address: Any) -> float:
-        return float(self._read("output", "double", address))
-
-    def read_output_boolean_register(self, address: Any) -> bool:
-        return bool(self._read("output", "bit", address))
-
-    def write_output_integer_register(self, address: Any, value: Any) -> None:
-        whole = int(value)
-        self._write("int", address, (whole + 2**31) % 2**32 - 2**31)  # as four bytes hold it
-
-    def write_output_float_register(self, address: Any, value: Any) -> None:
-        self._write("double", address, float(value))
-
-    def write_output_boolean_register(self, address: Any, value: Any) -> None:
-        self._write("bit", address, bool(value))
+        for word, (kind, cast) in _REGISTERS.items():
+            yield f"read_input_{word}_register", read("input", kind, cast)
+            yield f"read_output_{word}_register", read("output", kind, cast)
+            yield f"write_output_{word}_register", write(kind, cast)
 
     def set_standard_digital_out(self, n: Any, b: Any) -> None:
         self._output(n, 8, 0, b)
@@ -334,29 +307,29 @@ class Functions(SocketFunctions):
 
     def rtde_set_watchdog(self, variable_name: Any, min_frequency: Any, action: Any = "pause") -> None:
         if variable_name not in INPUTS:
-            raise ScriptError(f"rtde_set_watchdog: expected an input, input_int_register_0, say; found {variable_name}")
+            raise ScriptError(f"rtde_set_watchdog: expected an input, as input_int_register_0; found {variable_name}")
         most = cycles(1 / _positive("rtde_set_watchdog: min_frequency", min_frequency), self._robot.dt)
         self._robot.registers.written[str(variable_name)] = self._robot.cycles
         self._robot.watchdogs[str(variable_name)] = (most, str(action))
 
-    # told, and without effect
+    # messages, and functions without effect
 
     def textmsg(self, s1: Any = "", s2: Any = "") -> None:
-        self._robot.tell(f"{text(s1)}{text(s2)}")
+        self._robot.report(f"{text(s1)}{text(s2)}")
 
     def popup(self, s: Any, *_: Any, **__: Any) -> None:
-        self._robot.tell(f"popup: {text(s)}")
+        self._robot.report(f"popup: {text(s)}")
 
     def force_mode_set_damping(self, *_: Any) -> None:
-        """Of a mode that is not emulated; scripts set it before they use it."""
+        """No effect: force mode is not emulated, but scripts set its parameters before they use it."""
 
     force_mode_set_gain_scaling = force_mode_set_damping
 
     def set_gravity(self, d: Any, *_: Any) -> None:
-        """The plant has the graph's."""
+        """No effect: the plant has the graph's gravity."""
 
     def _joints(self, place: Any) -> np.ndarray:
-        """Angles, or those of a pose."""
+        """Six joint angles, by inverse kinematics for a pose."""
         return self._robot.arm.inverse(six(place), self._robot.target.q) if isinstance(place, Pose) else six(place)
 
 
@@ -366,11 +339,6 @@ def _positive(what: str, value: Any) -> float:
     return float(value)
 
 
-def _list(values: np.ndarray) -> list[float]:
-    found: list[float] = values.tolist()
-    return found
-
-
 def _turn(start: np.ndarray, goal: np.ndarray) -> np.ndarray:
     import pinocchio as pin
 
@@ -378,8 +346,8 @@ def _turn(start: np.ndarray, goal: np.ndarray) -> np.ndarray:
     return found
 
 
-def _between(start: np.ndarray, goal: np.ndarray, share: float) -> np.ndarray:
+def _between(start: np.ndarray, goal: np.ndarray, fraction: float) -> np.ndarray:
     import pinocchio as pin
 
-    rotation = pin.exp3(share * _turn(start, goal)) @ pin.exp3(start[3:])
-    return np.concatenate([start[:3] + share * (goal[:3] - start[:3]), pin.log3(rotation)])
+    rotation = pin.exp3(fraction * _turn(start, goal)) @ pin.exp3(start[3:])
+    return np.concatenate([start[:3] + fraction * (goal[:3] - start[:3]), pin.log3(rotation)])

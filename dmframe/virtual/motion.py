@@ -1,6 +1,6 @@
-"""What a UR makes of speedj, servoj, movej and their kind: joint speeds, one for each cycle of its controller.
+"""Motion commands of a UR (speedj, servoj, movej, ...): target joint speeds for each cycle of the controller.
 
-The makers publish none of these laws. Those here are plain ones, which the page of the virtual robot tells.
+The makers do not publish their laws. Those here are simple ones; docs/how_to/virtual_robot.md describes them.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from typing import Final, final
 import numpy as np
 
 STOP: Final = 4.0
-"""Of a motion that nobody ends [rad/s^2]."""
+"""Deceleration after a motion that was not ended by a command [rad/s^2]."""
 SMALL: Final = 1e-6
-"""Of a cycle: times are rounded to whole ones."""
+"""Tolerance for rounding times to whole cycles [cycles]."""
 
 
 @dataclass
 class Target:
-    """Where the controller wants its joints: angles [rad], speeds [rad/s], accelerations [rad/s^2]."""
+    """Joint targets: angles [rad], speeds [rad/s], accelerations [rad/s^2]."""
 
     q: np.ndarray
     qd: np.ndarray = field(default_factory=lambda: np.zeros(6))
@@ -29,42 +29,42 @@ class Target:
 
     @property
     def still(self) -> bool:
-        """True where no joint is to move."""
+        """True if all target speeds are zero."""
         return not self.qd.any()
 
 
 class Motion(ABC):
-    """One command that moves the robot, from when a script calls it until another takes its place.
+    """One motion command, active until another replaces it.
 
     Attributes
     ----------
     done
-        The script's call returns.
+        True when the script's call returns.
     """
 
     done = False
 
     @abstractmethod
     def speed(self, target: Target, dt: float, scale: float) -> np.ndarray:
-        """Joint speeds for the coming cycle [rad/s]; `scale` is the speed slider's."""
+        """Joint speeds of the next cycle [rad/s]; `scale` is the speed slider's value."""
 
 
 def ramped(now: np.ndarray, wanted: np.ndarray, most: float) -> np.ndarray:
-    """From one velocity towards another in a straight line, no component by more than `most`."""
-    with np.errstate(invalid="ignore"):  # what is not a number is a protective stop, and no warning
+    """Move from one velocity towards another along a straight line, each component by at most `most`."""
+    with np.errstate(invalid="ignore"):  # NaN leads to a protective stop
         change = wanted - now
         largest = float(np.max(np.abs(change)))
         return wanted.copy() if largest <= most else now + change * (most / largest)
 
 
 def cycles(time: float, dt: float) -> int:
-    """A time in whole cycles, one at least."""
+    """Number of cycles of a time, at least one."""
     return max(1, math.ceil(time / dt - SMALL))
 
 
 @final
 class Speed(Motion):
-    """``speedj`` and, with a map from tool to joints, ``speedl``; after its time the joints slow down by themselves."""
+    """``speedj`` and, with a map from tool to joint velocities, ``speedl``; decelerates after its time."""
 
     def __init__(
         self,
@@ -77,7 +77,7 @@ class Speed(Motion):
         self._passed, self._tool = 0, np.zeros(6)
 
     def speed(self, target: Target, dt: float, scale: float) -> np.ndarray:
-        """Towards what is wanted, by no more than a dt a cycle."""
+        """Accelerate towards the commanded speed, by at most a dt in a cycle."""
         most = self._acceleration * dt
         if self._time is not None and self._passed >= cycles(self._time, dt):
             return ramped(target.qd, np.zeros(6), most)
@@ -96,13 +96,13 @@ class Speed(Motion):
 
 @final
 class Stop(Motion):
-    """``stopj`` and what stands for ``stopl``: to rest, in a straight line of joint speeds."""
+    """``stopj``, and ``stopl`` in joint space: decelerates to rest along a straight line of joint speeds."""
 
     def __init__(self, deceleration: float = STOP) -> None:
         self._deceleration = deceleration
 
     def speed(self, target: Target, dt: float, scale: float) -> np.ndarray:
-        """Towards zero."""
+        """Decelerate towards zero."""
         found = ramped(target.qd, np.zeros(6), self._deceleration * dt)
         self.done = not found.any()
         return found
@@ -110,30 +110,30 @@ class Stop(Motion):
 
 @final
 class Servo(Motion):
-    """``servoj``: towards angles by a lag of the look-ahead time, for some time; then the robot stays there."""
+    """``servoj``: first-order lag towards angles with the look-ahead time as time constant, for some time."""
 
     def __init__(self, q: np.ndarray, time: float, lookahead: float) -> None:
         self._q, self._time, self._lookahead, self._passed = q, time, lookahead, 0
 
     def speed(self, target: Target, dt: float, scale: float) -> np.ndarray:
-        """The share of what is left that an exponential of that time covers in a cycle."""
+        """Cover the fraction of the remaining distance that the exponential covers in a cycle."""
         self._passed += 1
         self.done = self._passed >= cycles(self._time, dt)
-        share = -math.expm1(-dt / self._lookahead) if self._lookahead > 0 else 1.0
-        found: np.ndarray = scale * share * (self._q - target.q) / dt
+        fraction = -math.expm1(-dt / self._lookahead) if self._lookahead > 0 else 1.0
+        found: np.ndarray = scale * fraction * (self._q - target.q) / dt
         return found
 
 
 @final
 class Along(Motion):
-    """``movej`` and ``movel``: from rest to rest along a path, its speed a trapezoid.
+    """``movej`` and ``movel``: along a path from rest to rest, with a trapezoidal speed profile.
 
     Parameters
     ----------
     path
-        s -> six angles at it, s from 0 to `length`.
+        Six joint angles as a function of s, from 0 to `length`.
     length
-        In what `speed` and `acceleration` are given: radians of the joint that moves most, or metres.
+        Length of the path, in the unit of `most` and `acceleration`: radians of the joint that moves most, or metres.
     """
 
     def __init__(self, path: Callable[[float], np.ndarray], length: float, most: float, acceleration: float) -> None:
@@ -141,7 +141,7 @@ class Along(Motion):
         self._s, self._rate, self._begun = 0.0, 0.0, False
 
     def speed(self, target: Target, dt: float, scale: float) -> np.ndarray:
-        """To where the path is one cycle later."""
+        """Move to the point of the path one cycle later."""
         if not self._begun and not target.still:
             return ramped(target.qd, np.zeros(6), STOP * dt)
         self._begun = True
@@ -151,7 +151,7 @@ class Along(Motion):
             return np.zeros(6)
         braking = math.sqrt(2 * self._acceleration * left)
         rate = min(self._rate + self._acceleration * dt, self._most * scale, braking)
-        # what a trapezoid cut into cycles leaves at its end is gone in one more
+        # the remainder that discretization leaves at the end of the trapezoid is covered in one more cycle
         ahead = left if left <= self._acceleration * dt * dt else min(rate * dt, left)
         self._rate, self._s = ahead / dt, self._s + ahead
         found: np.ndarray = (self._path(self._s) - target.q) / dt
@@ -159,7 +159,7 @@ class Along(Motion):
 
 
 def straight(start: np.ndarray, goal: np.ndarray) -> tuple[Callable[[float], np.ndarray], float]:
-    """The straight line between angles, by radians of the joint that moves most; and its length."""
+    """Straight line between joint angles, parametrized by radians of the joint that moves most, and its length."""
     way = goal - start
     length = float(np.max(np.abs(way)))
 

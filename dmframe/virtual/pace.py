@@ -1,4 +1,4 @@
-"""A virtual robot in real time, as well as a common machine keeps it, or in step with its client."""
+"""Clock of a virtual robot: real time, as accurately as the operating system allows, or in step with its client."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ if TYPE_CHECKING:
     from dmframe.virtual.robot import VirtualRobot
 
 LOOK: Final = 0.1
-"""How often it is asked, while a client is waited for, whether to go on [s]."""
+"""Interval between two calls of `wanted` while the robot waits for a client [s]."""
 
 
 def serve(robot: VirtualRobot, wanted: Callable[[], bool], patience: float = 0.0) -> None:
-    """Run as long as it is wanted.
+    """Run while `wanted()` is true.
 
-    Where this machine is late by more than a cycle, the robot's clock waits, and `late` counts it: cycles that were
-    made up for would come so close together that no client could answer them.
+    If the machine is more than a cycle late, the robot's clock pauses and `late` counts it. Catching up would put
+    cycles so close together that no client could answer them.
 
     Parameters
     ----------
     patience
-        How long the clock waits for a client's answer to a sample [s]. With it time is simulated while a client
-        answers samples: no sample is missed, however slow both are. A client that is silent for longer is not waited
-        for any more, until it writes again. 0 for real time.
+        Time for which the clock waits for a client's answer to a sample [s]. Time is then simulated while a client
+        answers samples, and no sample is missed. After a longer silence the clock waits again when the client writes.
+        0 for real time.
     """
     from time import monotonic
 
@@ -46,7 +46,7 @@ def serve(robot: VirtualRobot, wanted: Callable[[], bool], patience: float = 0.0
 
 
 def _answered(robot: VirtualRobot, wanted: Callable[[], bool], patience: float) -> bool:
-    """Wait until nobody owes an answer, or has let us wait for too long; False where that is not wanted any more."""
+    """Wait until all clients have answered, or `patience` has passed; False if `wanted()` became false."""
     from time import monotonic
 
     until = monotonic() + patience
@@ -56,13 +56,13 @@ def _answered(robot: VirtualRobot, wanted: Callable[[], bool], patience: float) 
             return False
     for client in robot.owing:
         client.excuse()
-        robot.tell(f"a client has not answered for {patience:g} s: the clock goes on")
+        robot.report(f"a client has not answered for {patience:g} s: the clock continues")
     return True
 
 
 @contextmanager
 def in_background(robot: VirtualRobot, patience: float = 0.0) -> Iterator[VirtualRobot]:
-    """Run in a thread of its own, until the block ends; what fails there is raised then."""
+    """Run in a thread until the ``with`` block ends, and raise the thread's exception then."""
     ended, faults = Event(), list[BaseException]()
 
     def run() -> None:

@@ -1,11 +1,10 @@
-/* A robot and its servo between two cycles of their maker's controller: commands are held, and the state is integrated by
-   Runge and Kutta's method. */
+/* A robot and its servo between two cycles of the controller: constant command, RK4 integration. */
 
 DM_EXPORT void dm_prepare(const double *p, double *c) { dm_constants(p, c); }
 
 DM_EXPORT void dm_show(const double *x, const double *p, const double *c, double *y) { dm_measured(x, p, c, y); }
 
-/* Whether the state is finite afterwards; if not, it stays as it was. */
+/* Returns 0, and leaves the state unchanged, if the new state is not finite. */
 DM_EXPORT int dm_move(double *state, const double *u, const double *step, const double *count, const double *p,
                       const double *c) {
   const double h = *step;

@@ -1,19 +1,18 @@
-"""The robot and the hidden servo of a graph, moved by the joint velocities that they are commanded."""
+"""Plant of a virtual robot: the robot and the hidden servo of a graph, driven by joint velocity commands."""
 
 from __future__ import annotations
 
-import ctypes
 import math
 from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Final, final
 
 import casadi as ca
 import numpy as np
 
 from dmframe.build import load
-from dmframe.build.library import address
+from dmframe.build.library import address, bound
 from dmframe.build.trial import called
 from dmframe.codegen.function import ONE, written
 from dmframe.codegen.source import shipped
@@ -26,34 +25,34 @@ from dmframe.export.robot import Robot, robot_of
 from dmframe.simulate.engine import Choice
 
 FINEST: Final = 1e-9
-"""Of a step: a cycle may be longer than a whole number of them by no more, or is cut into shorter ones."""
+"""Relative tolerance for a cycle that is a whole number of the graph's steps."""
 
 
 @final
 class Plant:
-    """What stands behind the maker's wall: joints, their friction, and the servo that turns commands into torque.
+    """Joints, their friction, and the servo that turns velocity commands into torque.
 
-    It takes the steps of the graph's own simulation where a cycle is a whole number of them, else shorter ones.
+    It integrates with the steps of the graph's simulation if a cycle is a whole number of them, else with shorter ones.
 
     Parameters
     ----------
     cycle
-        Between two commands [s].
+        Time between two commands [s].
     engine
-        As of `simulate`.
+        As in `simulate`.
 
     Attributes
     ----------
     q, dq : (n,), rad and rad/s
-        What is measured now; arrays that `move` writes.
+        Measured values; `move` writes to these arrays.
     steps, step
-        Of rk4 in a cycle, and the length of one [s].
+        Number of RK4 steps in a cycle, and their length [s].
 
     Raises
     ------
     EngineError
-        The graph's robot cannot stand alone; see `robot_of`. It is commanded something else than joint velocities, or
-        shows neither q nor dq.
+        The graph's robot cannot be separated from the controller (see `robot_of`), its command is not a joint
+        velocity, or it does not measure q and dq.
     """
 
     def __init__(self, experiment: Experiment, diagram: Diagram, cycle: float, *, engine: Choice = "auto") -> None:
@@ -65,15 +64,15 @@ class Plant:
         self.steps = max(1, math.ceil(cycle / own - FINEST))
         self.step = cycle / self.steps
         self._start = np.array([number for member in robot.states for number in member.value])
-        self._x, self._p = (
-            self._start.copy(),
-            np.array([n for member in robot.parameters for n in member.value] or [0.0]),
-        )
+        self._x = self._start.copy()
+        self._p = np.array([n for member in robot.parameters for n in member.value] or [0.0])
         shown = np.zeros(sum(member.size for member in robot.measured))
         places = _places(robot.measured)
         for name in ("q", "dq"):
             if name not in places:
-                raise EngineError(f"{experiment.name}: expected a robot that shows {name}, found {', '.join(places)}")
+                raise EngineError(
+                    f"{experiment.name}: expected a robot that measures {name}, found {', '.join(places)}"
+                )
         self._shown, self.q, self.dq = shown, shown[places["q"]], shown[places["dq"]]
         self._u, self._robot = np.zeros(robot.commanded[0].size), robot
         calls = None if engine == "interpreted" else self._machine_code()
@@ -85,7 +84,7 @@ class Plant:
 
     @property
     def torque(self) -> np.ndarray:
-        """What the motors do at the joints with the last command, K u [N m]; nan where the graph has no such number."""
+        """Motor torques at the joints with the last command, K u [N m]; NaN if the graph does not have them."""
         if self._robot.torque is None:
             return np.full(self.n, np.nan)
         found: np.ndarray = self._robot.torque(self._x, self._u, self._p).full().ravel()
@@ -93,11 +92,11 @@ class Plant:
 
     @property
     def n(self) -> int:
-        """The number of joints."""
+        """Number of joints."""
         return self._u.size
 
     def move(self, dq_c: np.ndarray) -> bool:
-        """One cycle with a velocity held [rad/s]; False, and nothing moved, where it leads to what is not finite."""
+        """Integrate one cycle with a constant velocity command [rad/s]; False, without a change, if not finite."""
         self._u[:] = dq_c
         if not self._move():
             return False
@@ -105,11 +104,11 @@ class Plant:
         return True
 
     def reset(self) -> None:
-        """Put it where the graph starts."""
+        """Reset the state to the graph's initial state."""
         self._x[:] = self._start
         self._show()
 
-    def _machine_code(self) -> tuple[Callable[[], bool], Callable[[], None]] | None:
+    def _machine_code(self) -> tuple[Callable[[], int], Callable[[], object]] | None:
         x, u, p = (ca.SX.sym(word, self._robot.rate.numel_in(k)) for k, word in enumerate(("x", "u", "p")))
         rate, shown = self._robot.rate(x, u, p), self._robot.shown(x, p)
         made, constants = split({"rate": ([x, u], [rate]), "measured": ([x], [shown])}, p)
@@ -132,21 +131,11 @@ class Plant:
             return None
         c, steps = np.zeros(max(1, count)), np.array([self.step, float(self.steps)])
         library.dm_prepare(address(self._p), address(c))
-        library.dm_move.restype = ctypes.c_int
-        kept = (self._x, self._u, steps, steps[1:], self._p, c)
-        moved = tuple(map(address, kept))
-        seen = tuple(map(address, (self._x, self._p, c, self._shown)))
-
-        def move(arrays: Any = kept) -> bool:
-            return bool(library.dm_move(*moved))
-
-        def show() -> None:
-            library.dm_show(*seen)
-
-        return move, show
+        move = bound(library.dm_move, self._x, self._u, steps, steps[1:], self._p, c)
+        return move, bound(library.dm_show, self._x, self._p, c, self._shown)
 
     def _works(self, library: Path, constants: int) -> bool:
-        """True where a new library gives the interpreter's numbers, about the start."""
+        """Check a new library against the interpreter, near the initial state."""
         rng = np.random.default_rng(0)
         x = self._start + rng.uniform(-0.01, 0.01, self._start.size)
         u = rng.uniform(-0.1, 0.1, self._u.size)
@@ -191,7 +180,7 @@ class Plant:
 
 
 def _places(members: tuple[Member, ...]) -> dict[str, slice]:
-    """Where each port's numbers lie in a row, by the port's name alone."""
+    """Slice of each port in the vector of all measured values, by port name."""
     found, first = dict[str, slice](), 0
     for member in members:
         found[member.label.rpartition(".")[2]] = slice(first, first + member.size)
@@ -200,9 +189,6 @@ def _places(members: tuple[Member, ...]) -> dict[str, slice]:
 
 
 def _check_commands(name: str, robot: Robot) -> None:
-    told = [f"{member.label} [{member.unit}]" for member in robot.commanded]
     if [member.unit for member in robot.commanded] != ["rad/s"]:
-        raise EngineError(
-            f"{name}: expected a robot that is commanded joint velocities, rad/s, as a UR by speedj; found "
-            f"{' and '.join(told)}"
-        )
+        commands = " and ".join(f"{member.label} [{member.unit}]" for member in robot.commanded)
+        raise EngineError(f"{name}: expected joint velocity commands in rad/s, as for speedj of a UR; found {commands}")

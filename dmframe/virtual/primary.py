@@ -1,4 +1,4 @@
-"""What a UR sends on its primary, secondary and real-time ports, as far as clients need it to begin."""
+"""Packages of a UR's primary, secondary and real-time ports, as far as clients need them to start."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ STATE: Final = 16
 MESSAGE: Final = 20
 NO_LIMIT: Final = 1e3
 DEFAULTS: Final = (1.05, 1.4, 0.25, 1.2, 0.1)
-"""Of the joints' speed and acceleration, the tool's, and a radius, in SI units."""
+"""Default speed and acceleration of the joints and of the tool, and blend radius, in SI units."""
 REAL_TIME: Final = {"cb3": 1060, "e": 1108}
-"""Bytes of a package of the real-time port, of series CB3 and e."""
+"""Size of a package of the real-time port [bytes]."""
 
 
 def greeting(robot: VirtualRobot) -> bytes:
-    """The version message, the first on the primary port."""
+    """Version message, the first on the primary port."""
     major, minor, bugfix, build = robot.version
     text = struct.pack(">B", len(PROJECT)) + PROJECT + struct.pack(">BBii", major, minor, bugfix, build) + b"virtual"
     body = struct.pack(">QbB", int(robot.time * 1e6), -2, 3) + text
@@ -31,7 +31,7 @@ def greeting(robot: VirtualRobot) -> bytes:
 
 
 def state(robot: VirtualRobot) -> bytes:
-    """A state message: the robot's mode, its joints, its flange and its configuration."""
+    """State message: the robot's mode, joints, flange pose and configuration."""
     parts = ((0, _mode(robot)), (1, _joints(robot)), (4, _flange(robot)), (6, _configuration(robot)))
     return _package(STATE, b"".join(struct.pack(">IB", 5 + len(body), kind) + body for kind, body in parts))
 
@@ -42,15 +42,8 @@ def _package(kind: int, body: bytes) -> bytes:
 
 def _mode(robot: VirtualRobot) -> bytes:
     safety = robot.safety
-    flags = (
-        True,
-        True,
-        safety.powered,
-        safety.mode == EMERGENCY,
-        safety.mode == PROTECTIVE,
-        robot.running,
-        False,
-    )
+    stops = (safety.mode == EMERGENCY, safety.mode == PROTECTIVE)
+    flags = (True, True, safety.powered, *stops, robot.running, False)
     return struct.pack(
         ">Q7?BBdddB", int(robot.time * 1e6), *flags, safety.robot_mode, 0, robot.slider, robot.scaling, 1.0, 0
     )
@@ -71,7 +64,7 @@ def _configuration(robot: VirtualRobot) -> bytes:
                            (arm.lower, arm.upper, arm.velocity))  # fmt: skip
     limits = np.column_stack([lower, upper]).ravel()
     motion = np.column_stack([speed, np.full(6, 40.0)]).ravel()
-    # lengths of Denavit and Hartenberg are zeros: the model has other frames
+    # Denavit-Hartenberg lengths are zeros: the model has other frames
     return struct.pack(">12d12d5d24d4I", *limits, *motion, *DEFAULTS, *(0.0,) * 24, 0, 0, _robot_type(robot), 0)
 
 
@@ -80,7 +73,7 @@ def _robot_type(robot: VirtualRobot) -> int:
 
 
 def real_time(robot: VirtualRobot) -> bytes:
-    """A package of the real-time port: what the model tells stands in its place, the rest is zero."""
+    """Package of the real-time port; values that the model does not have are zero."""
     count = (REAL_TIME[robot.series] - 4) // 8
     numbers = np.zeros(count)
     numbers[0] = robot.time

@@ -1,4 +1,4 @@
-"""A script that runs: its threads, one cycle of the robot after another."""
+"""Execution of a script: its threads are resumed once in each cycle of the robot."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, Final, cast, final
 from dmframe.errors import DmframeError
 from dmframe.virtual.arithmetic import Pose
 from dmframe.virtual.budget import (
-    BESIDE,
     COUNTED,
     MOST_HELD,
     MOST_THREADS,
     RATE,
+    SECONDARY_FRACTION,
     Allowance,
     copied,
     elements,
@@ -49,27 +49,27 @@ _SIGNS: Final[dict[str, Callable[[Any, Any], Any]]] = {
 
 @final
 class Thread:
-    """A thread of a script: a generator, resumed once a cycle."""
+    """A thread of a script: a generator that is resumed once a cycle."""
 
     def __init__(self, name: str, steps: Generator[None, None, Any]) -> None:
         self.name, self.alive, self._steps = name, True, steps
 
     def resume(self) -> None:
-        """Until it waits for the next cycle, or ends."""
+        """Run it until it waits for the next cycle, or ends."""
         try:
             next(self._steps)
         except StopIteration:
             self.alive = False
 
     def close(self) -> None:
-        """End it where it stands."""
+        """End it."""
         self.alive = False
         with suppress(ValueError):  # a thread that kills itself runs on until it waits
             self._steps.close()
 
     @property
     def held(self) -> list[Any]:
-        """The variables of the calls that are under way."""
+        """Variables of all active calls."""
         found, steps = list[Any](), cast(Any, self._steps)
         while isinstance(steps, GeneratorType):
             found += [] if steps.gi_frame is None else steps.gi_frame.f_locals.values()
@@ -79,14 +79,12 @@ class Thread:
 
 @final
 class Program:
-    """A script, from its text to its end.
-
-    Its threads run in the order in which they began, each once a cycle, until it waits.
+    """Running script. Its threads run in the order in which they began, each once a cycle, until it waits.
 
     Raises
     ------
     ScriptError
-        The text is no script, or holds what is not understood.
+        The text is not valid URScript, or uses a construct that is not supported.
     """
 
     def __init__(self, text: str, robot: VirtualRobot) -> None:
@@ -95,7 +93,7 @@ class Program:
         self.secondary = found.secondary
         self.words = found.words
         refill = RATE * robot.dt
-        self._allowance = Allowance(refill * BESIDE if self.secondary else refill)
+        self._allowance = Allowance(refill * SECONDARY_FRACTION if self.secondary else refill)
         self._robot, self._functions = robot, Functions(robot, self, self._allowance)
         self._globals = dict[str, Any]()
         names: dict[str, Any] = {
@@ -128,10 +126,10 @@ class Program:
         self.current: Thread | None = None
 
     def cycle(self) -> str | None:
-        """Resume each thread once; None, or why the program is over."""
+        """Resume each thread once; return why the program has ended, or None."""
         self._allowance.cycle()
         place = 0
-        while place < len(self._threads):  # those that begin in this cycle run in it, too
+        while place < len(self._threads):  # a thread that starts in this cycle runs in it, too
             thread = self.current = self._threads[place]
             place += 1
             if not thread.alive:
@@ -141,11 +139,11 @@ class Program:
             except Halted:
                 return "halt"
             except DmframeError as fault:
-                return self._told(fault.text, fault)
-            except RecursionError:  # where it came is chance
-                return "functions call functions, deeper than can be followed"
-            except Exception as fault:  # what a script does wrong, Python tells in many ways
-                return self._told(f"{type(fault).__name__}: {fault}", fault)
+                return self._located(fault.text, fault)
+            except RecursionError:  # without the line, which depends on the stack
+                return "calls of functions are nested too deeply"
+            except Exception as fault:  # a script's errors raise many kinds of Python exceptions
+                return self._located(f"{type(fault).__name__}: {fault}", fault)
             finally:
                 self.current = None
         if not self._threads[0].alive:
@@ -156,7 +154,7 @@ class Program:
         return self._counted()
 
     def _counted(self) -> str | None:
-        """Why the script holds too much, counted where it has copied much since the last time."""
+        """Return why the script stores too much, or None; counted after every `COUNTED` copied elements."""
         if self._allowance.copied < COUNTED:
             return None
         self._allowance.copied = 0
@@ -166,15 +164,15 @@ class Program:
         return None
 
     def close(self) -> None:
-        """End all threads, and close the script's sockets."""
+        """End all threads and close the script's sockets."""
         for thread in self._threads:
             thread.close()
         self._functions.close()
 
     def claim(self) -> Thread | None:
-        """The thread that runs now is the one that moves the robot. Raises `ScriptError` where another does."""
+        """Let the current thread move the robot, and return it. Raises `ScriptError` if another thread moves it."""
         if self.secondary:
-            raise ScriptError("a secondary program moves nothing; begin it with def")
+            raise ScriptError("a secondary program must not move the robot; begin it with def")
         mover = self.mover
         if mover is not None and mover is not self.current and mover.alive:
             raise ScriptError(f"thread {mover.name} already moves the robot; kill or join it before another motion")
@@ -182,11 +180,11 @@ class Program:
         return self.current
 
     def free(self, thread: Thread | None) -> None:
-        """That thread's motion is over."""
+        """Release the robot after that thread's motion."""
         if self.mover is thread:
             self.mover = None
 
-    def _told(self, text: str, fault: Exception) -> str:
+    def _located(self, text: str, fault: Exception) -> str:
         frames = [frame for frame in traceback.extract_tb(fault.__traceback__) if frame.filename == FILE]
         line = f"line {self._lines[(frames[-1].lineno or 1) - 1]}: " if frames else ""
         return f"{line}{' '.join(text.split())}"
@@ -204,7 +202,7 @@ class Program:
         found = _item(values, places[:-1])
         place = _whole(places[-1], found)
         found[place] = self._copy(value)
-        if isinstance(value, list | str):  # of which the whole may have become too large
+        if isinstance(value, list | str):  # the whole list may have become too large
             self._allowance.sized(values)
 
     def _arithmetic(self, left: Any, *rest: Any) -> Any:
@@ -217,7 +215,9 @@ class Program:
     def _compare(self, sign: str, left: Any, right: Any) -> bool:
         if isinstance(left, list | str):
             self._allowance.sized(left)
-        return _compare(sign, left, right)
+        if sign not in ("==", "!="):
+            _check_numbers(sign, left, right)
+        return bool(_SIGNS[sign](left, right))
 
     def _run(self, name: str, steps: Generator[None, None, Any]) -> Thread:
         if sum(thread.alive for thread in self._threads) >= MOST_THREADS:
@@ -258,9 +258,9 @@ def _whole(index: Any, of: Any) -> Any:
     if not isinstance(of, list):
         raise ScriptError(f"expected a list or a pose, found {of}")
     if isinstance(index, bool) or not isinstance(index, int | float) or index != int(index):
-        raise ScriptError(f"expected the number of an element, found {index}")
+        raise ScriptError(f"expected the index of an element, found {index}")
     if not 0 <= index < len(of):
-        raise ScriptError(f"expected an element from 0 to {len(of) - 1}, found {index:g}")
+        raise ScriptError(f"expected an index from 0 to {len(of) - 1}, found {index:g}")
     return int(index)
 
 
@@ -273,29 +273,25 @@ def _item(values: Any, places: tuple[Any, ...]) -> Any:
 def _computed(sign: str, left: Any, right: Any) -> Any:
     if isinstance(left, list) and isinstance(right, list):
         if len(left) != len(right):
-            raise ScriptError(f"{sign}: expected lists of one length, found {len(left)} and {len(right)}")
+            raise ScriptError(f"{sign}: expected lists of equal length, found {len(left)} and {len(right)}")
         return type(left)(_computed(sign, a, b) for a, b in zip(left, right, strict=True))
     if isinstance(left, list):
         return type(left)(_computed(sign, a, right) for a in left)
     if isinstance(right, list):
         return type(right)(_computed(sign, left, b) for b in right)
-    for value in (left, right):
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ScriptError(f"{sign}: expected numbers, found {value!r}")
+    _check_numbers(sign, left, right)
     if sign in "/%" and right == 0:
         raise ScriptError(f"{sign}: division by zero")
     found = _SIGNS[sign](left, right)
-    if isinstance(found, int) and not -MOST_INTEGER - 1 <= found <= MOST_INTEGER:  # Python's would grow without end
+    if isinstance(found, int) and not -MOST_INTEGER - 1 <= found <= MOST_INTEGER:  # Python integers are unbounded
         raise ScriptError(f"{sign}: expected an integer of 32 bits, found a longer one")
     return found
 
 
-def _compare(sign: str, left: Any, right: Any) -> bool:
-    if sign not in ("==", "!="):
-        for value in (left, right):
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise ScriptError(f"{sign}: expected numbers, found {value!r}")
-    return bool(_SIGNS[sign](left, right))
+def _check_numbers(sign: str, *values: Any) -> None:
+    for value in values:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ScriptError(f"{sign}: expected numbers, found {value!r}")
 
 
 def _halt() -> None:

@@ -1,4 +1,4 @@
-"""What a controller keeps for its clients: registers, inputs and outputs, and the values that RTDE knows by name."""
+"""Registers of the controller, and the inputs and outputs of RTDE by name."""
 
 from __future__ import annotations
 
@@ -23,23 +23,20 @@ FORMATS: Final[Mapping[str, str]] = {
     "VECTOR6INT32": "6i",
     "VECTOR6UINT32": "6I",
 }
-"""Of RTDE's types, in the network's order of bytes."""
+"""RTDE type -> `struct` format, in network byte order."""
 REGISTERS: Final = 48
-"""Of integers, and of doubles; 0 to 23 are those of a fieldbus, 24 to 47 those of clients by RTDE."""
+"""Number of integer registers, and of double registers: 0 to 23 for a fieldbus, 24 to 47 for RTDE clients."""
 BITS: Final = 128
 
 
 def size_of(kind: str) -> int:
-    """Bytes of a type."""
+    """Size of a type [bytes]."""
     return struct.calcsize(f">{FORMATS[kind]}")
 
 
 @final
 class Registers:
-    """Numbers that scripts and clients leave for one another.
-
-    `written` counts the cycles since each input was last written by a client, for a script's watchdog.
-    """
+    """Registers that scripts and clients exchange; `written` is the cycle of each input's last write."""
 
     def __init__(self) -> None:
         self.values: dict[str, Any] = {name: _zero(kind) for name, kind in INPUTS.items()}
@@ -47,11 +44,11 @@ class Registers:
         self.written: dict[str, int] = {}
 
     def bits(self, side: str, first: int) -> int:
-        """32 of the bits as one number."""
+        """32 bit registers as one integer."""
         return sum(1 << k for k in range(32) if self.values[f"{side}_bit_register_{first + k}"])
 
     def put(self, name: str, value: Any, cycle: int) -> None:
-        """One input as a client writes it."""
+        """Write one input."""
         self.written[name] = cycle
         side, _, rest = name.partition("_bit_registers")
         if rest:  # 32 at once
@@ -61,7 +58,7 @@ class Registers:
         self.values[name] = value
 
     def register(self, side: str, kind: str, index: Any) -> str:
-        """The name of a register that a script names by its number. Raises `ValueFault` where there is none."""
+        """Name of the register with a number. Raises `ValueFault` if there is none."""
         most = BITS if kind == "bit" else REGISTERS
         if isinstance(index, bool) or not 0 <= index < most or index != int(index):
             raise ValueFault(f"{side} {kind} register: expected a number from 0 to {most - 1}, found {index}")
@@ -99,7 +96,7 @@ INPUTS: Final[Mapping[str, str]] = {
     "external_force_torque": "VECTOR6D",
     **_registers("input"),
 }
-"""What a client may write, with its type."""
+"""Inputs that a client may write: name -> type."""
 
 Value = Callable[["VirtualRobot"], Any]
 
@@ -121,8 +118,8 @@ OUTPUTS: Final[Mapping[str, tuple[str, Value]]] = {
     "safety_mode": ("INT32", lambda robot: robot.safety.mode),
     "safety_status": ("INT32", lambda robot: robot.safety.mode),
     "joint_mode": ("VECTOR6INT32", lambda robot: [robot.safety.joint_mode] * 6),
-    "runtime_state": ("UINT32", lambda robot: robot.runtime_state),
-    "robot_status_bits": ("UINT32", lambda robot: robot.status_bits),
+    "runtime_state": ("UINT32", lambda robot: 2 if robot.running else 1),
+    "robot_status_bits": ("UINT32", lambda robot: int(robot.safety.powered) | int(robot.running) << 1),
     "safety_status_bits": ("UINT32", lambda robot: robot.safety.bits),
     "speed_scaling": ("DOUBLE", lambda robot: float(robot.safety.ready)),  # clients multiply it by the next
     "target_speed_fraction": ("DOUBLE", lambda robot: robot.slider),
@@ -162,18 +159,18 @@ OUTPUTS: Final[Mapping[str, tuple[str, Value]]] = {
         ).split()
     },
 }
-"""What a client may ask for. Torques are K u; currents, forces and temperatures are constants: the model has none."""
+"""Outputs: name -> type, value. Torques are K u; currents, forces and temperatures, not modelled, are constants."""
 
 
 def type_of(name: str) -> str | None:
-    """The type of an output; None where there is none of that name."""
+    """Type of an output; None if there is none of that name."""
     if name in OUTPUTS:
         return OUTPUTS[name][0]
     return OUTPUT_REGISTERS.get(name) or (INPUTS[name] if name.startswith("input_") and name in INPUTS else None)
 
 
 def packed(names: list[str], robot: VirtualRobot) -> bytes:
-    """Values as RTDE sends them."""
+    """Encode outputs as RTDE sends them."""
     parts = list[bytes]()
     for name in names:
         if name in OUTPUTS:

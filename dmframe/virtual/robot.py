@@ -1,4 +1,4 @@
-"""A closed robot without hardware: a maker's controller about the arm and the hidden servo of a graph."""
+"""Virtual closed robot: emulates a UR controller around a graph's arm and its hidden servo, without hardware."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ import numpy as np
 from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, EngineError, ValueFault
+from dmframe.runtime.ur_arm import JOINTS
 from dmframe.simulate.engine import Choice
-from dmframe.virtual.arm import JOINTS, Arm, arm_of
-from dmframe.virtual.behaviour import Behaviour, count
-from dmframe.virtual.budget import MOST_BESIDE
+from dmframe.virtual.arm import Arm, arm_of
+from dmframe.virtual.behaviour import Checked, count, fraction
+from dmframe.virtual.budget import MOST_SECONDARY
 from dmframe.virtual.motion import Motion, Stop, Target
 from dmframe.virtual.plant import Plant
 from dmframe.virtual.registers import Registers
@@ -29,74 +30,78 @@ if TYPE_CHECKING:
 
 Series = Literal["cb3", "e"]
 RATES: Final[Mapping[str, float]] = {"cb3": 125.0, "e": 500.0}
-"""Cycles of the maker's controller in a second."""
+"""Cycle rate of the robot's controller [Hz]."""
 VERSIONS: Final[Mapping[str, tuple[int, int, int, int]]] = {"cb3": (3, 15, 8, 106339), "e": (5, 11, 0, 108249)}
-"""What the controller says that it is."""
+"""Software version that the controller reports."""
 SAFE_DECELERATION: Final = 20.0
-"""Of a stop for safety [rad/s^2]; the makers tell stopping times instead, which depend on the load."""
+"""Deceleration of a safety stop [rad/s^2]; the makers publish load-dependent stopping times instead."""
 OVER: Final = 1.05
-"""A measured speed over the limit by this factor stops the robot, for a servo overshoots what it is commanded."""
+"""Measured speed over the limit that stops the robot; a servo overshoots its command by a few percent."""
 
 MOST_TEXT: Final = 2000
-"""Characters of a message that are kept."""
+"""Maximum length of a stored message [characters]."""
 PAST: Final = 1000
-"""Samples of the joints' angles that are kept for scripts."""
+"""Samples of the joint angles that are stored for scripts."""
 
 
 class Listener(Protocol):
-    """Somebody who is told of each cycle."""
+    """Callback object of `VirtualRobot.listeners`."""
 
     def cycle(self, robot: VirtualRobot) -> None:
-        """A cycle is over, and the robot has moved."""
+        """Called at the end of each cycle, after the robot has moved."""
 
 
 @final
-class VirtualRobot(Behaviour):
-    """A UR whose plant is the robot and the hidden servo of a graph.
+class VirtualRobot:
+    """Emulated UR whose plant is the robot and the hidden servo of a graph.
 
-    Nothing happens between calls of `advance`, each of which is one cycle of the controller: what clients wrote is
-    taken, their script runs, the joints get their target speeds, the plant moves, and clients get the next sample. A
-    command that answers a sample so acts from that very sample on, as in a simulation; `command_delay` and
-    `measurement_delay` put samples between.
+    The robot changes only in `advance`. Each cycle reads the inputs that clients wrote, runs their script, sets the
+    target joint speeds, integrates the plant, and sends the next sample. A command that answers a sample therefore acts
+    from that sample on, as in a simulation; `command_delay` and `measurement_delay` insert samples.
 
     Parameters
     ----------
     series
-        ``cb3``, 125 cycles a second, or ``e``, 500.
+        ``cb3`` (125 Hz) or ``e`` (500 Hz).
     slider
-        The speed slider, 0 to 1.
+        Speed slider, 0 to 1.
     command_delay, measurement_delay
-        How many cycles later what a client writes is taken, and a sample is sent.
+        Delay of client inputs and of samples [cycles].
     lost
-        Share of samples that are not sent, drawn with `seed`.
+        Fraction of samples that are not sent, drawn with `seed`.
     engine
-        As of `simulate`.
+        As in `simulate`.
 
     Attributes
     ----------
     time : s
-        Of the robot's own clock.
+        Time of the robot's clock.
     q, dq : (6,), rad and rad/s
-        Measured.
+        Measured joint angles and velocities.
     target
-        Where the controller wants the joints.
+        Joint targets of the controller.
     safety
-        In which mode it is, and why.
+        Safety mode, and the reason of the last stop.
     messages
-        The last texts of scripts, stops and faults, with their times; `told` is how many there were.
+        The latest messages of scripts, stops and faults, with their times; `message_count` counts all of them.
     late
-        How often `serve` was late by more than a cycle.
+        Number of cycles that `serve` started more than a cycle late.
 
     Raises
     ------
     RobotError
-        The graph's robot is no UR.
+        The graph's robot is not a UR.
     EngineError
-        Its plant cannot stand alone; see `Plant`.
+        The graph's plant cannot be separated from the controller; see `Plant`.
     ValueFault
-        A number out of its range.
+        An argument is out of its range.
     """
 
+    slider: Checked[float] = Checked(fraction)
+    lost: Checked[float] = Checked(fraction)
+    command_delay: Checked[int] = Checked(count)
+    measurement_delay: Checked[int] = Checked(count)
+    dt: float
     arm: Arm
     q: np.ndarray
     dq: np.ndarray
@@ -134,16 +139,16 @@ class VirtualRobot(Behaviour):
         self.registers, self.safety = Registers(), Safety()
         self.digital_outputs, self.analog_outputs, self.payload = 0, [0.0, 0.0], [0.0, 0.0, 0.0, 0.0]
         self.messages: deque[str] = deque(maxlen=1000)
-        self.told = 0
+        self.message_count = 0
         self.past: deque[np.ndarray] = deque(maxlen=PAST)
         self.program: Program | None = None
-        self.beside: list[Program] = []
+        self.secondary: list[Program] = []
         self.motion: Motion | None = None
         self.listeners: list[Listener] = []
         self.watchdogs: dict[str, tuple[int, str]] = {}
         self.late = 0
         self.cycles = 0
-        self._told: deque[tuple[int, Mapping[str, Any]]] = deque()
+        self._inputs: deque[tuple[int, Mapping[str, Any]]] = deque()
         self._draw = np.random.default_rng(seed)
         self._to_lose, self.sample_lost = 0, False
         self._servers: Servers | None = None
@@ -154,17 +159,17 @@ class VirtualRobot(Behaviour):
 
     @property
     def time(self) -> float:
-        """Of the robot's clock [s]."""
+        """Time of the robot's clock [s]."""
         return self.cycles * self.dt
 
     @property
     def scaling(self) -> float:
-        """What targets are scaled by now: the slider, or 0 while the robot is stopped."""
-        return self._slider if self.safety.ready else 0.0
+        """Scaling of the target speeds: the slider, or 0 while the robot is stopped."""
+        return self.slider if self.safety.ready else 0.0
 
     @property
     def torque(self) -> np.ndarray:
-        """What the motors do at the six joints, K u [N m]; 0 at those that the graph holds."""
+        """Motor torques at the six joints, K u [N m]; 0 at joints that the graph holds."""
         return self.arm.six(self.plant.torque)
 
     @property
@@ -172,44 +177,34 @@ class VirtualRobot(Behaviour):
         """True while a script runs."""
         return self.program is not None
 
-    @property
-    def runtime_state(self) -> int:
-        """By the maker's numbers: 1 stopped, 2 playing."""
-        return 2 if self.running else 1
-
-    @property
-    def status_bits(self) -> int:
-        """Power on, and program running."""
-        return int(self.safety.powered) | int(self.running) << 1
-
     def advance(self, cycles: int = 1) -> None:
-        """Let some cycles pass, as fast as they are computed."""
+        """Compute some cycles, without waiting for real time."""
         for _ in range(cycles):
             if self._servers is not None:
                 self._servers.poll()
             self._cycle()
 
     def _cycle(self) -> None:
-        while self._told and self._told[0][0] <= self.cycles:
-            self._take(self._told.popleft()[1])
+        while self._inputs and self._inputs[0][0] <= self.cycles:
+            self._take(self._inputs.popleft()[1])
         self._watch()
         if self.program is not None:
             fault = self.program.cycle()
             if fault is not None:
                 self.end_program(fault)
-        for beside in list(self.beside):
-            if (fault := beside.cycle()) is not None:
-                self.beside.remove(beside)
-                beside.close()
-                self.tell(f"{beside.name} ends: {fault}")
+        for program in list(self.secondary):
+            if (fault := program.cycle()) is not None:
+                self.secondary.remove(program)
+                program.close()
+                self.report(f"{program.name} ends: {fault}")
         self._move()
         self.cycles += 1
         self._measure()
-        self.sample_lost = self._draw.random() < self._lost or self._to_lose > 0
+        self.sample_lost = self._draw.random() < self.lost or self._to_lose > 0
         self._to_lose = max(0, self._to_lose - 1)
         for listener in list(self.listeners):
             listener.cycle(self)
-        if self._servers is not None:  # it sends what listeners made of the cycle
+        if self._servers is not None:  # after the listeners, which queue their messages
             self._servers.cycle()
 
     def _move(self) -> None:
@@ -228,15 +223,15 @@ class VirtualRobot(Behaviour):
             self.motion = None
 
     def _speed(self, motion: Motion) -> np.ndarray:
-        """Of the coming cycle; a motion that cannot go on ends its script, and the arm slows down."""
+        """Joint speeds of the next cycle; if the motion fails, end its script and decelerate."""
         try:
-            with np.errstate(all="ignore"):  # what is not a number is a protective stop
-                return motion.speed(self.target, self.dt, self._slider)
-        except (ArithmeticError, ValueError, DmframeError) as fault:  # as where a line leaves the workspace
+            with np.errstate(all="ignore"):  # NaN leads to a protective stop
+                return motion.speed(self.target, self.dt, self.slider)
+        except (ArithmeticError, ValueError, DmframeError) as fault:  # for example a line that leaves the workspace
             self.motion = Stop()
             self.end_program(getattr(fault, "text", None) or f"{type(fault).__name__}: {fault}")
             self.motion = Stop()
-            return self.motion.speed(self.target, self.dt, self._slider)
+            return self.motion.speed(self.target, self.dt, self.slider)
 
     def _measure(self) -> None:
         self.q = self.arm.six(self.plant.q, self.arm.held)
@@ -249,16 +244,16 @@ class VirtualRobot(Behaviour):
                 self.protective_stop(f"{JOINTS[k]} moves with {self.dq[k]:.4g} rad/s, its limit is exceeded")
 
     def write(self, values: Mapping[str, Any]) -> None:
-        """Inputs by name, as a client writes them; they are taken after `command_delay` cycles."""
-        self._told.append((self.cycles + self._command_delay, values))
+        """Write inputs by name, as a client does; they act after `command_delay` cycles."""
+        self._inputs.append((self.cycles + self.command_delay, values))
 
     def _take(self, values: Mapping[str, Any]) -> None:
         for name, value in values.items():
             self.registers.put(name, value, self.cycles)
         if values.get("speed_slider_mask", 0) & 1:
-            fraction = values.get("speed_slider_fraction", math.nan)
-            if 0 <= fraction <= 1:
-                self.slider = fraction
+            slider = values.get("speed_slider_fraction", math.nan)
+            if 0 <= slider <= 1:
+                self.slider = slider
         for first, kind in ((0, "standard"), (8, "configurable"), (16, "tool")):
             mask = values.get(f"{kind}_digital_output_mask", 0)
             self.set_outputs(mask << first, values.get(f"{kind}_digital_output", 0) << first)
@@ -267,7 +262,7 @@ class VirtualRobot(Behaviour):
                 self.analog_outputs[k] = values.get(f"standard_analog_output_{k}", 0.0)
 
     def set_outputs(self, mask: int, bits: int) -> None:
-        """Digital outputs: those of the mask."""
+        """Set the digital outputs of the mask."""
         self.digital_outputs = self.digital_outputs & ~mask | bits & mask
 
     def _watch(self) -> None:
@@ -277,84 +272,84 @@ class VirtualRobot(Behaviour):
                     self.end_program(f"watchdog: {name} was not written for {most} cycles")
                 return
 
-    def tell(self, text: str) -> None:
-        """Keep a message, the beginning of a long one."""
-        self.told += 1
+    def report(self, text: str) -> None:
+        """Store a message, at most `MOST_TEXT` characters of it."""
+        self.message_count += 1
         self.messages.append(f"{self.time:.3f} s: {text[:MOST_TEXT]}")
 
     def run_program(self, program: Program) -> None:
-        """Start a script; one that runs ends, unless the new one is secondary."""
+        """Start a script; unless it is secondary, it replaces the running one."""
         if program.secondary:
-            if len(self.beside) < MOST_BESIDE:
-                self.beside.append(program)
+            if len(self.secondary) < MOST_SECONDARY:
+                self.secondary.append(program)
             else:
-                self.tell(f"{program.name}: not started, for {MOST_BESIDE} secondary programs run")
+                self.report(f"{program.name}: not started: {MOST_SECONDARY} secondary programs are running")
             return
         if self.program is not None:
             self.end_program("another program begins")
         if not self.safety.ready:
-            self.tell(f"{program.name}: not started, for the robot is stopped")
+            self.report(f"{program.name}: not started: the robot is stopped")
             return
         self.watchdogs.clear()
         self.program = program
-        self.tell(f"{program.name} begins")
+        self.report(f"{program.name} begins")
 
     def end_program(self, why: str) -> None:
-        """End the script that runs; the arm slows down."""
+        """End the running script and decelerate the arm."""
         if self.program is None:
             return
         program, self.program = self.program, None
         program.close()
         self.watchdogs.clear()
-        self.tell(f"{program.name} ends: {why}")
+        self.report(f"{program.name} ends: {why}")
         self.let_go()
 
     def let_go(self) -> None:
-        """No command moves the arm any longer: it slows down."""
+        """Decelerate the arm after its last motion command."""
         if self.safety.ready and (self.motion is not None or not self.target.still):
             self.motion = Stop()
 
-    def protective_stop(self, reason: str = "asked for") -> None:
-        """Stop as the maker's controller does when a limit is passed; `unlock` leaves it."""
+    def protective_stop(self, reason: str = "requested") -> None:
+        """Stop as after a passed limit; `unlock` releases it."""
         self._stop(PROTECTIVE, f"protective stop: {reason}")
 
     def emergency_stop(self, reason: str = "the button is pressed") -> None:
-        """Stop, and take the power away; `release_emergency_stop`, then power on and brake release leave it."""
+        """Stop and switch the power off; leave it by `release_emergency_stop`, power on and brake release."""
         self._stop(EMERGENCY, f"emergency stop: {reason}")
 
     def _stop(self, mode: int, reason: str) -> None:
         if not self.safety.stop(mode, reason):
             return
-        self.tell(reason)
+        self.report(reason)
         self.end_program(reason)
         self.motion = Stop(SAFE_DECELERATION)
 
     def unlock(self) -> bool:
-        """Leave a protective stop; False where there is none, or the arm still moves."""
+        """Release a protective stop; False if there is none, or the arm still moves."""
         return self.target.still and self.safety.release(PROTECTIVE)
 
     def release_emergency_stop(self) -> bool:
-        """Pull the button out; False where it is not pressed. The power stays off."""
+        """Release the emergency stop button; False if it is not pressed. The power stays off."""
         return self.safety.release(EMERGENCY)
 
     def power_off(self) -> None:
-        """Take the power from the arm: it stops, and its servo holds it as brakes would."""
+        """Switch the arm's power off: it stops, and its servo holds it in place of the brakes."""
         self.safety.power(POWER_OFF)
         self.end_program("the power is off")
         self.motion = Stop(SAFE_DECELERATION)
 
     def lose(self, samples: int) -> None:
-        """Do not send the next samples."""
+        """Drop the next samples."""
         self._to_lose = count("samples", samples)
 
     def load_script(self, text: str) -> None:
-        """Run a script as if it had come by a socket. Raises `ScriptError` where it cannot be read."""
+        """Run a script as if a client had sent it. Raises `ScriptError` if it is invalid."""
         from dmframe.virtual.program import Program
 
         self.run_program(Program(text, self))
 
     def listen(self, host: str = "127.0.0.1", ports: Ports | None = None) -> Ports:
-        """Open ports, the maker's own without others; returns them. Raises `OutputError` where one is taken."""
+        """Open the ports, by default those of a UR, and return them. Raises `OutputError` if one is in use."""
         from dmframe.virtual.server import Ports, Servers
 
         self.close()
@@ -362,10 +357,10 @@ class VirtualRobot(Behaviour):
         return self._servers.ports
 
     def close(self) -> None:
-        """End the script, and close all ports."""
+        """End the scripts and close all ports."""
         self.end_program("the robot is shut down")
-        while self.beside:
-            self.beside.pop().close()
+        while self.secondary:
+            self.secondary.pop().close()
         if self._servers is not None:
             self._servers.close()
             self._servers = None
@@ -378,23 +373,23 @@ class VirtualRobot(Behaviour):
 
     @property
     def owing(self) -> list[Rtde]:
-        """While a script runs, the clients by RTDE that answer samples, and have not answered the last."""
+        """RTDE clients that have not answered the last sample, while a script runs."""
         return self._servers.owing if self._servers is not None and self.running else []
 
     def serve(self, wanted: Callable[[], bool] = lambda: True, patience: float = 0.0) -> None:
-        """Run as long as it is wanted, in real time, or in step with a client; see `dmframe.virtual.pace`."""
+        """Run while `wanted()` is true, in real time or in step with a client; see `dmframe.virtual.pace`."""
         from dmframe.virtual.pace import serve
 
         serve(self, wanted, patience)
 
     def in_background(self, patience: float = 0.0) -> AbstractContextManager[VirtualRobot]:
-        """Run, as by `serve`, in a thread of its own, until the block ends."""
+        """Run as `serve` does, in a thread, until the ``with`` block ends."""
         from dmframe.virtual.pace import in_background
 
         return in_background(self, patience)
 
     def wait(self, time: float) -> None:
-        """Serve the ports for a while [s], no cycle passing."""
+        """Serve the ports for some time [s] without advancing the clock."""
         from time import sleep
 
         if self._servers is None:

@@ -1,7 +1,7 @@
-"""RTDE, the maker's protocol for samples and inputs, version 2: what arrives and what is answered, in bytes.
+"""Server side of RTDE, UR's protocol for samples and inputs, version 2.
 
-A message is its length (two bytes, the header's three among them), its type, a letter, and what that type holds;
-numbers in the network's order.
+A message is its length (two bytes, which count the three of the header), its type (a letter) and its payload, in
+network byte order.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ HEADER: Final = 3
 MOST_RECIPES: Final = 255
 OUTPUT_RECIPE: Final = 1
 MOST_NAMES: Final = 512
-"""Of a recipe: each is computed anew in each cycle."""
+"""Names of a recipe, which are all computed in each cycle."""
 
 
 @final
 class Rtde:
-    """One client.
+    """Connection of one RTDE client.
 
     Parameters
     ----------
     robot
-        Whose samples it gets; what it writes goes there.
+        Robot that the client reads and writes.
     others
-        All clients, this one among them: an input belongs to one alone.
+        All clients, including this one: only one client may write an input.
     """
 
     def __init__(self, robot: VirtualRobot, others: list[Rtde]) -> None:
@@ -49,25 +49,25 @@ class Rtde:
 
     @property
     def claimed(self) -> set[str]:
-        """The inputs that are this client's."""
+        """Inputs that this client writes."""
         return {name for names in self._recipes.values() for name in names}
 
     @property
     def owes(self) -> bool:
-        """True where it has a sample, and has not written since; it has answered one before."""
+        """True if the client, which has answered samples, has not written since the last one."""
         return self._owes
 
     def excuse(self) -> None:
-        """Expect no answers from it, until it writes again."""
+        """Expect no answers until the client writes again."""
         self._answers = self._owes = False
 
     def close(self) -> None:
-        """The client has gone."""
+        """Remove the client."""
         self._others.remove(self)
         self._robot.listeners.remove(self)
 
     def received(self, data: bytes) -> bool:
-        """Take what arrived; answers are left in `pending`. False where it is no RTDE: the client is to be dropped."""
+        """Process received bytes; answers go to `pending`. False if they are not RTDE: disconnect the client."""
         self._rest += data
         while len(self._rest) >= HEADER:
             length, kind = struct.unpack(">HB", self._rest[:HEADER])
@@ -82,45 +82,44 @@ class Rtde:
     def _answer(self, kind: str, message: bytes) -> None:
         match kind:
             case "V" if len(message) == 2:
-                (asked,) = struct.unpack(">H", message)
-                self._version = asked if asked in (1, 2) else self._version
-                self._say("V", bytes([asked in (1, 2)]))
+                (wanted,) = struct.unpack(">H", message)
+                self._version = wanted if wanted in (1, 2) else self._version
+                self._queue("V", bytes([wanted in (1, 2)]))
             case "v":
-                self._say("v", struct.pack(">4I", *self._robot.version))
+                self._queue("v", struct.pack(">4I", *self._robot.version))
             case "O":
                 self._set_outputs(message)
             case "I":
                 self._set_inputs(message)
             case "S":
                 self._started, self._since = self._outputs is not None, 0
-                self._say("S", bytes([self._started]))
+                self._queue("S", bytes([self._started]))
             case "P":
                 self._started = False
                 self.excuse()
-                self._say("P", b"\1")
+                self._queue("P", b"\1")
             case "U":
                 self._write(message)
             case "M":
-                self._robot.tell(
-                    f"a client says: {message[1 : 1 + message[0]].decode('utf-8', 'replace')}" if message else ""
-                )
+                text = message[1 : 1 + message[0]].decode("utf-8", "replace") if message else ""
+                self._robot.report(f"message of a client: {text}")
             case _:
-                self._tell(f"unknown message {kind!r}")
+                self._warn(f"unknown message {kind!r}")
 
     def _set_outputs(self, message: bytes) -> None:
         rate = 1 / self._robot.dt
         if self._version == 2:
             if len(message) < 8:
-                return self._tell("outputs: expected a frequency and names")
-            (asked,) = struct.unpack(">d", message[:8])
-            message, rate = message[8:], asked if math.isfinite(asked) and asked > 0 else rate
+                return self._warn("outputs: expected a frequency and a list of names")
+            (wanted,) = struct.unpack(">d", message[:8])
+            message, rate = message[8:], wanted if math.isfinite(wanted) and wanted > 0 else rate
         names = _names(message)
         kinds = [type_of(name) or "NOT_FOUND" for name in names]
         found = bool(names) and "NOT_FOUND" not in kinds
         self._outputs = names if found else None
         self._every = max(1, round(1 / (rate * self._robot.dt)))
         recipe = bytes([OUTPUT_RECIPE if found else 0]) if self._version == 2 else b""
-        return self._say("O", recipe + ",".join(kinds).encode())
+        return self._queue("O", recipe + ",".join(kinds).encode())
 
     def _set_inputs(self, message: bytes) -> None:
         names = _names(message)
@@ -130,15 +129,15 @@ class Rtde:
         recipe = len(self._recipes) + 1 if good else 0
         if good:
             self._recipes[recipe] = names
-        self._say("I", bytes([recipe]) + ",".join(kinds).encode())
+        self._queue("I", bytes([recipe]) + ",".join(kinds).encode())
 
     def _write(self, message: bytes) -> None:
         names = self._recipes.get(message[0]) if message else None
         if names is None:
-            return self._tell("data: expected the number of a recipe of inputs")
+            return self._warn("data: expected the number of an input recipe")
         kinds = [INPUTS[name] for name in names]
         if len(message) != 1 + sum(map(size_of, kinds)):
-            return self._tell(f"data: expected {1 + sum(map(size_of, kinds))} bytes for recipe {message[0]}")
+            return self._warn(f"data: expected {1 + sum(map(size_of, kinds))} bytes for recipe {message[0]}")
         values, first = {}, 1
         for name, kind in zip(names, kinds, strict=True):
             found = struct.unpack_from(f">{FORMATS[kind]}", message, first)
@@ -148,22 +147,22 @@ class Rtde:
         return self._robot.write(values)
 
     def cycle(self, robot: VirtualRobot) -> None:
-        """Send the sample of this cycle, or an older one."""
+        """Queue the sample of this cycle, or a delayed one."""
         if self._started and self._outputs is not None:
             if self._since % self._every == 0 and not robot.sample_lost:
                 sample = (bytes([OUTPUT_RECIPE]) if self._version == 2 else b"") + packed(self._outputs, robot)
                 self._sent.append((robot.cycles + robot.measurement_delay, sample))
             self._since += 1
         while self._sent and self._sent[0][0] <= robot.cycles:
-            self._say("U", self._sent.popleft()[1])
+            self._queue("U", self._sent.popleft()[1])
             self._owes = self._answers
 
-    def _tell(self, text: str) -> None:
-        """A text message, a warning."""
+    def _warn(self, text: str) -> None:
+        """Queue a text message of the level warning."""
         said, by = text.encode()[:255], b"RTDE"
-        self._say("M", bytes([len(said)]) + said + bytes([len(by)]) + by + b"\2")
+        self._queue("M", bytes([len(said)]) + said + bytes([len(by)]) + by + b"\2")
 
-    def _say(self, kind: str, payload: bytes) -> None:
+    def _queue(self, kind: str, payload: bytes) -> None:
         self.pending += struct.pack(">HB", HEADER + len(payload), ord(kind)) + payload
 
 

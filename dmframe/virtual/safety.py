@@ -1,4 +1,4 @@
-"""The modes of a UR: running, stopped for protection, stopped in emergency, without power."""
+"""Safety and robot modes of a UR: running, protective stop, emergency stop, power off."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ MODE_NAMES: Final = {POWER_OFF: "POWER_OFF", IDLE: "IDLE", RUNNING: "RUNNING"}
 
 @final
 class Safety:
-    """In which mode the robot is, and why.
+    """State machine of the safety and robot modes.
 
     Attributes
     ----------
     mode, robot_mode
-        By the maker's numbers.
+        UR's numbers of the safety mode and the robot mode.
     reason
-        Of the last stop, for a reader; empty before there was one.
+        Reason of the last stop; empty before the first.
     """
 
     def __init__(self) -> None:
@@ -32,26 +32,26 @@ class Safety:
 
     @property
     def ready(self) -> bool:
-        """True where the robot may move."""
+        """True if the robot may move."""
         return self.mode == NORMAL and self.robot_mode == RUNNING
 
     @property
     def powered(self) -> bool:
-        """True where the arm has power."""
+        """True if the arm has power."""
         return self.robot_mode != POWER_OFF
 
     @property
     def joint_mode(self) -> int:
-        """Of each joint: running, idle or off."""
+        """UR's number of each joint's mode: running, idle or off."""
         return {RUNNING: 253, IDLE: 255}.get(self.robot_mode, 239)
 
     @property
     def bits(self) -> int:
-        """Of RTDE: normal, protective stop, and emergency stop of the robot, of any kind, and stopped by safety."""
+        """RTDE's safety status bits."""
         return {NORMAL: 1 << 0, PROTECTIVE: 1 << 2 | 1 << 10, EMERGENCY: 1 << 6 | 1 << 7 | 1 << 10}[self.mode]
 
     def stop(self, mode: int, reason: str) -> bool:
-        """Go to a stop, if it is not in a graver one; True where that is new."""
+        """Enter a stop mode, unless the present one is graver; True if the mode changed."""
         if mode <= self.mode:
             return False
         self.mode, self.reason = mode, reason
@@ -60,14 +60,14 @@ class Safety:
         return True
 
     def release(self, mode: int) -> bool:
-        """Leave a stop of this kind; False where the robot is not in it."""
+        """Leave this stop mode; False if the robot is not in it."""
         if self.mode != mode:
             return False
         self.mode = NORMAL
         return True
 
     def power(self, robot_mode: int) -> bool:
-        """Turn power on or off, or the brakes off; False where the robot is in emergency."""
+        """Switch the power, or release the brakes; False in an emergency stop, or without power."""
         if self.mode == EMERGENCY and robot_mode != POWER_OFF:
             return False
         if robot_mode == RUNNING and self.robot_mode == POWER_OFF:

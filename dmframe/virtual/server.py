@@ -1,4 +1,4 @@
-"""The ports of a UR on this machine: sockets that never block, looked at between the cycles of the robot."""
+"""TCP ports of a virtual UR: non-blocking sockets that are polled between the robot's cycles."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ if TYPE_CHECKING:
     from dmframe.virtual.robot import VirtualRobot
 
 MOST_WAITING: Final = 1 << 20
-"""Bytes that a client may leave unread; samples that do not fit are left out."""
+"""Bytes that a client may leave unread; further samples are dropped."""
 MOST_TEXT: Final = 1 << 18
-"""Of scripts that are not yet complete, or that wait to be read; a client that sends more is disconnected."""
+"""Characters of scripts that wait to be translated; a client that sends more is disconnected."""
 WORDS: Final = 20_000.0
-"""Of a client's scripts that are read in a second of the robot's time: no cycle passes meanwhile, some 10 us a word."""
+"""Words of a client's scripts that are translated in a second of the robot's time; each delays it by about 10 us."""
 MOST_LINES: Final = 50
-"""Of the dashboard that are answered at once; the next are in the next cycle."""
+"""Lines that the dashboard answers in one cycle."""
 MOST_CLIENTS: Final = 64
-"""Connections at once."""
+"""Simultaneous connections."""
 STATES: Final = 10.0
-"""State messages in a second, on the primary and secondary ports."""
+"""Rate of state messages on the primary and secondary ports [Hz]."""
 
 
 @final
 @dataclass(frozen=True)
 class Ports:
-    """Where a robot listens; 0 for any that is free."""
+    """TCP ports of a robot; 0 for any free one."""
 
     rtde: int = 30004
     dashboard: int = 29999
@@ -45,28 +45,28 @@ class Ports:
 
     @classmethod
     def free(cls) -> Ports:
-        """Any that are free."""
+        """Any free ports."""
         return cls(0, 0, 0, 0, 0)
 
 
 NAMES: Final = tuple(field.name for field in fields(Ports))
-"""Of ports."""
+"""Names of the ports."""
 
 
 class _Client(ABC):
-    """What is done with a connection: bytes come in by `received`, and those in `pending` go out."""
+    """Protocol of a connection: `received` processes incoming bytes, `pending` holds those to send."""
 
     pending: bytearray
 
     @abstractmethod
     def received(self, data: bytes) -> bool:
-        """Take what arrived; False where the connection is to be closed."""
+        """Process received bytes; False to close the connection."""
 
     def cycle(self, robot: VirtualRobot) -> None:  # noqa: B027 - most do nothing
-        """A cycle is over."""
+        """Called at the end of each cycle."""
 
     def closed(self) -> None:  # noqa: B027 - as above
-        """The connection is gone."""
+        """Called when the connection is closed."""
 
 
 @final
@@ -105,7 +105,7 @@ class _DashboardClient(_Client):
 
 @final
 class _ScriptClient(_Client):
-    """Scripts come in; states go out as `sent` makes them, every so many cycles."""
+    """Receives scripts, and sends the message `sent(robot)` every `every` cycles."""
 
     def __init__(self, robot: VirtualRobot, sent: Callable[[VirtualRobot], bytes], every: int, first: bytes) -> None:
         self._robot, self._sent, self._every = robot, sent, every
@@ -117,11 +117,11 @@ class _ScriptClient(_Client):
         self._begin()
         if len(self._arriving.text) < MOST_TEXT:
             return True
-        self._robot.tell(f"a client is disconnected: more than {MOST_TEXT} characters of it wait to be read")
+        self._robot.report(f"client disconnected: more than {MOST_TEXT} characters of its scripts are unread")
         return False
 
     def _begin(self) -> None:
-        """Begin the scripts that have arrived, while there are words left for them."""
+        """Start the scripts that have arrived, within the budget of words."""
         while self._words > 0 and (text := self._arriving.take()):
             try:
                 program = Program(text, self._robot)
@@ -129,8 +129,8 @@ class _ScriptClient(_Client):
                 self._robot.run_program(program)
             except ScriptError as fault:
                 self._words -= min(MOST_WORDS, len(text))
-                self._robot.end_program("a script that cannot be read takes its place")
-                self._robot.tell(f"script: {fault.text}")
+                self._robot.end_program("an invalid script replaces it")
+                self._robot.report(f"script: {fault.text}")
 
     def cycle(self, robot: VirtualRobot) -> None:
         self._words = min(MOST_WORDS, self._words + self._refill)
@@ -141,12 +141,12 @@ class _ScriptClient(_Client):
 
 @final
 class Servers:
-    """The open ports of a robot.
+    """Open ports of a robot.
 
     Raises
     ------
     OutputError
-        A port is taken, or the address is not this machine's.
+        A port is in use, or the address is not an address of this machine.
     """
 
     def __init__(self, robot: VirtualRobot, host: str, ports: Ports) -> None:
@@ -180,7 +180,7 @@ class Servers:
         except OSError as error:
             door.close()
             why = (error.strerror or str(error)).lower()
-            raise OutputError(f"{name}: cannot listen at {host}:{port}: {why}; name another --host or port") from None
+            raise OutputError(f"{name}: cannot listen at {host}:{port}: {why}; choose another --host or port") from None
         door.setblocking(False)
         self._doors[door] = client
         self._selector.register(door, selectors.EVENT_READ)
@@ -189,20 +189,20 @@ class Servers:
 
     @property
     def owing(self) -> list[Rtde]:
-        """The clients by RTDE that have a sample, and have not answered it."""
+        """RTDE clients that have not answered the last sample."""
         return [client for client in self._rtde if client.owes]
 
     def poll(self, timeout: float = 0.0) -> None:
-        """Take what has come, and send what waits; wait for it no longer than `timeout` [s]."""
+        """Receive and send, waiting at most `timeout` [s] for a socket."""
         for key, events in self._selector.select(timeout):
-            held = key.fileobj
-            assert isinstance(held, socket.socket)
-            if held in self._doors:
-                self._accept(held)
-            elif held in self._clients:
+            connection = key.fileobj
+            assert isinstance(connection, socket.socket)
+            if connection in self._doors:
+                self._accept(connection)
+            elif connection in self._clients:
                 if events & selectors.EVENT_READ:
-                    self._receive(held)
-                self._send(held)
+                    self._receive(connection)
+                self._send(connection)
 
     def _accept(self, door: socket.socket) -> None:
         try:
@@ -210,7 +210,7 @@ class Servers:
         except OSError:
             return
         if len(self._clients) >= MOST_CLIENTS:
-            self._robot.tell(f"a client is refused: {MOST_CLIENTS} are connected")
+            self._robot.report(f"client refused: {MOST_CLIENTS} are connected")
             made.close()
             return
         made.setblocking(False)
@@ -219,56 +219,56 @@ class Servers:
         self._selector.register(made, selectors.EVENT_READ)
         self._send(made)
 
-    def _receive(self, held: socket.socket) -> None:
-        client = self._clients[held]
+    def _receive(self, connection: socket.socket) -> None:
+        client = self._clients[connection]
         try:
-            data = held.recv(1 << 16)
+            data = connection.recv(1 << 16)
         except BlockingIOError:
             return
         except OSError:
             data = b""
         if not data:
-            self._drop(held)
+            self._drop(connection)
         elif not client.received(data):
-            self._send(held)
-            self._drop(held)
+            self._send(connection)
+            self._drop(connection)
 
-    def _send(self, held: socket.socket) -> None:
-        client = self._clients.get(held)
+    def _send(self, connection: socket.socket) -> None:
+        client = self._clients.get(connection)
         if client is None:
             return None
         if client.pending:
             try:
-                del client.pending[: held.send(client.pending)]
+                del client.pending[: connection.send(client.pending)]
             except BlockingIOError:
                 pass
             except OSError:
-                return self._drop(held)
+                return self._drop(connection)
         wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if client.pending else 0)
-        if self._selector.get_key(held).events != wanted:
-            self._selector.modify(held, wanted)
+        if self._selector.get_key(connection).events != wanted:
+            self._selector.modify(connection, wanted)
         return None
 
-    def _drop(self, held: socket.socket) -> None:
-        client = self._clients.pop(held, None)
+    def _drop(self, connection: socket.socket) -> None:
+        client = self._clients.pop(connection, None)
         if client is not None:
             client.closed()
-            self._selector.unregister(held)
-            held.close()
+            self._selector.unregister(connection)
+            connection.close()
 
     def cycle(self) -> None:
-        """Send what this cycle brought."""
-        for held, client in list(self._clients.items()):
+        """Update all clients at the end of a cycle, and send their messages."""
+        for connection, client in list(self._clients.items()):
             client.cycle(self._robot)
-            if len(client.pending) > 2 * MOST_WAITING:  # it reads nothing, and holds back answers as well
-                self._drop(held)
+            if len(client.pending) > 2 * MOST_WAITING:  # it does not read its answers either
+                self._drop(connection)
             else:
-                self._send(held)
+                self._send(connection)
 
     def close(self) -> None:
-        """Close everything."""
-        for held in list(self._clients):
-            self._drop(held)
+        """Close all connections and ports."""
+        for connection in list(self._clients):
+            self._drop(connection)
         for door in self._doors:
             self._selector.unregister(door)
             door.close()

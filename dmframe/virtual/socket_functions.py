@@ -1,4 +1,4 @@
-"""The functions of scripts that speak to the client by sockets."""
+"""Socket functions of scripts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from dmframe.virtual.robot import VirtualRobot
 
 MOST_NUMBERS: Final = 1000
-"""Numbers or bytes that a script reads at once."""
+"""Numbers or bytes that a script reads in one call."""
 Waits = Generator[None, None, Any]
 _F = TypeVar("_F", bound=Callable[..., Waits])
 
@@ -26,7 +26,7 @@ def waits(function: _F) -> _F:
 
 
 class SocketFunctions:
-    """The functions of a script that speak to its client; `Functions` has the others."""
+    """Functions of a script that communicate with its client; `Functions` has the others."""
 
     def __init__(self, robot: VirtualRobot) -> None:
         self._sockets = Sockets(robot)

@@ -1,4 +1,4 @@
-"""Sockets that a script opens to its client: nothing of them blocks the robot's clock."""
+"""Sockets that a script opens to its client; they never block the robot's clock."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ if TYPE_CHECKING:
 
 Read = Generator[None, None, bytes]
 OPENING: Final = 2.0
-"""How long a script waits for a connection [s]."""
+"""Timeout of a connection [s]."""
 MOST: Final = 16
 """Sockets of a script."""
 MOST_WAITING: Final = 1 << 16
-"""Bytes that a client may send before a script reads them."""
+"""Received bytes that a script has not read."""
 
 
 @final
 class Sockets:
-    """The sockets of one script, by their names; times are those of the robot's clock."""
+    """Sockets of one script by name; times are in the robot's clock."""
 
     def __init__(self, robot: VirtualRobot) -> None:
         self._robot = robot
@@ -33,26 +33,26 @@ class Sockets:
         self._rest = dict[str, bytes]()
 
     def close(self) -> None:
-        """All of them."""
+        """Close all sockets."""
         for name in list(self._open):
             self.shut(name)
 
     def shut(self, name: str) -> None:
-        """One of them; nothing where it is not open."""
-        held = self._open.pop(name, None)
+        """Close one socket, if it is open."""
+        connection = self._open.pop(name, None)
         self._rest.pop(name, None)
-        if held is not None:
-            held.close()
+        if connection is not None:
+            connection.close()
 
     def open(self, host: str, port: int, name: str) -> Generator[None, None, bool]:
-        """Connect; True where that was done in time."""
+        """Connect; False after the timeout."""
         self.shut(name)
         if len(self._open) >= MOST:
             raise ScriptError(f"socket_open {name}: expected no more than {MOST} sockets")
         host = "127.0.0.1" if host == "localhost" else host
         try:
             socket.inet_pton(socket.AF_INET, host)
-        except OSError:  # a name server that does not answer would stop the robot's clock
+        except OSError:  # a slow name server would stop the robot's clock
             raise ScriptError(f"socket_open: expected an address such as 127.0.0.1, found {host[:40]!r}") from None
         made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         made.setblocking(False)
@@ -77,25 +77,25 @@ class Sockets:
         return True
 
     def send(self, name: Any, data: bytes) -> bool:
-        """All of it, or False."""
-        held = self._open.get(str(name))
-        if held is None:
+        """Send all bytes; False if that fails."""
+        connection = self._open.get(str(name))
+        if connection is None:
             return False
         try:
-            return held.send(data) == len(data)
+            return connection.send(data) == len(data)
         except OSError:
             return False
 
     def read(self, name: Any, count: int, timeout: Any) -> Read:
-        """So many bytes; none of them where they do not come in time."""
+        """Read a number of bytes; none after the timeout."""
         return self._read(str(name), timeout, lambda rest: count if len(rest) >= count else 0)
 
     def read_until(self, name: Any, end: bytes, timeout: Any) -> Read:
-        """What comes up to an end, with it."""
+        """Read up to and including `end`."""
         return self._read(str(name), timeout, lambda rest: rest.find(end) + len(end) if end in rest else 0)
 
     def read_some(self, name: Any, timeout: Any) -> Read:
-        """What is there."""
+        """Read the bytes that have arrived."""
         return self._read(str(name), timeout, len)
 
     def _read(self, name: str, timeout: Any, enough: Callable[[bytes], int]) -> Read:
@@ -111,7 +111,7 @@ class Sockets:
         return b""
 
     def _receive(self, name: str) -> bool:
-        """True where the client has closed it."""
+        """Receive bytes; True if the client has closed the connection."""
         with suppress(BlockingIOError):
             try:
                 data = self._open[name].recv(65536)
@@ -119,6 +119,6 @@ class Sockets:
                 return True
             self._rest[name] += data
             if len(self._rest[name]) > MOST_WAITING:
-                raise ScriptError(f"socket {name}: expected no more than {MOST_WAITING} bytes that wait to be read")
+                raise ScriptError(f"socket {name}: expected no more than {MOST_WAITING} unread bytes")
             return not data
         return False

@@ -1,8 +1,8 @@
-"""URScript as Python: each function becomes a generator that yields where the robot's next cycle is to be awaited.
+"""Translation of URScript to Python: each function becomes a generator that yields to wait for the next cycle.
 
-Names become ``f_name`` for functions, ``v_name`` for local variables and keys of a dictionary for global ones, so that
-a script reaches nothing of Python's. A call of a function that the robot has goes through a table; one that it has not
-is a fault when it is called, not when it is read, as programs name many that they never use.
+Functions are renamed to ``f_name``, local variables to ``v_name``, and global variables are keys of a dictionary, so
+that a script cannot access Python objects. Functions of the robot are called through a table. An unknown function is an
+error when it is called, not when it is translated, because programs name many functions that they never call.
 """
 
 from __future__ import annotations
@@ -14,28 +14,28 @@ from dmframe.virtual.expressions import MOST_DEPTH, Expressions
 from dmframe.virtual.words import OPENING, ScriptError
 
 MOST_BRANCHES: Final = 500
-"""Of one `if`: Python nests each `elif` within the last."""
+"""Branches of one `if`: Python nests each `elif` within the previous one."""
 TOKENS: Final = 16
-"""Words of a loop's or function's body that count as one operation of a turn or a call."""
+"""Words of a loop's or a function's body that count as one operation."""
 
 
 @final
 @dataclass(frozen=True)
 class Transpiled:
-    """A script as Python.
+    """Script translated to Python.
 
     Parameters
     ----------
     name
-        Of the program; empty for a line by itself.
+        Name of the program; empty for a single line.
     secondary
-        It runs beside another program, and moves nothing.
+        True for a program that runs next to the main program, and must not move the robot.
     source
-        Python, with a function ``main``.
+        Python source, with a function ``main``.
     lines
-        Of the script, by the lines of the source.
+        Line of the script for each line of the source.
     words
-        How many it has.
+        Number of words of the script.
     """
 
     name: str
@@ -47,7 +47,7 @@ class Transpiled:
 
 @final
 class _Reader(Expressions):
-    """Statements, over the expressions that are in them."""
+    """Parser of statements."""
 
     def __init__(self, text: str, known: frozenset[str], waiting: frozenset[str]) -> None:
         super().__init__(text, known, waiting)
@@ -58,7 +58,7 @@ class _Reader(Expressions):
     def _end_of_line(self) -> None:
         if self._next.kind == "newline":
             self._at += 1
-        elif self._next.kind not in ("over", "word"):  # a keyword begins another
+        elif self._next.kind not in ("over", "word"):  # a keyword begins another statement
             raise self._fault("the end of the line")
 
     def _put(self, depth: int, text: str, line: int) -> None:
@@ -66,7 +66,7 @@ class _Reader(Expressions):
         self._lines.append(line)
 
     def read(self) -> Transpiled:
-        """The whole script."""
+        """Translate the whole script."""
         while self._next.kind == "newline":
             self._at += 1
         name, begun = "", self._at
@@ -104,7 +104,7 @@ class _Reader(Expressions):
             return
         line, word = self._next.line, self._next.text if self._next.kind == "word" else ""
         if depth > MOST_DEPTH:
-            raise ScriptError(f"line {line}: blocks within blocks, more than can be read")
+            raise ScriptError(f"line {line}: blocks are nested too deeply")
         match word:
             case "def" | "thread":
                 self._function(depth)
@@ -121,7 +121,7 @@ class _Reader(Expressions):
                 self._put(depth, f"return {value}", line)
             case "break" | "continue":
                 if not self._loops:
-                    raise self._fault("a statement; this one stands in no loop")
+                    raise self._fault("a loop around this statement")
                 self._at += 1
                 self._put(depth, word, line)
             case "halt":
@@ -131,7 +131,7 @@ class _Reader(Expressions):
                 self._at += 1
                 thread = self._expression()
                 self._put(depth, f"_kill({thread})" if word == "kill" else f"(yield from _join({thread}))", line)
-            case "enter_critical" | "exit_critical" | "pass":  # threads take turns at cycles alone
+            case "enter_critical" | "exit_critical" | "pass":  # threads switch only at waits
                 self._at += 1
                 self._put(depth, "pass", line)
             case _ if self._next.kind == "name" and self._tokens[self._at + 1].text == "=":
@@ -169,12 +169,12 @@ class _Reader(Expressions):
         self._counted(turn, begun)
 
     def _turn(self, depth: int) -> int:
-        """A line for what a turn or a call counts as; its place."""
+        """Emit a line for the operations of an iteration or a call, and return its index."""
         self._put(depth, "_turn(", self._next.line)
         return len(self._out) - 1
 
     def _counted(self, turn: int, begun: int) -> None:
-        """Fill in that line, of a body that has been read."""
+        """Complete that line after the body has been translated."""
         self._out[turn] += f"{1 + (self._at - begun) // TOKENS})"
 
     def _assignment(self, depth: int, name: str) -> None:
@@ -223,7 +223,7 @@ class _Reader(Expressions):
         self._scopes.append(arguments.keys() | local | plain - self._globals)
         self._put(depth, f"def f_{name}({', '.join(given)}):", line)
         turn = self._turn(depth + 1)
-        for argument in arguments:  # what a function does with a list is not seen by its caller
+        for argument in arguments:  # lists are passed by value
             self._put(depth + 1, f"v_{argument} = _copy(v_{argument})", line)
         self._body(depth + 1, ("end",))
         self._put(depth + 1, "if False: yield", self._next.line)
@@ -234,19 +234,19 @@ class _Reader(Expressions):
 
 
 def transpiled(text: str, known: frozenset[str], waiting: frozenset[str]) -> Transpiled:
-    """A script as Python.
+    """Translate a script to Python.
 
     Parameters
     ----------
     known, waiting
-        Functions that the robot has, and those of them that take time.
+        Functions of the robot, and those of them that take time.
 
     Raises
     ------
     ScriptError
-        It is no URScript, or holds what is not understood; the text tells the line.
+        The text is not valid URScript, or uses a construct that is not supported; the message has the line.
     """
     try:
         return _Reader(text, known, waiting).read()
     except RecursionError:
-        raise ScriptError("script: expressions within expressions, more than can be read") from None
+        raise ScriptError("script: expressions are nested too deeply") from None

@@ -1,4 +1,4 @@
-"""The words of a script, which names they assign, and when it is complete."""
+"""Lexer of URScript: the words of a script, the names that they assign, and the end of a program in a stream."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from dmframe.errors import DmframeError
 
 @final
 class ScriptError(DmframeError):
-    """A script that cannot be read, or that failed while it ran; the text tells the line."""
+    """Invalid script, or a script that failed; the message has the line."""
 
 
 class Token(NamedTuple):
-    """A word of a script: its kind, its text and its line."""
+    """Word of a script."""
 
     kind: str
     text: str
@@ -27,14 +27,14 @@ _TOKEN: Final = re.compile(
     r"""|(?P<text>"[^"\n]*"|'[^'\n]*')|(?P<name>[A-Za-z_]\w*)|(?P<sign>[<>=!]=|[-+*/%<>=()\[\],:.;{}^])"""
 )
 _BINARY: Final = frozenset("or and xor not = == != < > <= >= + - * / % , ^".split())
-"""A line that ends with one of these goes on in the next."""
+"""A line that ends with one of these continues on the next."""
 OPENING: Final = frozenset(("def", "thread", "sec", "if", "while"))
-"""What `end` closes."""
+"""Keywords that `end` closes."""
 _FUNCTIONS: Final = frozenset(("def", "thread", "sec"))
 MOST_WORDS: Final = 20_000
-"""Of a script: more would hold up the robot, and with it all its clients, by more than some tenths of a second."""
+"""Words of a script: more would delay the robot, and all its clients, by more than some tenths of a second."""
 _PIECES: Final = 4 * MOST_WORDS
-"""Words, spaces, comments and empty lines."""
+"""Words, spaces, comments and empty lines of a script."""
 _WORDS: Final = OPENING | frozenset(
     "end elif else return break continue halt run kill join global local and or xor not True False "
     "enter_critical exit_critical pass".split()
@@ -42,7 +42,7 @@ _WORDS: Final = OPENING | frozenset(
 
 
 def tokens(text: str) -> list[Token]:
-    """The words of a script; ends of lines where a statement may end."""
+    """Split a script into words; ``newline`` marks places where a statement may end."""
     found, place, line, depth, pieces = list[Token](), 0, 1, 0, 0
     while place < len(text):
         pieces += 1
@@ -69,9 +69,9 @@ Names = tuple[set[str], set[str]]
 
 
 def scopes(words: Sequence[Token]) -> tuple[dict[int, Names], set[str]]:
-    """What each function assigns plainly, and what it declares local, by the place of its first word; -1 is the whole.
+    """Names that each function assigns, and that it declares local, by the index of its first word (-1: the program).
 
-    With them all names that are declared global, wherever.
+    The second result holds all names that are declared global.
     """
     found: dict[int, Names] = {-1: (set(), set())}
     shared, inner, opened = set[str](), [-1], list[bool]()
@@ -97,14 +97,14 @@ def scopes(words: Sequence[Token]) -> tuple[dict[int, Names], set[str]]:
 
 @final
 class Arriving:
-    """A text that arrives in pieces, of which each character is looked at once: whole programs leave it."""
+    """Buffer for a text that arrives in pieces; it scans each character once and returns whole programs."""
 
     def __init__(self) -> None:
         self.text = ""
         self._place, self._depth = 0, 0
 
     def take(self) -> str:
-        """The first program, or line by itself, that has arrived as a whole; empty where more must come."""
+        """Remove and return the first complete program, or single line; empty if none is complete."""
         while (end := self.text.find("\n", self._place)) >= 0:
             found = _FIRST.match(self.text, self._place, end)
             first = found.group(1) if found else "#"
@@ -120,10 +120,3 @@ class Arriving:
 
 
 _FIRST: Final = re.compile(r'\s*("[^"]*"|[A-Za-z_]\w*|\S)')
-
-
-def complete(text: str) -> int:
-    """How many characters of what has arrived are a whole program, or a line by itself; 0 where more must come."""
-    arriving = Arriving()
-    arriving.text = text
-    return len(arriving.take())

@@ -30,13 +30,13 @@ class Chapter(NamedTuple):
 CHAPTERS: Final[Mapping[str, Chapter]] = {
     "dmframe": Chapter(
         "dmframe: load, run, prove",
-        "All that a program or a notebook needs: ``import dmframe as dm``.",
+        "The interface for programs and notebooks: ``import dmframe as dm``.",
         modules=("dmframe",),
-        but=("DmframeError",),  # stands with the other errors
+        but=("DmframeError",),  # listed with the other errors
     ),
     "results": Chapter(
         "What the calls return",
-        "Nobody makes these by hand: the functions and methods of :mod:`dmframe` return them.",
+        "Not constructed directly: the functions and methods of :mod:`dmframe` return them.",
         names=(
             "dmframe.report.Verification",
             "dmframe.report.Analysis",

@@ -29,7 +29,7 @@ NUMPYDOC = Config(napoleon_use_ivar=True, napoleon_use_rtype=False, napoleon_att
 class Live(SphinxDirective):
     """``{live} GRAPH``: the live page of a graph, written and embedded.
 
-    The graph is a packaged one or a file beside the page. Options: `set`, values as after ``--set``, several between
+    The graph is a packaged one or a file next to the page. Options: `set`, values as after ``--set``, several between
     blanks; `height` [pixels]; `title`; `still`, a picture that is seen until the page is loaded; `wide`, wider than the
     text. A body, where there is one, is the graph itself, and the argument its name.
     """
@@ -89,18 +89,18 @@ class Live(SphinxDirective):
 
 def inline_math(self: Any, node: nodes.math) -> None:
     """A formula within a line."""
-    self.body.append(_told(mathematics.inline, node))
+    self.body.append(_rendered(mathematics.inline, node))
     raise nodes.SkipNode
 
 
 def block_math(self: Any, node: nodes.math_block) -> None:
     """Formulas of their own lines."""
     mark = f' id="{node["ids"][0]}"' if node.get("ids") else ""
-    self.body.append(f"<div{mark}>{_told(mathematics.display, node)}</div>")
+    self.body.append(f"<div{mark}>{_rendered(mathematics.display, node)}</div>")
     raise nodes.SkipNode
 
 
-def _told(make: Any, node: nodes.Element) -> str:
+def _rendered(make: Any, node: nodes.Element) -> str:
     try:
         return str(make(node.astext()))
     except mathematics.MathError as error:

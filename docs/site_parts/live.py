@@ -78,5 +78,5 @@ def embedded(
 
 
 def missing(name: str, why: str) -> str:
-    """What stands in the place of a live page that cannot be."""
+    """Replacement of a live page that cannot be made."""
     return f'<p class="live-missing">The live page of <code>{escape(name)}</code> is not here: {escape(why)}</p>'

@@ -73,7 +73,7 @@ def _set(latex: str, *, display: bool, joined: bool = False) -> str:
 
 
 def _split(latex: str, mark: str) -> list[str]:
-    """The parts of a formula between marks that stand in no braces and in no environment."""
+    """The parts of a formula between marks outside braces and environments."""
     parts, depth = [""], 0
     for token in _TOKEN.findall(latex):
         depth += {"{": 1, "}": -1}.get(token, 0)

@@ -10,8 +10,8 @@ from typing import Final
 
 ROOT: Final = Path(__file__).parents[2]
 DOCS: Final = ROOT / "docs"
-BESIDE: Final = ("CLAIMS.md", "KNOWN_GAPS.md", "CHANGELOG.md", "CONTRIBUTING.md")
-"""Pages that stand in the root of the repository, where one looks for them; in the site they stand beside the first."""
+AT_ROOT: Final = ("CLAIMS.md", "KNOWN_GAPS.md", "CHANGELOG.md", "CONTRIBUTING.md")
+"""Pages in the root of the repository; in the site they are next to the first page."""
 PAGES: Final = (".md", ".png", ".svg", ".csv", ".gif")
 """What is a page under `docs`, or a part of one."""
 CATALOGUE: Final = "reference/blocks"
@@ -33,14 +33,14 @@ class LinkError(Exception):
 def sources() -> dict[str, Path]:
     """The pages that people write, by their place in the site, ``how_to/laws.md``."""
     found = {str(path.relative_to(DOCS)): path for path in sorted(DOCS.rglob("*.md"))}
-    return found | {name: ROOT / name for name in BESIDE}
+    return found | {name: ROOT / name for name in AT_ROOT}
 
 
 def place_of(path: Path) -> str | None:
-    """Where a file of the repository stands in the site; None where it is no page."""
+    """Place of a repository file in the site; None if it is not a page."""
     if path == ROOT / "README.md":
         return "index.md"
-    if path.parent == ROOT and path.name in BESIDE:
+    if path.parent == ROOT and path.name in AT_ROOT:
         return path.name
     return str(path.relative_to(DOCS)) if path.is_relative_to(DOCS) and path.suffix in PAGES else None
 
@@ -66,7 +66,7 @@ def linked(text: str, page: Path, place: str, show: Callable[[Path], object]) ->
     page
         The file, from whose folder its links are read.
     place
-        Where it stands in the site.
+        Its place in the site.
     show
         Is called with each file that is no page and has to be shown.
 
@@ -99,7 +99,7 @@ def linked(text: str, page: Path, place: str, show: Callable[[Path], object]) ->
 
 
 def parted(text: str) -> list[tuple[bool, str]]:
-    """A page's text cut into prose and code, each with whether it is prose; fences may stand in fences."""
+    """A page's text cut into prose and code, each with whether it is prose; fences may be nested."""
     parts, held, opened, code = list[tuple[bool, str]](), list[str](), list[str](), ""
 
     def cut(is_prose: bool) -> None:

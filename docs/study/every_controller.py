@@ -48,12 +48,12 @@ def row_of(name: str, runs: int) -> dict[str, Any]:
     data = study_of(name, runs)
     study = dm.load_study(data)
     results = study.run(Path("studies/every_controller") / name)
-    told = results.table.row(0, named=True)
+    found = results.table.row(0, named=True)
     (proof,) = proofs_of(study, [name])
     varied = " and ".join(factor for factor in VARIED if factor in data["sample"]) or "nothing"
-    figures = (told.get("rms_final_median"), told.get("rms_final_q99"))
-    return {"graph": name, "varied": varied, "runs": told["runs"], "diverged": told["diverged"]} | {
-        "at_most": told["at_most"],
+    figures = (found.get("rms_final_median"), found.get("rms_final_q99"))
+    return {"graph": name, "varied": varied, "runs": found["runs"], "diverged": found["diverged"]} | {
+        "at_most": found["at_most"],
         "unit": results.units.get("rms_final", ""),
         "median": figures[0],
         "q99": figures[1],
@@ -73,7 +73,7 @@ def table(rows: list[dict[str, str]]) -> str:
 
 
 def write(rows: list[dict[str, Any]]) -> None:
-    """The table, beside the page and in it."""
+    """Write the table next to the page and into it."""
     with TABLE.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, HEADS, lineterminator="\n")
         writer.writeheader()

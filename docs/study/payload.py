@@ -33,7 +33,7 @@ def graph_with(masses: Sequence[float], at: Sequence[float]) -> dm.Graph:
 
 
 def reset(graph: dm.Graph, gripper: Mapping[str, Any] | None = None, **options: Any) -> dm.Graph:
-    """The same with resets, told of all loads but the first."""
+    """The same with resets at the signal of all loads but the first."""
     known: Any = graph.blocks["dynamics"]
     law = {"type": "reset_compensator", "Gamma": list(known.Gamma), "a_d_hat": list(known.a_d_hat), **options}
     load: Any = graph.blocks["load"]
@@ -68,8 +68,8 @@ def changes() -> None:
         "leak: 0.02": bare.set({"dynamics.leak": 0.02}),
         "leak: 0.05": bare.set({"dynamics.leak": 0.05}),
         "reset_compensator": reset(plain),
-        "told 0.2 s late": reset(plain, {"at": late}),
-        "told 0.2 s early": reset(plain, {"at": early}),
+        "signal 0.2 s late": reset(plain, {"at": late}),
+        "signal 0.2 s early": reset(plain, {"at": early}),
         "with the load by its drawing": reset(plain, {"mass": [4, 1], **centers}),
         "with half of its mass": reset(plain, {"mass": [2, 0.5], **centers}),
     }
@@ -78,8 +78,8 @@ def changes() -> None:
         time, mass, error = run.time - CHANGED, run.recording["dynamics.a_d_hat"][:, 0] - 1.3, errors(run)
         means = [np.mean(mass[(time >= middle - 5) & (time < middle + 5)]) for middle in (10, 30)]
         first = error[(time >= 0) & (time < 10)]
-        told = f"{means[0]:.2f} kg | {means[1]:.2f} kg | {np.sqrt(np.mean(first**2)):.2f} mm | {first.max():.2f} mm"
-        sys.stdout.write(f"| {name} | {told} |\n")
+        figures = f"{means[0]:.2f} kg | {means[1]:.2f} kg | {np.sqrt(np.mean(first**2)):.2f} mm | {first.max():.2f} mm"
+        sys.stdout.write(f"| {name} | {figures} |\n")
 
 
 def turns() -> None:

@@ -1,9 +1,9 @@
-"""What reality does to every packaged controller: ``python docs/study/robustness.py [--draw] [GRAPH...]``.
+"""Every packaged controller with encoder, delay and load: ``python docs/study/robustness.py [--draw] [GRAPH...]``.
 
-Each controller that commands a servo runs ideal, behind an encoder, behind a sample of delay too, and with a load that
-it is handed halfway besides, on four clocks. A law that has to be told of a delay is told. Rows go to
-``robustness.csv``, where one that is there is not computed again, and from there to the page; ``--draw`` does the last
-alone.
+Each controller that commands a servo runs ideal, behind an encoder, also behind one sample of delay, and also with a
+load from half time on, on four clocks. A law with a delay parameter is configured for it. Rows go to
+``robustness.csv``, where existing rows are not computed again, and from there to the page; ``--draw`` only writes the
+page.
 """
 
 from __future__ import annotations
@@ -50,9 +50,11 @@ def changed(name: str, clock: str, case: str) -> dm.Graph:
         reality["loaded_manipulator"] = {"payload": [_load(graph)], "payload_at": [f"{SECONDS / 2} s"]}
     graph = graph.set({"clock": clock, "duration": f"{SECONDS} s"})
     if "transport_delay" in reality:
-        told = [label for label in graph.blocks if "delay" in type(graph.blocks[label]).model_fields]
-        if told != ["task"]:  # whose goal is that of a later sample, which is right where a predictor says from where
-            graph = graph.set({f"{label}.delay": 1 for label in told})
+        delayed = [label for label in graph.blocks if "delay" in type(graph.blocks[label]).model_fields]
+        if delayed != [
+            "task"
+        ]:  # whose goal is that of a later sample, which is right where a predictor says from where
+            graph = graph.set({f"{label}.delay": 1 for label in delayed})
     return graph.reality(reality) if reality else graph
 
 
@@ -103,12 +105,12 @@ def _cell(row: dict[str, str], case: str) -> str:
         return f"**diverges** at {plain(float(row['diverged_at']), 's')}"
     if not row["rms_final"]:
         return "-"
-    told = plain(float(row["rms_final"]), row["unit"])
-    return f"{told} ({plain(float(row['most_after']), row['unit'])})" if case == "load" else told
+    rms = plain(float(row["rms_final"]), row["unit"])
+    return f"{rms} ({plain(float(row['most_after']), row['unit'])})" if case == "load" else rms
 
 
 def write(rows: list[dict[str, Any]]) -> None:
-    """The table, beside the page and in it."""
+    """Write the table next to the page and into it."""
     with TABLE.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, HEADS, lineterminator="\n")
         writer.writeheader()

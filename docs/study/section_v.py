@@ -43,7 +43,7 @@ MAPPED = ("paper", "boxed_10", "boxed_100")
 STIFFNESS = (0.3, 1.0, 3.0)
 PROPORTIONAL = (0.5, 1.0, 3.0)  # of K_P/K_D = 2.2 1/s
 INTEGRAL = (0.3, 1.0, 2.0)  # of K_I/K_D = 0.7 1/s^2
-ASKED = ("paper", "tenth", "tenfold")
+CHOSEN = ("paper", "tenth", "tenfold")
 
 Place = tuple[str, float, float, float, float, float]
 
@@ -83,7 +83,7 @@ def unknown() -> list[Place]:
 def cells() -> list[Cell]:
     """Every run of the study, once."""
     found = dict[Cell, None]()
-    for places, gains in ((mapped(), MAPPED), (unknown(), ASKED)):
+    for places, gains in ((mapped(), MAPPED), (unknown(), CHOSEN)):
         for place in places:
             found[Cell(*place, "kinematic", "")] = None
             found.update({Cell(*place, form, each): None for form, each in product(FORMS, gains)})
@@ -175,8 +175,8 @@ def draw(rows: Sequence[Cell]) -> None:
         figure, axes = plt.subplots(len(FORMS), len(MAPPED), figsize=(11, 5.6), sharex=True, sharey=True)
         for line, form in zip(axes, FORMS, strict=True):
             for axis, gains in zip(line, MAPPED, strict=True):
-                told = ratios(rows, form, gains)
-                field = [[told[task, servo, 1.0, 1.0, 1.0, clock] for servo in SERVOS] for clock in CLOCKS]
+                found = ratios(rows, form, gains)
+                field = [[found[task, servo, 1.0, 1.0, 1.0, clock] for servo in SERVOS] for clock in CLOCKS]
                 _field(axis, np.array(field))
                 axis.set_title(f"{FORMS[form]} {TITLES[gains]}", fontsize=9)
         for axis in axes[-1]:
@@ -189,7 +189,7 @@ def draw(rows: Sequence[Cell]) -> None:
 
     figure, axes = plt.subplots(1, len(TASKS), figsize=(11, 4.2), sharey=True)
     for axis, task in zip(axes, TASKS, strict=True):
-        for (form, number), gains in product(FORMS.items(), ASKED):
+        for (form, number), gains in product(FORMS.items(), CHOSEN):
             values = sorted(_of(rows, unknown(), task, form, gains))
             look = {
                 "color": {"velocity": "C0", "position": "C1"}[form],
@@ -222,14 +222,14 @@ def _field(axis: Any, values: np.ndarray) -> None:
 
 
 def _of(rows: Sequence[Cell], places: Iterable[Place], task: str, form: str, gains: str) -> list[float]:
-    told = ratios(rows, form, gains)
-    return [told[place] for place in places if place[0] == task]
+    found = ratios(rows, form, gains)
+    return [found[place] for place in places if place[0] == task]
 
 
-def counts(rows: Sequence[Cell], places: Sequence[Place], asked: Sequence[str]) -> str:
+def counts(rows: Sequence[Cell], places: Sequence[Place], chosen: Sequence[str]) -> str:
     """How often each law helps, hurts and diverges, out of the places of each task."""
     lines = ["| task | gains | form | better by half | better | not better | diverges |", "|" + "---|" * 7]
-    for task, gains, (form, number) in product(TASKS, asked, FORMS.items()):
+    for task, gains, (form, number) in product(TASKS, chosen, FORMS.items()):
         values = np.array(_of(rows, places, task, form, gains))
         half, better, diverges = np.sum(values < 0.5), np.sum(values < 1), np.sum(np.isinf(values))
         parts = (half, better - half, len(values) - better - diverges, diverges)
@@ -241,12 +241,12 @@ def table(rows: Sequence[Cell]) -> str:
     """Each servo and clock at the packaged ratios and friction: kinematic error, and the ratios."""
     kinematic = {cell.place: cell.rms_mm for cell in rows if cell.form == "kinematic"}
     laws = list(product(MAPPED, FORMS))
-    told = {law: ratios(rows, law[1], law[0]) for law in laws}
+    found = {law: ratios(rows, law[1], law[0]) for law in laws}
     heads = [f"{TITLES[gains]} {FORMS[form]}" for gains, form in laws]
     lines = ["| task | servo | period | kinematic | " + " | ".join(heads) + " |", "|" + "---|" * (4 + len(laws))]
     for task, servo, clock in product(TASKS, SERVOS, CLOCKS):
         place = (task, servo, 1.0, 1.0, 1.0, clock)
-        parts = [f"{value:.2g}" if isfinite(value := told[law][place]) else "diverges" for law in laws]
+        parts = [f"{value:.2g}" if isfinite(value := found[law][place]) else "diverges" for law in laws]
         first = f"| {task} | x {servo:g} | {clock * 1e3:g} ms | {kinematic[place]:.3g} mm | "
         lines.append(first + " | ".join(parts) + " |")
     return "\n".join(lines)
@@ -256,7 +256,7 @@ def generated(rows: Sequence[Cell]) -> str:
     """What stands between the page's marks."""
     parts = (
         "What the paper does not give varied, at its sampling periods:",
-        counts(rows, unknown(), ASKED),
+        counts(rows, unknown(), CHOSEN),
         "The map:",
         counts(rows, mapped(), MAPPED),
         "Each servo and period of the map at the graphs' friction:",

@@ -48,23 +48,23 @@ BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
 @final
 @dataclass(frozen=True)
 class Case:
-    """What is otherwise: values and blocks put into the graph, a reality; and what controllers are told."""
+    """Changes of a case: values and blocks of the graph, non-idealities, and the delay that controllers assume."""
 
     values: Mapping[str, Any] = field(default_factory=dict)
     reality: Mapping[str, Any] = field(default_factory=dict)
-    told: int = 0
+    configured: int = 0
     seconds: float = 200.0
     random: bool = False
     echoed: bool = False
 
 
 def servo(scale: float) -> dict[str, Any]:
-    """The maker's gains, all times a number."""
+    """The servo's gains, all times a number."""
     return {f"servo.{name}": [scale * gain for gain in gains] for name, gains in SERVO.items()}
 
 
 def off(angle: float) -> dict[str, Any]:
-    """The servo's target starts beside the pose by an angle [rad] that nobody is told."""
+    """The servo's target starts off the pose by an angle [rad] that no controller knows."""
     return {"start.servo.q_c": [q + angle for q in START]}
 
 
@@ -86,19 +86,21 @@ SPRINGS: Final = {
 STAMPED: Final = {f"{label}.time_stamps": True for label in ("inverse", "column")}
 PAYLOAD: Final = {"loaded_manipulator": {"payload": ["5 kg"], "payload_at": ["100 s"]}}
 CASES: Final[dict[str, Case]] = {
-    "as told": Case(),
+    "as configured": Case(),
     "encoder's steps": Case(reality=STEPS),
-    "delay 1": Case(reality=LATE, told=1),
-    "delay 1, steps": Case(reality=LATE | STEPS, told=1),
-    "noise 1e-4 rad, delay 1": Case(reality=LATE | {"encoder": {"step": "1 nrad", "noise": 1e-4}}, told=1, random=True),
+    "delay 1": Case(reality=LATE, configured=1),
+    "delay 1, steps": Case(reality=LATE | STEPS, configured=1),
+    "noise 1e-4 rad, delay 1": Case(
+        reality=LATE | {"encoder": {"step": "1 nrad", "noise": 1e-4}}, configured=1, random=True
+    ),
     "the same, `average: 2`": Case(
         {"inverse.average": 2},
         LATE | {"encoder": {"step": "1 nrad", "noise": 1e-4}},
-        told=1,
+        configured=1,
         random=True,
     ),
     "q_c(0) off by 10 mrad": Case(off(0.01)),
-    "q_c(0) off by 10 mrad, delay 1, steps": Case(off(0.01), LATE | STEPS, told=1),
+    "q_c(0) off by 10 mrad, delay 1, steps": Case(off(0.01), LATE | STEPS, configured=1),
     "1 % of commands lost": Case(reality={"transport_delay": {"samples": 0, "lost": 0.01}}, seconds=400, random=True),
     "servo's q_c integrates 0.99 of dq_c": Case({"blocks.servo": block(f"{OWN}:DriftingServo", **SERVO)}, seconds=600),
     "velocity P servo without q_c": Case({"blocks.servo": block(f"{OWN}:VelocityServo", K_P=SERVO["K_D"])}),
@@ -106,17 +108,17 @@ CASES: Final[dict[str, Case]] = {
     "commands ramp with 0.5 rad/s^2": Case(reality={"command_ramp": {"acceleration": "0.5 rad/s^2"}}),
     "samples of 81 to 99 ms": Case({"jitter": "4.5 ms"}, random=True),
     "samples of 81 to 99 ms, time-stamped": Case({"jitter": "4.5 ms"} | STAMPED, random=True),
-    "delay 1/2, told 0": Case(reality={"transport_delay": {"samples": 0, "share": 0.5}}),
-    "delay 3/4, told 0": Case(reality={"transport_delay": {"samples": 0, "share": 0.75}}),
-    "delay 1, told 0": Case(reality=LATE),
-    "delay 0, told 1": Case(told=1),
-    "delay 1 or 2 at random, told 1": Case(
-        reality={"transport_delay": {"samples": 1, "late": 0.5}}, told=1, random=True
+    "delay 1/2, configured 0": Case(reality={"transport_delay": {"samples": 0, "share": 0.5}}),
+    "delay 3/4, configured 0": Case(reality={"transport_delay": {"samples": 0, "share": 0.75}}),
+    "delay 1, configured 0": Case(reality=LATE),
+    "delay 0, configured 1": Case(configured=1),
+    "delay 1 or 2 at random, configured 1": Case(
+        reality={"transport_delay": {"samples": 1, "late": 0.5}}, configured=1, random=True
     ),
     "the same, the servo's target echoed": Case(
-        reality={"transport_delay": {"samples": 1, "late": 0.5}}, told=1, random=True, echoed=True
+        reality={"transport_delay": {"samples": 1, "late": 0.5}}, configured=1, random=True, echoed=True
     ),
-    "delay 1, told 0, the servo's target echoed": Case(reality=LATE, echoed=True),
+    "delay 1, configured 0, the servo's target echoed": Case(reality=LATE, echoed=True),
     "robot's clock fast by 1e-3": Case({"blocks.servo": block(f"{OWN}:HurriedServo", **SERVO, pace=1.001)}),
     "servo filters its velocity, 30 ms": Case(
         {"blocks.servo": block(f"{OWN}:FilteredServo", **SERVO, time_constant="30 ms")}
@@ -127,7 +129,7 @@ CASES: Final[dict[str, Case]] = {
     "friction sticks and is uneven": Case(
         reality={"stribeck_friction": {"sticking": [4, 4, 2], "uneven": [1.6, 1.6, 0.8]}}
     ),
-    "5 kg at half time, delay 1, steps": Case(reality=LATE | STEPS | PAYLOAD, told=1),
+    "5 kg at half time, delay 1, steps": Case(reality=LATE | STEPS | PAYLOAD, configured=1),
     **{f"servo x {scale:g}": Case(servo(scale)) for scale in (0.1, 0.3, 3, 10)},
     **{f"servo x {scale:g}, delay 1, steps": Case(servo(scale), LATE | STEPS, 1) for scale in (0.1, 0.3, 3, 10)},
     "start off the path by 0.2 rad a joint": Case({"start.q": [q + 0.2 for q in START]}),
@@ -138,24 +140,26 @@ CASES: Final[dict[str, Case]] = {
     "w_0 x 30": Case({"inverse.w_0": 30 * 0.00125}),
     "a box without the truth": Case({"inverse.k_P_box": [0.2, 1.9], "inverse.friction_box": [0, 3]}),
     "a drive ends at 75 of 81 N m": Case(reality={"torque_limits": {"torque": [100, 75, 100]}}),
-    "a drive ends at 75 of 81 N m, delay 1": Case(reality=LATE | {"torque_limits": {"torque": [100, 75, 100]}}, told=1),
+    "a drive ends at 75 of 81 N m, delay 1": Case(
+        reality=LATE | {"torque_limits": {"torque": [100, 75, 100]}}, configured=1
+    ),
     "maker compensates gravity": Case({"arm.maker_gravity": 1}),
     "standing still": Case({"path.rate": 0}),
 }
 
 
 def changed(name: str, case: Case, seed: int = 0) -> dm.Graph:
-    """A controller in a case; one that predicts is told the delay."""
+    """A controller in a case; a predictor is configured for the delay."""
     graph = dm.load(dm.load(name).text, name=str(FOLDER / f"{name}.yaml"))  # blocks of its own lie there
     late = [label for label in graph.blocks if "delay" in type(graph.blocks[label]).model_fields]
-    told = {f"{label}.delay": case.told for label in late if late != ["task"]}
+    delays = {f"{label}.delay": case.configured for label in late if late != ["task"]}
     lacking = [key for key in case.values if "." in key and not _has(graph, key)]
     values = {key: value for key, value in case.values.items() if key not in lacking}
     if case.echoed:
-        hearing = [label for label in graph.blocks if "echoed" in type(graph.blocks[label]).model_fields]
-        values |= {f"{label}.echoed": True for label in hearing}
-        values |= {f"wires.{label}.q_echo": "servo.q_c" for label in hearing}
-    graph = graph.set({**told, **values, "duration": f"{case.seconds} s", "seed": seed})
+        echoing = [label for label in graph.blocks if "echoed" in type(graph.blocks[label]).model_fields]
+        values |= {f"{label}.echoed": True for label in echoing}
+        values |= {f"wires.{label}.q_echo": "servo.q_c" for label in echoing}
+    graph = graph.set({**delays, **values, "duration": f"{case.seconds} s", "seed": seed})
     return graph.reality(dict(case.reality)) if case.reality else graph
 
 
@@ -227,7 +231,7 @@ def read() -> list[dict[str, str]]:
 
 
 def write(rows: list[dict[str, Any]]) -> None:
-    """The table, beside the page and in it."""
+    """Write the table next to the page and into it."""
     order = [(case, name) for case in CASES for name in CONTROLLERS]
     rows.sort(key=lambda row: order.index((row["case"], row["graph"])))
     with TABLE.open("w", encoding="utf-8", newline="") as file:

@@ -2,33 +2,33 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.linalg import solve_spd
 from dmframe.parameter import Diagonal, NonNegative, Positive, Real, Scalar, Vector
-from dmframe.port import TIME, Access, Port, Side, State
+from dmframe.port import TIME, Access, Input, Output, Side, State
 
 
 @final
 class GearedArm(AbstractBlock):
     """A rigid arm each of whose motors turns with its joint, through a gear: only its own inertia feels it."""
 
-    side: ClassVar[Side] = Side.PLANT
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (Port("u", "n", "V"),)
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad", Access.MEASURED),
-        Port("dq", "n", "rad/s", Access.MEASURED, derivative_of="q"),
-        Port("x", "m", "m", Access.MEASURED),
-        Port("g", "n", "N m"),
-        Port("K", "n", "N m/V"),
-        Port("B", "n", "N m s/rad"),
-        Port("D", "n", "N m"),
+    side = Side.PLANT
+    uses_robot = True
+    inputs = (Input("u", "n", "V"),)
+    outputs = (
+        Output("q", "n", "rad", Access.MEASURED),
+        Output("dq", "n", "rad/s", Access.MEASURED, derivative_of="q"),
+        Output("x", "m", "m", Access.MEASURED),
+        Output("g", "n", "N m"),
+        Output("K", "n", "N m/V"),
+        Output("B", "n", "N m s/rad"),
+        Output("D", "n", "N m"),
     )
-    states: ClassVar[tuple[State, ...]] = (State("q", "n", "rad"), State("dq", "n", "rad/s"))
+    states = (State("q", "n", "rad"), State("dq", "n", "rad/s"))
 
     rotor: Diagonal = NonNegative("n", "kg m^2")
     viscous: Diagonal = NonNegative("n", "N m s/rad")
@@ -48,15 +48,15 @@ class GearedArm(AbstractBlock):
 class PoseFriction(AbstractBlock):
     """Friction that rises and falls along each joint's way, on top of that of the arm."""
 
-    side: ClassVar[Side] = Side.PLANT
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("u", "n", "V"),
-        Port("K", "n", "N m/V"),
-        Port("q", "n", "rad"),
-        Port("dq", "n", "rad/s"),
+    side = Side.PLANT
+    uses_robot = True
+    inputs = (
+        Input("u", "n", "V"),
+        Input("K", "n", "N m/V"),
+        Input("q", "n", "rad"),
+        Input("dq", "n", "rad/s"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("u_left", "n", "V", instead_of="u"),)
+    outputs = (Output("u_left", "n", "V", instead_of="u"),)
 
     size: Diagonal = NonNegative("n", "N m")
     waves: Scalar = Positive()
@@ -71,19 +71,19 @@ class PoseFriction(AbstractBlock):
 class MotorEncoders(AbstractBlock):
     """Reads the motors of elastic joints, which is all that a controller has of the joints."""
 
-    side: ClassVar[Side] = Side.PLANT
-    uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("theta", "n", "rad"),
-        Port("dtheta", "n", "rad/s"),
-        Port("q", "n", "rad"),
-        Port("dq", "n", "rad/s"),
-        Port("x", "m", "m"),
+    side = Side.PLANT
+    uses_robot = True
+    inputs = (
+        Input("theta", "n", "rad"),
+        Input("dtheta", "n", "rad/s"),
+        Input("q", "n", "rad"),
+        Input("dq", "n", "rad/s"),
+        Input("x", "m", "m"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("q_motor", "n", "rad", Access.MEASURED, instead_of="q"),
-        Port("dq_motor", "n", "rad/s", Access.MEASURED, derivative_of="q_motor", instead_of="dq"),
-        Port("x_motor", "m", "m", Access.MEASURED, instead_of="x"),
+    outputs = (
+        Output("q_motor", "n", "rad", Access.MEASURED, instead_of="q"),
+        Output("dq_motor", "n", "rad/s", Access.MEASURED, derivative_of="q_motor", instead_of="dq"),
+        Output("x_motor", "m", "m", Access.MEASURED, instead_of="x"),
     )
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -95,9 +95,9 @@ class MotorEncoders(AbstractBlock):
 class StopAndGo(AbstractBlock):
     """A circle that is run through for half of each `period`, and stood still on for the other half."""
 
-    side: ClassVar[Side] = Side.SOURCE
-    inputs: ClassVar[tuple[Port, ...]] = (TIME,)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("x_d", "m", "m"),)
+    side = Side.SOURCE
+    inputs = (TIME,)
+    outputs = (Output("x_d", "m", "m"),)
 
     center: Vector = Real("m", "m", spread=False)
     radius: Scalar = Real("", "m")

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar, final
+from typing import final
 
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX
 from dmframe.parameter import Diagonal, Positive, Scalar
-from dmframe.port import Access, Port, Side, State
+from dmframe.port import Access, Input, Output, Side, State
 
 
 @final
 class VelocityServo(AbstractBlock):
     """P servo of the joint velocities: it has no target position, and gravity pulls the robot down."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (Port("dq", "n", "rad/s"), Port("dq_c", "n", "rad/s"))
-    outputs: ClassVar[tuple[Port, ...]] = (Port("u", "n", "V"),)
+    side = Side.PLANT
+    inputs = (Input("dq", "n", "rad/s"), Input("dq_c", "n", "rad/s"))
+    outputs = (Output("u", "n", "V"),)
 
     K_P: Diagonal = Positive("n", "V s/rad")
 
@@ -29,15 +29,15 @@ class VelocityServo(AbstractBlock):
 class AbstractPositionServo(AbstractBlock):
     """PID servo of the joint positions; what kind of one, its equations say."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad"),
-        Port("dq", "n", "rad/s"),
-        Port("dq_c", "n", "rad/s"),
+    side = Side.PLANT
+    inputs = (
+        Input("q", "n", "rad"),
+        Input("dq", "n", "rad/s"),
+        Input("dq_c", "n", "rad/s"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("q_c", "n", "rad", Access.MEASURED), Port("u", "n", "V"))
-    states: ClassVar[tuple[State, ...]] = (State("q_c", "n", "rad"), State("i", "n", "rad s"))
-    truth: ClassVar[tuple[Port, ...]] = (Port("g", "n", "N m"), Port("K", "n", "N m/V"))
+    outputs = (Output("q_c", "n", "rad", Access.MEASURED), Output("u", "n", "V"))
+    states = (State("q_c", "n", "rad"), State("i", "n", "rad s"))
+    truth = (Input("g", "n", "N m"), Input("K", "n", "N m/V"))
 
     K_D: Diagonal = Positive("n", "V s/rad")
     K_P: Diagonal = Positive("n", "V/rad")
@@ -64,7 +64,7 @@ class DriftingServo(AbstractPositionServo):
 class FilteredServo(AbstractPositionServo):
     """PID servo of the joint positions that filters the velocity error."""
 
-    states: ClassVar[tuple[State, ...]] = (*AbstractPositionServo.states, State("slip", "n", "rad/s"))
+    states = (*AbstractPositionServo.states, State("slip", "n", "rad/s"))
 
     time_constant: Scalar = Positive("", "s")
 

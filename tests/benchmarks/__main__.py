@@ -1,9 +1,9 @@
 """Ours beside what one would pick instead: ``python -m tests.benchmarks``.
 
 Parts: (a) the closed loop of ur10_fast, (b) of ur10_full, (c) the controller step, (d) cost against the number of
-joints, (e) time to first result, (f) a batch, (g) a stiff loop, (h) lanes. All ratios of a table come from one run on
-one machine. Peers are an optional dependency group: ``pip install --group peers``; one that is missing is reported as
-missing. Status 1 with --check where a ratio fell behind the baseline.
+joints, (e) time to first result, (f) a batch, (g) a stiff loop, (h) SIMD batches. All ratios of a table come from one
+run on one machine. Peers are an optional dependency group: ``pip install --group peers``; one that is missing is
+reported as missing. Status 1 with --check if a ratio fell behind the baseline.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from tests.benchmarks import baseline, batch, chains, closed_loop, controller_step, first_result, lanes, stiff
+from tests.benchmarks import baseline, batch, chains, closed_loop, controller_step, first_result, simd, stiff
 from tests.benchmarks.machine import describe
 from tests.benchmarks.peers import PEERS
 from tests.benchmarks.table import Report, Section
@@ -72,7 +72,7 @@ def sections(chosen: argparse.Namespace) -> list[Section]:
         elif part == "g":
             found.append(stiff.section(told=told))
         else:
-            found.append(lanes.section(limit, told))
+            found.append(simd.section(limit, told))
     return found
 
 

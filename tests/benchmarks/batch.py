@@ -25,7 +25,7 @@ def grid(size: int) -> Array:
     return np.array(list(product(gamma, Gamma, Lambda)))[:: max(1, 1000 // size)][:size]
 
 
-def in_lanes(size: int, seconds: float, step: float) -> dict[str, Any]:
+def in_simd(size: int, seconds: float, step: float) -> dict[str, Any]:
     """`dmframe.batch`: the error's figures and the last pose are kept; values, starts and steps are in its time."""
     from dataclasses import replace
 
@@ -144,8 +144,8 @@ def by_vmap(size: int, seconds: float, step: float) -> dict[str, Any]:
 PEERS = {"jaxonomy": "jaxonomy_blocks", "jax": "jax_by_hand"}
 
 METHODS: dict[str, tuple[str, dict[str, Any], str, str]] = {
-    "dmframe, figures in lanes": (
-        "in_lanes",
+    "dmframe, figures in SIMD batches": (
+        "in_simd",
         {},
         "dmframe",
         "several runs at once in vector registers, on all cores; the error's figures and the last pose are kept",
@@ -168,12 +168,12 @@ METHODS: dict[str, tuple[str, dict[str, Any], str, str]] = {
 
 
 def section(
-    size: int, seconds: float, step: float, limit: float, told: Callable[[str], None] = lambda text: None
+    size: int, seconds: float, step: float, limit: float, report: Callable[[str], None] = lambda text: None
 ) -> Section:
     """One row a method."""
     rows, reference = list[Row](), dict[str, Any]()
     for name, (job, options, package, note) in METHODS.items():
-        told(f"(f) {name}")
+        report(f"(f) {name}")
         lacking = "" if package == "dmframe" else find(PEERS[package]).missing()
         if lacking:
             rows.append(Row("f", name, status="missing", agreement=lacking.split(": ", 1)[1], note=note))

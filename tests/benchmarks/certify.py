@@ -96,7 +96,7 @@ def rows(robots: Sequence[str]) -> Iterator[tuple[str, ...]]:
 
 
 def identity(verdict: Verdict) -> float:
-    """Seconds of the exact test alone, three points, without conditions and negative controls."""
+    """Seconds of the exact test alone, three points, without conditions and fault injection."""
     if verdict.claim is None:
         return float("nan")
     symbols = symbols_of(verdict.claim)

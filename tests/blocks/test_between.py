@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy import signal
 from scipy.integrate import solve_ivp
-from scipy.signal import lfilter, lsim
 
 import dmframe as dm
 from dmframe.catalogue import find_block
@@ -63,13 +63,13 @@ def rounded(q: Array, step: float = STEP) -> Array:
 
 def filtered(differences: Array, time_constant: float) -> Array:
     c = np.exp(-T / time_constant)
-    return np.asarray(lfilter([1 - c], [1, -c], differences, axis=0))
+    return np.asarray(signal.lfilter([1 - c], [1, -c], differences, axis=0))
 
 
 def over(q: Array, time: float) -> Array:
     """(q - q(t - time)) / time, with Pade's first approximation of the delay, by SciPy's response to straight lines."""
     times = T * np.arange(len(q))
-    lag = np.column_stack([lsim(([1.0], [time / 2, 1.0]), row - row[0], times)[1] + row[0] for row in q.T])
+    lag = np.column_stack([signal.lsim(([1.0], [time / 2, 1.0]), row - row[0], times)[1] + row[0] for row in q.T])
     return (q - (2 * lag - q)) / time
 
 
@@ -237,7 +237,7 @@ def test_commands_are_cut_off_at_the_robots_own_limits_or_those_given_and_the_ru
         first = found.time[np.argmax(over_it)]
         assert found.notices[1].startswith(
             f"a commanded velocity is beyond its limit, and cut off, first at t = {first:.6g} s, in "
-            f"{100 * np.mean(over_it):.3g} % of the instants kept; the most is "
+            f"{100 * np.mean(over_it):.3g} % of the recorded instants; the largest value is "
         )
         q_c = found.recording["arm.q"][0] + T * np.vstack([np.zeros(2), np.cumsum(taken, axis=0)[:-1]])
         np.testing.assert_allclose(found.recording["servo.q_c"], q_c, atol=1e-12)
@@ -253,10 +253,12 @@ def test_a_ramp_is_a_filter_near_the_command_and_a_straight_line_far_from_it() -
     found = run(ramp={"type": "command_ramp", "time_constant": 0.02})
     c = np.exp(-T / 0.02)  # exact, of a command that is held for a sample
     sent = found["command.dq_c"]
-    wanted = lfilter([0, 1 - c], [1, -c], sent, axis=0)
+    wanted = signal.lfilter([0, 1 - c], [1, -c], sent, axis=0)
     np.testing.assert_allclose(found["ramp.dq_ramp"], wanted, atol=1e-6)
     with pytest.raises(AssertionError):
-        np.testing.assert_allclose(found["ramp.dq_ramp"], lfilter([0, 1 - c], [1, -c], 1.01 * sent, axis=0), atol=1e-6)
+        np.testing.assert_allclose(
+            found["ramp.dq_ramp"], signal.lfilter([0, 1 - c], [1, -c], 1.01 * sent, axis=0), atol=1e-6
+        )
     found = run(ramp={"type": "command_ramp", "acceleration": [5, 6]})
     slope = np.diff(found["ramp.dq_ramp"], axis=0) / T
     assert np.all(np.abs(slope) <= np.array([5, 6]) * (1 + 1e-9))

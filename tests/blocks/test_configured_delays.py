@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any
 
 import casadi as ca
 import pytest
@@ -12,11 +12,11 @@ from sampled_arm2 import sampled_arm2
 import dmframe as dm
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certify import Verdict, verify
+from dmframe.certify.claim import claim_of
 from dmframe.certify.delays import decided_delays
-from dmframe.certify.samples import sampled_claim_of
 from dmframe.diagram import Diagram
 from dmframe.parameter import Positive, Scalar
-from dmframe.port import Port, Side, State
+from dmframe.port import Input, Output, Side, State
 from dmframe_blocks.sampled_inverse import SampledInverse
 
 
@@ -89,16 +89,16 @@ def test_a_command_that_is_none_of_the_blocks_own_is_left_to_an_assumption(monke
     found = verdict()
     assert found.outcome == "proved"
     assert not any("delays commands by" in item.name for item in found.conditions)
-    assert any("a delay is as told, or echoed" in item.text for item in found.assumptions)
+    assert any("a delay is as configured, or echoed" in item.text for item in found.assumptions)
 
 
 class Changed(AbstractBlock):
     """A plant's signal that is passed on as another."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s"),)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_c_other", "n", "rad/s", instead_of="dq_c"),)
-    states: ClassVar[tuple[State, ...]] = (State("lag", "n", "rad/s"), State("old", "n", "rad/s", sampled=True))
+    side = Side.PLANT
+    inputs = (Input("dq_c", "n", "rad/s"),)
+    outputs = (Output("dq_c_other", "n", "rad/s", instead_of="dq_c"),)
+    states = (State("lag", "n", "rad/s"), State("old", "n", "rad/s", sampled=True))
     way: str = ""
     k: Scalar = Positive("", "1/s", default=20.0)
 
@@ -129,5 +129,5 @@ class Changed(AbstractBlock):
 def test_another_signal_with_the_same_delay_is_left_to_an_assumption(way: str, delay: int, copied: bool) -> None:
     graph = dm.load(sampled_arm2(servo="pid", replay=2, delay=delay))
     blocks = {**graph.experiment.blocks, "changed": Changed(way=way)}
-    claim = sampled_claim_of(Diagram.build(blocks, graph.experiment.file.wires, graph.experiment.robot))
-    assert [decided_delays(claim, part) for part in claim.parts if part.acted] == [copied]
+    claim = claim_of(Diagram.build(blocks, graph.experiment.file.wires, graph.experiment.robot))
+    assert [decided_delays(claim, part) for part in claim.parts if part.certificate.acted] == [copied]

@@ -260,7 +260,7 @@ def test_without_the_right_input_nothing_bounds_the_goal(inputs: Any) -> None:
     ("inputs", "otherwise", "says"),
     [
         (lambda u, p: (u.f_ext,), BOUNDED, "expected no input or 2 for the 2 vectors"),
-        (lambda u, p: (0, u.f_ext / p.M_a), (), "expected assumptions, as otherwise, beside the inputs"),
+        (lambda u, p: (0, u.f_ext / p.M_a), (), "expected assumptions as otherwise, together with the inputs"),
     ],
 )
 def test_an_input_of_which_nothing_is_assumed_is_told(inputs: Any, otherwise: Any, says: str) -> None:

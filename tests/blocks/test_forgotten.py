@@ -50,15 +50,15 @@ def notices(found: dm.Graph) -> str:
     [
         (
             LOAD | {"blocks.arm": {"type": "manipulator", "viscous": [1, 0.5]}},
-            "no block takes load.a_load, so that load (payload) changes nothing",
+            "no block reads load.a_load, so that load (payload) has no effect",
         ),
         (
             {"blocks.path": {"type": "setpoint", "x_d": [0.5, 0.5], "orientation": [0, 0, 0]}},
-            "no block takes path.p_d, so that it changes nothing",
+            "no block reads path.p_d, so that it has no effect",
         ),
         (
             {"blocks.pace": {"type": "path_wait"}},
-            "so that pace (path_wait) changes nothing",
+            "so that pace (path_wait) has no effect",
         ),
     ],
 )
@@ -146,7 +146,7 @@ def test_a_load_that_the_controller_does_not_know_is_no_part_of_its_export(tmp_p
 def test_a_robot_that_moves_by_more_than_its_commands_says_by_what(
     change: dict[str, Any], reads: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(DmframeError, match=rf"its commands alone, found one that reads {reads};"):
+    with pytest.raises(DmframeError, match=rf"its commands, found one that reads {reads};"):
         graph(change).export(tmp_path / "out", "fmi3")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import casadi as ca
 import numpy as np
@@ -21,7 +21,7 @@ from dmframe.config.document import read_document
 from dmframe.config.experiment import Experiment, experiment_of, load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
-from dmframe.port import TIME, Port, Side
+from dmframe.port import TIME, Output, Side
 from dmframe.results.shown import felt
 from dmframe.robot.library import find_robot
 from dmframe_blocks._loads import with_body, with_held
@@ -153,7 +153,7 @@ def test_it_is_proved_between_the_steps_of_the_load() -> None:
     assert verdict.outcome == "proved"
     assert all(control.refuted for control in verdict.controls)
     assumed = " / ".join(item.text for item in verdict.assumptions)
-    assert "all is said of the time between its steps, each of which begins a new V" in assumed
+    assert "the proof holds between two steps, each of which starts a new V" in assumed
     assert "load.a_load is the inertia of a rigid body: its pseudo-inertia is not negative" in assumed
     assert "model (payload_regressor) knows exactly" in assumed
 
@@ -219,9 +219,9 @@ def test_a_servo_that_carries_the_links_is_refuted_where_the_controller_takes_th
 class Ramp(AbstractBlock):
     """A load that grows, and says that it steps."""
 
-    side: ClassVar[Side] = Side.SOURCE
-    inputs: ClassVar[tuple[Port, ...]] = (TIME,)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("a_load", "10", steps=True),)
+    side = Side.SOURCE
+    inputs = (TIME,)
+    outputs = (Output("a_load", "10", steps=True),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations({"a_load": u.t * ca.DM.ones(10)})
@@ -231,9 +231,9 @@ class Ramp(AbstractBlock):
 class Silent(AbstractBlock):
     """A load that steps, and does not say so."""
 
-    side: ClassVar[Side] = Side.SOURCE
-    inputs: ClassVar[tuple[Port, ...]] = (TIME,)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("a_load", "10"),)
+    side = Side.SOURCE
+    inputs = (TIME,)
+    outputs = (Output("a_load", "10"),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations({"a_load": (u.t >= 1) * ca.DM.ones(10)})
@@ -246,13 +246,13 @@ def test_a_load_that_moves_between_its_steps_is_told() -> None:
 
 
 def test_only_a_source_steps_and_only_a_controller_shows() -> None:
-    wrong = {"side": Side.CONTROLLER, "equations": Ramp.equations, "__module__": __name__}
-    shows = (Port("m", "", "kg", steps=True), Port("c", "", "m", shown="a place"))
-    found = type(Ramp)("Wrong", (AbstractBlock,), {**wrong, "inputs": shows[1:], "outputs": shows[:1]}).contract("w")
-    assert [fault.text for fault in found] == [
-        "w: says that c is shown, and it is no output of a controller; leave that out",
-        "w: says that m steps, and it is no output of a source; leave that out",
-    ]
+    for side, output, says in (
+        (Side.PLANT, Output("c", "", "m", shown="a place"), "c is shown, and it is no output of a controller"),
+        (Side.CONTROLLER, Output("m", "", "kg", steps=True), "m steps, and it is no output of a source"),
+    ):
+        members = {"side": side, "outputs": (output,), "equations": Ramp.equations, "__module__": __name__}
+        found = type(Ramp)("Wrong", (AbstractBlock,), members).contract("w")
+        assert [fault.text for fault in found] == [f"w: says that {says}; leave that out"]
 
 
 @pytest.mark.parametrize(
@@ -280,7 +280,9 @@ def learning_all(load: str = "mass: [1, 0], at: [0.2, 0.6]", arm: str = "loaded_
 def test_columns_for_all_links_learn_a_load_too_and_that_is_proved_between_its_steps(gravity: str) -> None:
     verdict = learning_all().set({"model.gravity": gravity}).verify().verdict
     assert verdict.outcome == "proved", verdict.reason
-    (said,) = [item.text for item in verdict.assumptions if "constant: all is said of the time between" in item.text]
+    (said,) = [
+        item.text for item in verdict.assumptions if "constant between its steps; the proof holds between" in item.text
+    ]
     assert said.startswith("load.a_load is bounded")
     assert said.endswith("there jumps what dynamics and arm store, and nothing else")
 
@@ -341,3 +343,12 @@ def test_where_nothing_is_held_the_links_have_their_own_parameters_without_a_bod
     assert with_held(links, ca.DM.zeros(10)) is links
     assert ca.is_equal(with_held(links, held), with_body(links, held), 9)
     assert ca.is_equal(with_held(links, held, lambda body: 2 * body), with_body(links, 2 * held), 9)
+
+
+def test_of_two_loads_the_true_one_is_that_which_the_robot_carries() -> None:
+    graph = dm.load(SMALL + "  other:    {type: payload, mass: [2], at: [0.4]}\nwires: {arm.a_load: other.a_load}\n")
+    claim = claim_of(graph.diagram)
+    names = {symbol.name() for symbol in ca.symvar(claim.truths["model"]["a_d"])}
+    assert any(name.startswith("other.a_load") for name in names)
+    assert not any(name.startswith("load.") for name in names)
+    assert graph.verify().proved

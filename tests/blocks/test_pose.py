@@ -213,7 +213,7 @@ def test_it_goes_with_a_pi_servo_and_ends_in_position_and_orientation() -> None:
     assert claim is not None
     (task,) = (part.certificate for part in claim.parts if part.certificate.errors)
     b, e_R = task.dissipation[0], task.errors[0]
-    known = cast(Closure, SimpleNamespace(uncertain=frozenset(), prime=2**127 - 1, seed=0, driven=[]))
+    known = cast(Closure, SimpleNamespace(uncertain=frozenset(), prime=2**127 - 1, seed=0, driven=[], driving=[]))
 
     def concluded(vector: Any) -> Made | None:
         return combined(claim, known, Goal("it", vector), [Vanishing("b", b.vector, True)])
@@ -394,9 +394,9 @@ def test_a_start_that_no_joints_reach_says_by_how_much_in_position_and_angle() -
 
 def test_a_source_that_no_block_reads_is_told() -> None:
     graph = dm.load(CIRCLE).set({"blocks.load": {"type": "payload", "mass": [1], "at": [0]}, "duration": 0.08})
-    assert graph.run(progress=False).notices[0].startswith("no block takes load.a_load, so that")
+    assert graph.run(progress=False).notices[0].startswith("no block reads load.a_load, so that")
     taken = graph.set({"arm.type": "loaded_manipulator"}).run(progress=False)
-    assert not [text for text in taken.notices if "no block takes" in text]
+    assert not [text for text in taken.notices if "no block reads" in text]
 
 
 SAMPLED = {"type": "sampled_inverse", "servo": "pid", "w_0": [0.00125, 0.00125, 0.0025, 0.1, 0.2, 2], "replay": 8}

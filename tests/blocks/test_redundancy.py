@@ -98,7 +98,6 @@ def test_a_generator_that_does_not_keep_it_out_of_the_task_is_refuted(
         return Equations(outputs={"dq_r": said.outputs["dq_r"] + u.dq_null / 1000})
 
     monkeypatch.setattr(kind, "equations", leaking)
-    monkeypatch.setattr("dmframe.certify.claim.check_docstrings", lambda blocks: [])  # its docstring would tell before
     verdict = verify(graph(tmp_path).diagram(), trials=1)
     assert verdict.outcome == "refuted", verdict.reason
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 import dmframe as dm
 from dmframe.certify import claim_of, verify
 from dmframe.certify.along import along
+from dmframe.certify.hypotheses import BETWEEN
 from dmframe.config.document import read_document
 from dmframe.config.experiment import Experiment, experiment_of
 from dmframe.diagram import Diagram
@@ -97,7 +98,7 @@ def mass_matrix(mass: float, q: Array) -> Array:
 
 def jump_at(run: dm.Run, instant: float) -> float:
     """V right after an instant less V right before, at one state."""
-    claim, recording = claim_of(run.recording.diagram, near=True), run.recording
+    claim, recording = claim_of(run.recording.diagram), run.recording
     k = int(np.searchsorted(recording.time, instant - 1e-6))
     before = replace(recording, time=recording.time - 1e-9)
     return float(along(claim, recording).V[k] - along(claim, before).V[k])
@@ -140,7 +141,7 @@ def test_it_is_proved_whenever_the_gripper_tells_and_whose_part_of_v_jumps_is_to
     assert all(control.refuted for control in found.controls)
     assert ("idle", "goes to zero") in [(item.signal, item.says) for item in found.statements]
     assumed = " / ".join(item.text for item in found.assumptions)
-    start = "is bounded, and constant: all is said of the time between its steps, each of which begins a new V; there"
+    start = f"is bounded, and {BETWEEN.removeprefix('is ')}; there"
     assert f"load.a_load {start} jumps what dynamics and arm store, and nothing else" in assumed
     assert f"gripper.odd {start} jumps what dynamics stores, and nothing else" in assumed
 
@@ -191,7 +192,7 @@ def changed(**blocks: Any) -> dm.Run:
 
 def test_between_the_steps_v_falls_and_at_a_step_alone_it_rises() -> None:
     run = changed(clock="continuous")
-    V = along(claim_of(run.recording.diagram, near=True), run.recording).V
+    V = along(claim_of(run.recording.diagram), run.recording).V
     rises = run.time[1:][np.diff(V) > 1e-9 * V.max()]
     assert set(np.round(rises, 2)) <= {1.0, 2.0}
 
@@ -219,7 +220,7 @@ def test_what_a_drawing_says_of_the_load_takes_its_error_out_of_v() -> None:
     for expected in ([1, 0.5], [0, 0]):
         values = {"load__mass": [0, 1, 0.5], "gripper__mass": expected, "arm__viscous": 0}
         run = changed(**values)
-        terms = along(claim_of(run.recording.diagram, near=True), run.recording).terms
+        terms = along(claim_of(run.recording.diagram), run.recording).terms
         stored.append(np.sum([term.values for term in terms if term.block == "dynamics"], axis=0))
     for k in (1000, 2000):
         assert stored[0][k] < 0.02

@@ -151,7 +151,7 @@ def test_the_json_and_the_page_tell_the_bound(
     ]
     assert {term["kind"] for term in told["dissipation"]} == {"square", "norm_square", "lemma"}
     page = printed()
-    assert "V̇ may be above minus the dissipation by" in page
+    assert "V̇ may exceed minus the dissipation by" in page
     assert "≤ κ · 0.0258" in page
 
 
@@ -208,13 +208,13 @@ SENSOR = """
 import casadi as ca
 from dmframe.block import AbstractBlock, Equations
 from dmframe.parameter import Real
-from dmframe.port import TIME, Access, Port, Side
+from dmframe.port import Access, Input, Output, Side, TIME
 
 
 class WrongSensor(AbstractBlock):
     side = Side.PLANT
-    inputs = (TIME, Port("dq", "n", "rad/s"))
-    outputs = (Port("dq_m", "n", "rad/s", Access.MEASURED),)
+    inputs = (TIME, Input("dq", "n", "rad/s"))
+    outputs = (Output("dq_m", "n", "rad/s", Access.MEASURED),)
     size: float = Real(unit="rad/s")
 
     def equations(self, u, x, p):
@@ -301,10 +301,10 @@ def test_a_report_says_that_the_proof_has_a_residual(tmp_path: Path, monkeypatch
         found.report(tmp_path / name)
     text = (tmp_path / "report.md").read_text()
     assert "proved, up to a residual that grows with a signal, but not the stability of the whole loop" in text
-    assert "This is not the stability of the whole loop" in text
+    assert "The stability of the whole loop is not proved" in text
     assert "this control loop is stable" not in text
     assert "goes to zero" not in text
-    assert "What is left, above zero or of either sign:" in text
+    assert "Residual, positive or of either sign:" in text
     assert "$a_{d}$" in text  # the estimate starts at zero
     assert "0 plus or minus 10" in text
-    assert "What is left" in (tmp_path / "report.html").read_text()
+    assert "Residual, positive" in (tmp_path / "report.html").read_text()

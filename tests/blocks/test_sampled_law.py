@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -17,7 +17,7 @@ from dmframe.catalogue import block_types
 from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
-from dmframe.port import Access, Port, Side, State
+from dmframe.port import Access, Input, Output, Side, State
 from dmframe.robot.library import find_robot
 from dmframe.robot.parameters import DynamicParameters
 from dmframe.simulate import Log, Recording, simulate
@@ -33,10 +33,10 @@ SERVO = averaged_servo(ARM, "pid", frozenset(("viscous", "coulomb")))
 class Line(AbstractBlock):
     """Hands on each command some samples late."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s"),)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_late", "n", "rad/s"),)
-    states: ClassVar[tuple[State, ...]] = (
+    side = Side.PLANT
+    inputs = (Input("dq_c", "n", "rad/s"),)
+    outputs = (Output("dq_late", "n", "rad/s"),)
+    states = (
         State("first", "n", "rad/s", sampled=True),
         State("second", "n", "rad/s", sampled=True),
     )
@@ -50,9 +50,9 @@ class Line(AbstractBlock):
 class Encoder(AbstractBlock):
     """Hands out the pose in whole steps."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"),)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("q_seen", "n", "rad", Access.MEASURED),)
+    side = Side.PLANT
+    inputs = (Input("q", "n", "rad"),)
+    outputs = (Output("q_seen", "n", "rad", Access.MEASURED),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"q_seen": ca.floor(u.q / STEP + 0.5) * STEP})

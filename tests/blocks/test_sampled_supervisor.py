@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -17,7 +17,7 @@ from dmframe.certify import verify
 from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, WiringError
-from dmframe.port import Port, Side, State
+from dmframe.port import Input, Output, Side, State
 from dmframe.simulate import Recording, simulate
 from dmframe_blocks.sampled_supervisor import SampledSupervisor
 
@@ -27,10 +27,10 @@ KINEMATIC_LATE = 1.6  # [mm] of the kinematic command with the same task law beh
 class Line(AbstractBlock):
     """Hands on each command some samples late, or, by a toss, one more."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s"), Port("toss", drawn="uniform"))
-    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_late", "n", "rad/s"),)
-    states: ClassVar[tuple[State, ...]] = (State("line", "n 3", "rad/s", sampled=True),)
+    side = Side.PLANT
+    inputs = (Input("dq_c", "n", "rad/s"), Input("toss", drawn="uniform"))
+    outputs = (Output("dq_late", "n", "rad/s"),)
+    states = (State("line", "n 3", "rad/s", sampled=True),)
     samples: int = 1
     random: bool = False
 
@@ -45,9 +45,9 @@ class Line(AbstractBlock):
 class VelocityServo(AbstractBlock):
     """Holds velocities and no position: gravity pulls the robot down."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (Port("dq", "n", "rad/s"), Port("dq_c", "n", "rad/s"))
-    outputs: ClassVar[tuple[Port, ...]] = (Port("u", "n", "V"),)
+    side = Side.PLANT
+    inputs = (Input("dq", "n", "rad/s"), Input("dq_c", "n", "rad/s"))
+    outputs = (Output("u", "n", "V"),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"u": -ca.DM([800, 800, 400]) * (u.dq - u.dq_c)})

@@ -14,7 +14,7 @@ from dmframe.block.prose import about
 from dmframe.catalogue import block_types, graphs
 from dmframe.config.experiment import load_experiment
 from dmframe.parameter import specs
-from dmframe.port import Access, Port, Side, State
+from dmframe.port import Access, Side, Signal, State
 from dmframe.simulate import simulate
 from dmframe.units import compatible
 
@@ -137,7 +137,7 @@ def test_a_blocks_ports_have_shapes_and_units_and_keep_to_their_side(name: str) 
     kind = BLOCKS[name]
     assert kind.contract(name) == []
     for item in (*kind.inputs, *kind.outputs, *kind.states, *kind.truth):
-        assert isinstance(item, Port | State)
+        assert isinstance(item, Signal | State)
         assert {word for word in item.shape.split() if not word.isdigit()} <= LETTERS
         compatible(item.unit, "")
     for port in kind.outputs:

@@ -61,7 +61,7 @@ def test_a_page_prints_the_law_of_the_code(dynamics: str) -> None:
     lines = [make_blocks._row(line) for line in found[1].lines]
     assert len(lines) > 3
     assert all(line in law for line in lines)
-    assert r"| is supplied with | $-" in law
+    assert r"| supply rate | $-" in law
     assert r"It estimates $a_{d}$ by $\hat{a}_{d}$." in law
     assert "### With `leak`" in law
 

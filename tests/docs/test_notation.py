@@ -10,14 +10,14 @@ from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
-from typing import Any, ClassVar
+from typing import Any
 
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.catalogue import block_types
 from dmframe.naming import named
-from dmframe.port import Port
+from dmframe.port import Input, Output
 
 ROOT = Path(__file__).parents[2]
 
@@ -100,8 +100,8 @@ def test_a_fault_is_told(notation: ModuleType, case: str) -> None:
 class Confused(AbstractBlock):
     """An option and a part of the law that are called like other things."""
 
-    inputs: ClassVar[tuple[Port, ...]] = (Port("u", "n", "V"),)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("y", "n", "V"),)
+    inputs = (Input("u", "n", "V"),)
+    outputs = (Output("y", "n", "V"),)
 
     direct: bool = False
 

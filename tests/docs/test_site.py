@@ -46,7 +46,7 @@ def files() -> dict[str, str | bytes]:
         place: pages.linked(path.read_text(encoding="utf-8"), path, place, shown.add)
         for place, path in pages.sources().items()
     }
-    found |= {place: path.read_bytes() for place, path in make_site.beside().items()}
+    found |= {place: path.read_bytes() for place, path in make_site.pictures().items()}
     found |= api.pages() | {"reference/references.rst": references.text()}
     return found | {pages.shown_place(path): pages.shown_text(path) for path in shown}
 

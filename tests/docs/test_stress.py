@@ -47,9 +47,14 @@ def test_the_data_hold_every_case_of_every_controller_once_and_the_page_shows_th
     assert study.fill(text, moved) != text
 
 
-UNTOLD = ("delay 3/4, told 0", "delay 1, told 0", "delay 0, told 1", "delay 1 or 2 at random, told 1")
+UNTOLD = (
+    "delay 3/4, configured 0",
+    "delay 1, configured 0",
+    "delay 0, configured 1",
+    "delay 1 or 2 at random, configured 1",
+)
 HELD = "velocity P servo without q_c"
-ECHOED = ("the same, the servo's target echoed", "delay 1, told 0, the servo's target echoed")
+ECHOED = ("the same, the servo's target echoed", "delay 1, configured 0, the servo's target echoed")
 AT_REST, CUT_OFF = "standing still", "a drive ends at 75 of 81 N m"
 
 
@@ -83,13 +88,13 @@ def test_the_supervised_law_is_below_the_kinematic_controller_everywhere(cells: 
         assert rms(row) < rms(cells[case, KINEMATIC[0]]), case
         if rms(row) > 1.01 * rms(cells[case, KINEMATIC[1]]):
             more.append(case)
-    assert more == ["delay 0, told 1"]
+    assert more == ["delay 0, configured 1"]
 
 
 def test_numbers_in_the_pages_words_are_those_of_the_table(study: ModuleType, cells: Cells) -> None:
     text = " ".join(study.PAGE.read_text(encoding="utf-8").split())
     rows = of(cells, SUPERVISED)
-    late, heavy = "delay 1 or 2 at random, told 1", "5 kg at half time, delay 1, steps"
+    late, heavy = "delay 1 or 2 at random, configured 1", "5 kg at half time, delay 1, steps"
     peaks = {name: 1e3 * float(cells[heavy, name]["peak_after"]) for name in (LAW, SUPERVISED, OBSERVER)}
     open_case, worst = cells["q_c(0) off by 10 mrad, delay 1, steps", LAW], cells[late, LAW]
     for words in (
@@ -98,7 +103,7 @@ def test_numbers_in_the_pages_words_are_those_of_the_table(study: ModuleType, ce
         f"from 2 s on is then {max(1e3 * float(rows[case]['peak_after']) for case in UNTOLD):.2g} mm",
         *(
             f"({rms(rows[case]):.3g} against {rms(cells[case, KINEMATIC[1]]):.3g} mm)"
-            for case in ("delay 0, told 1", "servo x 0.1, delay 1, steps")
+            for case in ("delay 0, configured 1", "servo x 0.1, delay 1, steps")
         ),
         f"the law with J' ({rms(cells['servo x 0.1, delay 1, steps', LAW]):.3g} mm)",
         f"the law errs by {rms(cells[ECHOED[0], LAW]):.3g} mm behind the random one, the observer by "
@@ -113,15 +118,15 @@ def test_numbers_in_the_pages_words_are_those_of_the_table(study: ModuleType, ce
 @pytest.mark.parametrize(
     ("case", "name"),
     [
-        ("as told", "ur10_slow_kinematic_inverse"),
+        ("as configured", "ur10_slow_kinematic_inverse"),
         ("friction sticks and is uneven", "ur10_slow_observer"),
         ("velocity P servo without q_c", "ur10_slow_observer"),
         ("velocity P servo without q_c", "ur10_slow"),
         ("q_c(0) off by 10 mrad", LAW),
         ("q_c(0) off by 10 mrad, delay 1, steps", LAW),
         ("servo's q_c integrates 0.99 of dq_c", LAW),
-        ("delay 1, told 0", SUPERVISED),
-        ("delay 1, told 0", "ur10_slow_tuned"),
+        ("delay 1, configured 0", SUPERVISED),
+        ("delay 1, configured 0", "ur10_slow_tuned"),
         ("rotors of 9 kg m^2", "ur10_slow_kinematic"),
         ("springs of 1e4 N m/rad, encoders at the motors", "ur10_slow_kinematic"),
         ("friction changes with the pose", "ur10_slow_kinematic"),

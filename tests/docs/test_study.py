@@ -44,16 +44,16 @@ def test_the_page_holds_the_tables_of_the_data(study: ModuleType) -> None:
     assert text.count("| fast | x ") == len(study.SERVOS) * len(study.CLOCKS)
 
 
-def of(told: dict[Any, float], places: list[Any], task: str) -> list[float]:
-    return [told[place] for place in places if place[0] == task]
+def of(ratios: dict[Any, float], places: list[Any], task: str) -> list[float]:
+    return [ratios[place] for place in places if place[0] == task]
 
 
 def test_what_the_page_says_of_the_papers_gains_agrees_with_the_data(study: ModuleType) -> None:
     rows, text = study.read(), " ".join(study.PAGE.read_text(encoding="utf-8").split())
     places, law = study.unknown(), {form: study.ratios(rows, form, "paper") for form in study.FORMS}
-    slow = {form: of(told, places, "slow") for form, told in law.items()}
-    for told in law.values():
-        assert max(of(told, places, "fast")) < 1
+    slow = {form: of(ratios, places, "slow") for form, ratios in law.items()}
+    for ratios in law.values():
+        assert max(of(ratios, places, "fast")) < 1
     assert len(slow["velocity"]) == 81
     assert sum(value < 1 for value in slow["velocity"]) == 73
     worse = [place for place in places if place[0] == "slow" and 1 <= law["velocity"][place] < math.inf]
@@ -67,7 +67,7 @@ def test_what_the_page_says_of_the_papers_gains_agrees_with_the_data(study: Modu
     tenth = {form: study.ratios(rows, form, "tenth") for form in study.FORMS}
     assert [sum(v < 1 for v in of(tenth["velocity"], places, task)) for task in study.TASKS] == [81, 74]
     assert sum(v < 1 for v in of(tenth["position"], places, "slow")) == 1
-    assert [sum(map(math.isinf, told.values())) for told in law.values()] == [4, 1]
+    assert [sum(map(math.isinf, ratios.values())) for ratios in law.values()] == [4, 1]
 
 
 def test_what_the_page_says_of_the_two_forms_agrees_with_the_data(study: ModuleType) -> None:

@@ -28,7 +28,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 def forget() -> None:
     """What a new process would not know."""
     library._kept.clear()
-    library._told.cache_clear()
+    library._reported.clear()
 
 
 @pytest.fixture

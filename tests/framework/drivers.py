@@ -35,26 +35,26 @@ def driven(
     ticks: int,
     *,
     engine: Any = "interpreted",
-    asked: Any = lambda: "",
+    stop_requested: Any = lambda: "",
     held: Limits | None = None,
     **plan: Any,
 ) -> Driven:
     assert graph.clock is not None
     steered = Steered(graph.diagram, graph.controller(engine=engine))
     gate = Gate(held or limits(graph), graph.clock)
-    return drive(steered, robot, gate, Plan(ticks * graph.clock, **plan), asked)
+    return drive(steered, robot, gate, Plan(ticks * graph.clock, **plan), stop_requested)
 
 
 class Script:
-    """A robot that answers at once with samples from a list, and notes what it is told."""
+    """A robot that answers at once with samples from a list, and records its calls."""
 
     name, period = "script", 0.008
 
     def __init__(self, samples: Sequence[Sample | BaseException]) -> None:
-        self.samples, self.told = list(samples), list[Any]()
+        self.samples, self.calls = list(samples), list[Any]()
 
     def connect(self) -> None:
-        self.told.append("connect")
+        self.calls.append("connect")
 
     def read(self) -> Sample:
         sample = self.samples.pop(0)
@@ -67,13 +67,13 @@ class Script:
         self.samples.insert(0, self.last)
 
     def command(self, dq: np.ndarray) -> None:
-        self.told.append(dq.copy())
+        self.calls.append(dq.copy())
 
     def move(self, q: np.ndarray, speed: float, acceleration: float, watched: Callable[[Sample], bool]) -> None:
-        self.told.append(("move", q.tolist()))
+        self.calls.append(("move", q.tolist()))
 
     def stop(self, deceleration: float) -> None:
-        self.told.append(("stop", deceleration))
+        self.calls.append(("stop", deceleration))
 
     def close(self) -> None:
-        self.told.append("close")
+        self.calls.append("close")

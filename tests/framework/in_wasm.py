@@ -29,7 +29,7 @@ class Loaded:
         engine = wasmtime.Engine()
         wasmtime.Module.validate(engine, binary)
         loaded = wasmtime.Module(engine, binary)
-        self.asked = {item.name for item in loaded.imports}
+        self.imported = {item.name for item in loaded.imports}
         self.store = wasmtime.Store(engine)
         given = [wasmtime.Func(self.store, item.type, host(item.name)) for item in loaded.imports]
         self.exports = wasmtime.Instance(self.store, loaded, given).exports(self.store)

@@ -64,7 +64,7 @@ def check_judged(found: Verification, made: Functions, pose: np.ndarray, p: np.n
             continue
         least = judged[place[0] : sum(place)].min() if place[1] else 0.0
         assert (least > 0 if condition.strict and place[1] else least >= 0) == condition.holds, condition.name
-        if condition.value is not None and place[1] and "pays for the cascade" not in condition.name:
+        if condition.value is not None and place[1] and "dominates the cascade's cross term" not in condition.name:
             assert abs(least - condition.value) <= 1e-8 * (1 + abs(least)), condition.name
     if verdict.outcome == "proved" and verdict.kappa is not None and made.kappa is not None:
         assert np.isclose(judged[made.kappa], as_float(verdict.kappa.least), rtol=1e-12)

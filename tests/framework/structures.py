@@ -5,14 +5,17 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+from ruamel.yaml import YAML
+
 from dmframe.catalogue import graphs
-from dmframe.config.document import read_file
 
 
 @cache
 def packaged() -> dict[str, dict[str, Any]]:
     """The data of every packaged graph; a small robot's first."""
-    return {name: read_file(graphs()[name]).data for name in sorted(graphs(), key=lambda name: ("_full" in name, name))}
+    plain = YAML(typ="safe")  # without places and units it reads seven times as fast, for each worker
+    names = sorted(graphs(), key=lambda name: ("_full" in name, name))
+    return {name: plain.load(graphs()[name]) for name in names}
 
 
 def structures() -> list[str]:

@@ -14,15 +14,15 @@ from pathlib import Path
 from typing import Any
 
 import polars
-from stand_in_study import StandIn
+from fake_study import FakeStudy
 
 CLIENT = """
 import sys
 from pathlib import Path
-from stand_in_study import StandIn
+from fake_study import FakeStudy
 from dmframe.study.execute import run_study
 out, gates, samples, options = sys.argv[1:]
-state = run_study(StandIn(samples=int(samples), gates=Path(gates)), out, chunk=8, **eval(options))
+state = run_study(FakeStudy(samples=int(samples), gates=Path(gates)), out, chunk=8, **eval(options))
 print(state.kept, state.computed, state.lost, *state.failed.values(), sep="|")
 """
 PATIENCE = 60.0
@@ -51,7 +51,7 @@ def said(process: subprocess.Popen[str]) -> str:
 
 @contextmanager
 def gate(gates: Path, place: str) -> Iterator[tuple[int, int]]:
-    """Wait until a worker stands at a chunk: its process number, and a descriptor that hears when it has ended."""
+    """Wait until a worker reaches a chunk; returns its process number, and a descriptor that is closed when it ends."""
     pipe = gates / place
     reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
     try:
@@ -64,9 +64,9 @@ def gate(gates: Path, place: str) -> Iterator[tuple[int, int]]:
 
 
 def wait(reader: int) -> None:
-    heard = select.poll()
-    heard.register(reader, select.POLLIN | select.POLLHUP)
-    assert heard.poll(PATIENCE * 1000), "nothing came"
+    poll = select.poll()
+    poll.register(reader, select.POLLIN | select.POLLHUP)
+    assert poll.poll(PATIENCE * 1000), "nothing came"
 
 
 def wait_for_end(reader: int) -> None:
@@ -90,10 +90,10 @@ def frame(out: Path) -> Any:
 
 def expected(samples: int = 40) -> Any:
     """What an undisturbed study holds, computed here, one run after another."""
-    study = StandIn(samples=samples)
+    study = FakeStudy(samples=samples)
     rows = [study.rows(point, i, i + 1) for i in range(samples) for point in study.points]
-    told = {name: [value for row in rows for value in row[name]] for name in rows[0]}
-    return polars.DataFrame({name: [getattr(v, "item", lambda v=v: v)() for v in told[name]] for name in told})
+    columns = {name: [value for row in rows for value in row[name]] for name in rows[0]}
+    return polars.DataFrame({name: [getattr(v, "item", lambda v=v: v)() for v in columns[name]] for name in columns})
 
 
 def files(out: Path) -> set[str]:

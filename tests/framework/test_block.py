@@ -10,7 +10,7 @@ from pydantic import Field
 from dmframe.block import AbstractBlock, Equations, Signals, type_name
 from dmframe.errors import BlockError, DmframeError, Faults, MissingError, UnknownNameError, ValueFault
 from dmframe.parameter import Box, Diagonal, Interval, Positive, Real, Scalar
-from dmframe.port import Port, State
+from dmframe.port import Input, Output, State
 
 
 class LeakyThing(AbstractBlock):
@@ -36,20 +36,20 @@ def test_parameters_are_read_with_their_units() -> None:
     assert (block.rate, block.offset) == (2.0, (0.001, 2.0))
 
 
-def test_a_misspelt_parameter_is_told_once_with_the_nearest() -> None:
+def test_a_misspelt_parameter_is_reported_once_with_the_nearest() -> None:
     found = fault(LeakyThing, rat=1)
     assert isinstance(found, UnknownNameError)
     assert str(found) == "leaky_thing.rat: unknown parameter of leaky_thing; did you mean rate?"
     assert found.path == ("rat",)
 
 
-def test_a_missing_parameter_is_told_with_its_unit() -> None:
+def test_a_missing_parameter_is_reported_with_its_unit() -> None:
     found = fault(LeakyThing)
     assert isinstance(found, MissingError)
     assert str(found) == "leaky_thing: leaky_thing needs the parameter rate [1/s]"
 
 
-def test_all_faults_of_a_block_are_told_together() -> None:
+def test_all_faults_of_a_block_are_reported_together() -> None:
     found = fault(LeakyThing, rate=-1, offset="x", self=3)
     assert isinstance(found, Faults)
     assert [type(item) for item in found.faults] == [ValueFault, ValueFault, UnknownNameError]
@@ -85,7 +85,7 @@ class Counted(AbstractBlock):
         ({"filtered": []}, "counted.filtered: expected true or false, found []"),
     ],
 )
-def test_a_truth_a_number_and_a_text_are_told_apart(values: dict[str, Any], text: str) -> None:
+def test_a_truth_a_number_and_a_text_are_reported_apart(values: dict[str, Any], text: str) -> None:
     assert str(fault(Counted, **values)) == text
 
 
@@ -113,11 +113,11 @@ def test_equations_that_read_what_is_not_there_name_the_nearest() -> None:
 @pytest.mark.parametrize(
     ("members", "text"),
     [
-        ({"inputs": (Port("c"), Port("c"))}, "declares the input c twice"),
-        ({"inputs": (Port("a"),)}, "has an input and a parameter called a; rename one"),
+        ({"inputs": (Input("c"), Input("c"))}, "declares the input c twice"),
+        ({"inputs": (Input("a"),)}, "has an input and a parameter called a; rename one"),
         ({"states": (State("a", "", "fortnight"),)}, "the unit of the state a: unknown unit fortnight; "),
         (
-            {"inputs": (Port("dc", derivative_of="b"), Port("c"))},
+            {"inputs": (Input("dc", derivative_of="b"), Input("c"))},
             "the input dc is declared the derivative of b, unknown; choose from c, dc",
         ),
         (
@@ -125,22 +125,22 @@ def test_equations_that_read_what_is_not_there_name_the_nearest() -> None:
             "the box of a is a_bux, which is no Interval parameter; did you mean a_box?",
         ),
         (
-            {"states": (State("b_d_hat"),), "outputs": (Port("b_hat_d"),)},
+            {"states": (State("b_d_hat"),), "outputs": (Output("b_hat_d"),)},
             "its names b_hat_d and b_d_hat both print as b\u0302_d; rename one",
         ),
-        ({"states": (State("alpha"),), "inputs": (Port("α"),)}, "its names α and alpha both print as α; rename one"),
+        ({"states": (State("alpha"),), "inputs": (Input("α"),)}, "its names α and alpha both print as α; rename one"),
         ({"states": (State("у"),)}, r"the name '\u0443' holds '\u0443', no Latin and no known Greek letter"),
-        ({"inputs": (Port("x - y"),)}, "expected a name such as K_star, found 'x - y'"),
+        ({"inputs": (Input("x - y"),)}, "expected a name such as K_star, found 'x - y'"),
         ({"states": (State("a", "n"),)}, "the parameter a and the state that starts there have different shapes"),
     ],
 )
-def test_a_class_that_breaks_the_contract_is_told_how(members: dict[str, Any], text: str) -> None:
+def test_a_class_that_breaks_the_contract_is_reported_how(members: dict[str, Any], text: str) -> None:
     class Bad(AbstractBlock):
         a: Scalar = Real(default=0.0)
         a_box: Box = Interval()
         inputs: ClassVar[Any] = members.get("inputs", ())
         outputs: ClassVar[Any] = members.get("outputs", ())
-        states: ClassVar[Any] = members.get("states", ())
+        states = members.get("states", ())
 
         def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
             return Equations()

@@ -16,12 +16,12 @@ BLOCK = """\
 from typing import ClassVar
 from dmframe.block import AbstractBlock, Equations
 from dmframe.parameter import Scalar, Positive
-from dmframe.port import Port, State
+from dmframe.port import Input, Output, State
 
 class {name}(AbstractBlock):
-    inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"),)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("y", "n", "rad"),)
-    states: ClassVar[tuple[State, ...]] = (State("y", "n", "rad"),)
+    inputs = (Input("q", "n", "rad"),)
+    outputs = (Output("y", "n", "rad"),)
+    states = (State("y", "n", "rad"),)
     rate: Scalar = Positive("", "1/s", default=1.0)
 
     def equations(self, u, x, p):
@@ -139,7 +139,7 @@ def test_a_users_file_that_cannot_serve_is_told_why(tmp_path: Path) -> None:
     assert isinstance(complaint("lost.py:Leaky", tmp_path), MissingError)
     assert str(complaint("own.py:Leeky", tmp_path)) == "type: own.py:Leeky: unknown class; did you mean Leaky?"
     assert str(complaint("own.py", tmp_path)).startswith("type: expected own.py:MyBlock, a file and a class in it")
-    assert str(complaint("own.py:Port", tmp_path)).startswith("type: own.py:Port is no block")
+    assert str(complaint("own.py:Input", tmp_path)).startswith("type: own.py:Input is no block")
     assert str(complaint("bad.py:X", tmp_path)) == "type: bad.py:3: ZeroDivisionError: division by zero"
     assert str(complaint("odd.py:X", tmp_path)) == "type: odd.py:1: SyntaxError: invalid syntax"
 

@@ -25,26 +25,42 @@ def alone(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_every_job_is_done_once_by_this_process_or_a_copy(cores: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cores)), raising=False)
     with shared([lambda k=k: (k, os.getpid()) for k in range(40)]) as finished:  # type: ignore[misc]
-        told = finished()
-    assert [k for k, _ in told] == list(range(40))
-    assert len({who for _, who in told}) <= min(4, cores)
+        results = finished()
+    assert [k for k, _ in results] == list(range(40))
+    assert len({who for _, who in results}) <= min(4, cores)
 
 
 @LINUX
 def test_the_copy_works_while_this_process_does_something_else() -> None:
     reader, writer = os.pipe()
 
-    def tell() -> int:
+    def touch() -> int:
         os.write(writer, b"x")
         return os.getpid()
 
-    with shared([tell, tell]) as finished:
+    with shared([touch, touch]) as finished:
         if len(os.sched_getaffinity(0)) > 1:
-            assert os.read(reader, 1) == b"x"  # before anybody asked
+            assert os.read(reader, 1) == b"x"  # before the results are requested
             assert finished()[0] != os.getpid()
 
 
-def test_a_job_that_fails_is_told_whoever_did_it() -> None:
+@LINUX
+@pytest.mark.parametrize("cores", [1, 2])
+def test_a_busy_process_forks_a_single_job(cores: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cores)), raising=False)
+    reader, writer = os.pipe()
+
+    def work() -> int:
+        os.write(writer, b"x")
+        return os.getpid()
+
+    with shared([work], busy=True) as finished:
+        if cores > 1:
+            assert os.read(reader, 1) == b"x"
+        assert (finished()[0] == os.getpid()) == (cores == 1)
+
+
+def test_a_job_that_fails_is_reported_from_any_process() -> None:
     def fail() -> None:
         raise ValueError("a name that no parser reads")
 
@@ -66,14 +82,14 @@ def test_what_fails_in_the_copy_alone_is_done_again_here() -> None:
 
 
 @LINUX
-def test_a_copy_whose_results_nobody_asks_for_is_ended() -> None:
+def test_a_fork_without_use_of_its_results_is_killed() -> None:
     reader, writer = os.pipe()
 
-    def tell() -> None:
+    def touch() -> None:
         os.write(writer, os.getpid().to_bytes(8, "little"))
         signal.pause()
 
-    with suppress(ZeroDivisionError), shared([tell, tell]):
+    with suppress(ZeroDivisionError), shared([touch, touch]):
         if len(os.sched_getaffinity(0)) == 1:
             return
         copy = int.from_bytes(os.read(reader, 8), "little")

@@ -66,7 +66,7 @@ def test_a_pipe_is_written_to_and_not_replaced(tmp_path: Path) -> None:
     assert stat.S_ISFIFO(tmp_path.joinpath("pipe").stat().st_mode)
 
 
-def test_a_device_is_written_to_and_a_full_one_is_told(tmp_path: Path) -> None:
+def test_a_device_is_written_to_and_a_full_one_is_reported(tmp_path: Path) -> None:
     device = tmp_path / "full"
     try:
         os.mknod(device, stat.S_IFCHR | 0o666, os.makedev(1, 7))
@@ -78,9 +78,9 @@ def test_a_device_is_written_to_and_a_full_one_is_told(tmp_path: Path) -> None:
     assert stat.S_ISCHR(device.stat().st_mode)
 
 
-def test_what_cannot_be_written_leaves_the_old_file_and_nothing_beside_it(tmp_path: Path, full: None) -> None:
+def test_what_cannot_be_written_leaves_the_old_file_and_no_other_file(tmp_path: Path, full: None) -> None:
     tmp_path.joinpath("a").write_text("old", encoding="utf-8")
-    with pytest.raises(OutputError, match="a: cannot be written: no space left on device; free some space, or name"):
+    with pytest.raises(OutputError, match="a: cannot be written: no space left on device; free some space, or choose"):
         write_text(tmp_path / "a", "new")
     with pytest.raises(OutputError):
         write_text(tmp_path / "b", "new", new=True)
@@ -88,7 +88,7 @@ def test_what_cannot_be_written_leaves_the_old_file_and_nothing_beside_it(tmp_pa
     assert tmp_path.joinpath("a").read_text(encoding="utf-8") == "old"
 
 
-def test_ctrl_c_leaves_the_old_file_and_nothing_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_leaves_the_old_file_and_no_other_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def stop(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -103,7 +103,7 @@ def test_a_new_file_takes_nobodys_place(tmp_path: Path) -> None:
     tmp_path.joinpath("link").symlink_to("nowhere")
     tmp_path.joinpath("a").write_text("old", encoding="utf-8")
     for name in ("a", "link"):
-        with pytest.raises(OutputError, match=f"{name}: expected a new file, found one; name another"):
+        with pytest.raises(OutputError, match=f"{name}: exists already; choose a new file"):
             write_text(tmp_path / name, "new", new=True)
     assert tmp_path.joinpath("a").read_text(encoding="utf-8") == "old"
 
@@ -111,14 +111,14 @@ def test_a_new_file_takes_nobodys_place(tmp_path: Path) -> None:
 def test_a_name_as_long_as_the_system_takes_can_be_written(tmp_path: Path) -> None:
     write_text(tmp_path / ("a" * 255), "text")
     assert held(tmp_path) == ["a" * 255]
-    with pytest.raises(OutputError, match="cannot be written: file name too long; name a shorter one"):
+    with pytest.raises(OutputError, match="cannot be written: file name too long; choose a shorter name"):
         check_place(tmp_path / ("a" * 256))
 
 
-def test_where_no_file_can_be_is_told(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="expected a file, found a folder; name a file in it"):
+def test_where_no_file_can_be_is_reported(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="expected a file, found a folder; choose a file in it"):
         check_place(tmp_path)
-    with pytest.raises(OutputError, match=r"a: the folder .*no does not exist; make it first, or name another"):
+    with pytest.raises(OutputError, match=r"a: the folder .*no does not exist; create it first, or choose another"):
         check_place(tmp_path / "no" / "a")
     tmp_path.joinpath("link").symlink_to(Path("no", "a"))
     with pytest.raises(OutputError, match=r"link: the folder .*no does not exist"):

@@ -61,7 +61,7 @@ def hung(before: str = "") -> int:
     return int(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
 
 
-def test_200_copies_beside_running_threads_end() -> None:
+def test_200_forks_with_running_threads_end() -> None:
     assert hung() == 0
 
 

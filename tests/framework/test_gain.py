@@ -100,7 +100,7 @@ def test_a_gain_is_a_number_a_list_rows_or_a_models_prior(value: Any, expected: 
         ({"inverse_of": 3}, "expected inverse_of to name a block, found 3"),
     ],
 )
-def test_anything_else_is_told_what_was_expected(value: Any, text: str) -> None:
+def test_anything_else_is_reported_what_was_expected(value: Any, text: str) -> None:
     with pytest.raises((ValueError, DmframeError)) as caught:
         read(value, GAIN)
     assert text in str(caught.value)

@@ -17,21 +17,21 @@ from dmframe.catalogue import block_types
 from dmframe.certificate import Certificate, Condition, Inequality, Square, TrueValue
 from dmframe.certify import verify
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError
+from dmframe.diagram.values import with_values
+from dmframe.errors import DmframeError, ValueFault
 from dmframe.parameter import Box, Diagonal, Interval, NonNegative, Positive, Real, Scalar, specs
-from dmframe.port import Adapted, Element, Port, State
+from dmframe.port import Adapted, Element, Input, Output, State
 from dmframe.simulate import simulate
 
-Ports = ClassVar[tuple[Port, ...]]
 States = ClassVar[tuple[State, ...]]
 KEPT: dict[str, Any] = {}
 
 
 class Falling(AbstractBlock):
-    """y' = -rate y, in the way that a test chooses to find a number, and asks for it where the test says."""
+    """y' = -rate y, in the way that a test chooses to find a number, and reads it where the test says."""
 
-    outputs: Ports = (Port("seen"),)
-    states: States = (State("y"), State("z", "n"))
+    outputs = (Output("seen"),)
+    states = (State("y"), State("z", "n"))
     rate: Scalar = Positive(default=2.0)
     gains: Diagonal = Real("n", default=(1.0, 2.0))
     y: Scalar = Real(default=1.0)
@@ -57,33 +57,33 @@ class Falling(AbstractBlock):
     def helped(self) -> float:
         return float(self.rate)
 
-    def asked(self, method: str) -> None:
+    def query(self, method: str) -> None:
         if self.where in (method, "cache"):
             type(self).way(self)
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
-        self.asked("sizes")
+        self.query("sizes")
         return {}
 
     def elements(self, robot: Any) -> Mapping[str, Sequence[Element]]:
-        self.asked("elements")
+        self.query("elements")
         return {}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        self.asked("equations")
+        self.query("equations")
         rate = 2 * p.rate if self.twice else p.rate
         return Equations({"seen": x.y}, {"y": -rate * x.y, "z": -p.gains * x.z})
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, Any]:
-        self.asked("start")
+        self.query("start")
         return {"z": p.gains}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        self.asked("certificate")
+        self.query("certificate")
         return Certificate(storage=(Square(x.y),), dissipation=(Square(x.y, p.rate),))
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
-        self.asked("conditions")
+        self.query("conditions")
         return (Inequality("rate > 0", p.rate, "here"),)
 
 
@@ -119,7 +119,7 @@ def made(way: Callable[[Any], Any], where: str, **options: Any) -> Diagram:
 
 
 def stated(diagram: Diagram) -> str:
-    """What all that asks a block for its methods says: nothing, where all is well."""
+    """Messages of all checks of a block's methods; none if all is well."""
     simulate(diagram, 0.1, clock=0.1)
     return verify(diagram, trials=1).reason
 
@@ -161,39 +161,117 @@ def test_a_number_found_elsewhere_is_found_by_other_numbers(way: Callable[[Any],
             sign = 1 if way(self) < 5 else -1
             return Equations({"seen": x.y}, {"y": -sign * p.rate * x.y, "z": -x.z})
 
-    text = (
-        "falling: equations\\(\\) state another rate of y where rate has another value: they depend on it as a Python"
-    )
+    text = "falling: equations\\(\\) state another rate of y where rate has another value, which is read as a Python"
     for rate in (2.0, 0.01, 4.9, 7.0, 4000.0):
         with pytest.raises(DmframeError, match=text):
             Diagram.build({"falling": Global(rate=rate)})
 
 
+def through_a_global(self: Any) -> float:
+    return 1.0 if KEPT["rate"] < 5 else -1.0
+
+
+def through_a_block(self: Any) -> float:
+    return float(KEPT["block"].gains[0])
+
+
+def leaking(found: Callable[[Any], float], where: str, **options: Any) -> Diagram:
+    """Falling, with a factor that a number outside of p decides, in the method that is named."""
+
+    class Leaking(Falling):
+        """With a factor."""
+
+        def factor(self, method: str) -> float:
+            return found(self) if method == where else 1.0
+
+        def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, Any]:
+            return {"z": self.factor("start") * p.gains}
+
+        def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+            factor = self.factor("certificate")
+            return Certificate(storage=(Square(x.y, factor),), dissipation=(Square(x.y, factor * p.rate),))
+
+        def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
+            return (Inequality("rate > 0", self.factor("conditions") * p.rate, "here"),)
+
+    return Diagram.build({"falling": Leaking(**options)})
+
+
+@pytest.mark.parametrize("found", [through_a_global, through_a_block])
+@pytest.mark.parametrize(
+    ("where", "says"),
+    [
+        ("certificate", "certificate() states another storage"),
+        ("conditions", "conditions() state another list of conditions"),
+        ("start", "start() states another start of z"),
+    ],
+)
+def test_a_number_found_elsewhere_is_found_in_what_is_proved_and_in_starts(
+    found: Callable[[Any], float], where: str, says: str
+) -> None:
+    number = "rate" if found is through_a_global else "gains"
+    text = f"falling: {says} where {number} has another value, which is read as a Python number; expected p.{number}"
+    for rate in (2.0, 7.0):
+        verdict = verify(leaking(found, where, rate=rate, gains=(1.0, rate)), trials=1)
+        assert (verdict.outcome, verdict.reason) == ("not_applicable", text)
+    if where == "start":
+        with pytest.raises(DmframeError) as caught:
+            simulate(leaking(found, where), 0.1, clock=0.1)
+        assert str(caught.value) == text
+    assert verify(leaking(found, ""), trials=1).outcome == "proved"
+
+
+def test_a_sweep_evaluates_a_start_with_what_the_old_number_left_behind() -> None:
+    diagram = leaking(through_a_global, "start", rate=2.0)
+    with pytest.raises(DmframeError, match="its equations or its start read rate as a number"):
+        with_values(diagram, {"falling.rate": 7.0})
+
+
+def test_a_number_is_varied_alone_where_a_block_takes_no_other_number_for_all() -> None:
+    class Paired(Falling):
+        """Its two rates sum up to three: neither all of its numbers nor these two can be multiplied."""
+
+        other: Scalar = Positive(default=1.0)
+        third: Scalar = Positive(default=1.0)
+
+        def model_post_init(self, context: Any, /) -> None:
+            super().model_post_init(context)
+            KEPT["third"] = self.third
+            if self.rate + self.other != 3:
+                raise ValueFault("paired: rate + other = 3")
+
+        def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+            return Equations({"seen": x.y}, {"y": -KEPT["third"] * p.rate * x.y, "z": -x.z})
+
+    with pytest.raises(DmframeError, match="another rate of y where third has another value"):
+        Diagram.build({"falling": Paired()})
+
+
 class Learning(AdaptingBlock):
     """a_hat' = direction, with a number read in the method that a test names."""
 
-    inputs: Ports = (Port("s"),)
-    outputs: Ports = (Port("v"),)
-    estimates: ClassVar[tuple[Adapted, ...]] = (Adapted("a_hat", "", "", "Gamma"),)
+    inputs = (Input("s"),)
+    outputs = (Output("v"),)
+    estimates = (Adapted("a_hat", "", "", "Gamma"),)
     driven_by: ClassVar[str] = "s"
     Gamma: Diagonal = Positive(default=2.0)
     floor: Scalar = NonNegative(default=0.0)
     where: str = ""
 
-    def asked(self, method: str) -> float:
+    def query(self, method: str) -> float:
         return self.floor if self.where == method else 0.0
 
     def direction(self, u: Signals, x: Signals, p: Signals, error: Any, /) -> Mapping[str, Any]:
-        return {"a_hat": error + self.asked("direction")}
+        return {"a_hat": error + self.query("direction")}
 
     def nominal(self, u: Signals, p: Signals) -> Mapping[str, Any]:
-        return {"a_hat": ca.SX(1 + self.asked("nominal"))}
+        return {"a_hat": ca.SX(1 + self.query("nominal"))}
 
     def error(self, u: Signals, x: Signals, p: Signals) -> Any:
-        return u.s + self.asked("error")
+        return u.s + self.query("error")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        return Equations({"v": x.a_hat + self.asked("equations")})
+        return Equations({"v": x.a_hat + self.query("equations")})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         return Certificate(estimates={"a_hat": TrueValue(ca.SX(0), 1 / p.Gamma)})
@@ -208,7 +286,30 @@ def test_a_block_that_adapts_states_its_directions_without_numbers_too(where: st
         stated(Diagram.build({**blocks, "learning": Learning(where=where)}, wires))
 
 
-def test_whether_a_number_is_given_is_asked_of_p() -> None:
+@pytest.mark.parametrize("where", ["direction", "nominal", "error", "equations", "certificate"])
+def test_a_number_found_elsewhere_is_found_in_what_an_adapting_block_states(where: str) -> None:
+    class Remembering(Learning):
+        """With a number that its validator keeps."""
+
+        def model_post_init(self, context: Any, /) -> None:
+            KEPT["floor"] = self.floor
+
+        def query(self, method: str) -> float:
+            return float(KEPT["floor"]) if method == where else 0.0
+
+        def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+            return Certificate(estimates={"a_hat": TrueValue(ca.SX(self.query("certificate")), 1 / p.Gamma)})
+
+    blocks = {"falling": made(WAYS["attribute"], "").blocks["falling"], "learning": Remembering()}
+    try:
+        found = verify(Diagram.build(blocks, {"learning.s": "falling.seen"}), trials=1).reason
+    except DmframeError as error:
+        found = str(error)
+    assert "learning: " in found
+    assert "where floor has another value, which is read as a Python number; expected p.floor" in found
+
+
+def test_whether_a_number_is_given_is_a_property_of_p() -> None:
     class Boxed(Falling):
         """Faster without a box."""
 
@@ -231,8 +332,8 @@ def test_most_packaged_blocks_take_other_numbers() -> None:
             continue
         numbers = [key for key in specs(kind) if getattr(block, key) is not None]
         for factors in (LARGER, SMALLER) if numbers else ():
-            other = with_other_numbers(block, factors)
-            assert other is not None, kind
-            assert any(getattr(other, key) != getattr(block, key) for key in numbers)
+            others = list(with_other_numbers(block, factors))
+            assert others, kind
+            assert all(any(getattr(other, key) != getattr(block, key) for key in numbers) for other in others)
             taken += 1
     assert taken > 10

@@ -30,7 +30,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def graph(tmp_path: Path) -> Path:
-    """A graph with a block of its own beside it."""
+    """A graph with a block file in its folder."""
     folder = tmp_path / "graphs"
     folder.mkdir()
     (folder / "mine.py").write_text(BLOCK, encoding="utf-8")
@@ -53,11 +53,11 @@ def test_a_block_file_of_the_users_own_hand_is_run(graph: Path) -> None:
 def test_a_file_that_all_may_write_is_not_run_until_its_folder_is_trusted(graph: Path, open_to_all: str) -> None:
     place = graph.with_name(open_to_all) if open_to_all != "." else graph.parent
     place.chmod(0o777)
-    with pytest.raises(BlockError) as told:
+    with pytest.raises(BlockError) as message:
         dm.load(graph)
-    assert "mine.py would run as your own program, and all users may write to" in str(told.value)
-    assert "add --trust" in str(told.value)
-    assert f"{graph}:" in str(told.value)
+    assert "mine.py would run as your own program, and all users may write to" in str(message.value)
+    assert "add --trust" in str(message.value)
+    assert f"{graph}:" in str(message.value)
     assert not ran(graph)
     dm.load(graph, trust=True)
     assert ran(graph)
@@ -103,7 +103,7 @@ def test_a_file_outside_of_the_graphs_folder_is_refused(graph: Path, name: str) 
         dm.load(graph)
 
 
-def test_the_command_line_asks_and_remembers(graph: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_the_command_line_prompts_and_remembers(graph: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     from dmframe.cli import main
 
     graph.with_name("mine.py").chmod(0o666)
@@ -115,6 +115,28 @@ def test_the_command_line_asks_and_remembers(graph: Path, monkeypatch: pytest.Mo
         statuses.append(stopped.value.code)
     assert statuses == [2, 0, 0]
     assert "add --trust" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["check", "draw", "explain", "verify"])
+def test_no_command_runs_a_file_that_is_not_trusted(
+    graph: Path, command: str, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    from dmframe.cli import main
+
+    file = graph.with_name("mine.py")
+    file.write_text(
+        f"import pathlib\npathlib.Path(__file__).with_name('it_ran').touch()\n{file.read_text(encoding='utf-8')}",
+        encoding="utf-8",
+    )
+    file.chmod(0o666)
+    monkeypatch.setattr(sys, "argv", ["dmframe", command, str(graph)])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    assert stopped.value.code == 2
+    said = capsys.readouterr().err
+    assert "mine.py would run as your own program, and all users may write to" in said
+    assert f"{graph}:" in said  # the line that names the file
+    assert not graph.with_name("it_ran").exists()
 
 
 def test_a_link_that_leads_out_of_the_graphs_folder_is_not_followed(graph: Path, tmp_path: Path) -> None:
@@ -142,7 +164,7 @@ def test_a_folder_above_that_others_may_write_makes_a_file_theirs(graph: Path) -
 def test_a_pipe_is_no_block_file(graph: Path) -> None:
     graph.with_name("mine.py").unlink()
     os.mkfifo(graph.with_name("mine.py"))
-    with pytest.raises(BlockError, match="which is none"):
+    with pytest.raises(BlockError, match="expected a regular file"):
         dm.load(graph)
 
 

@@ -33,7 +33,7 @@ def robot(name: str = "ur10_fast", **behaviour: Any) -> VirtualRobot:
 
 
 def own_host() -> str:
-    """An address of this machine for this process alone: some clients know no other ports than the maker's."""
+    """An address of this machine that only this process uses, since some clients support only UR's default ports."""
     number = os.getpid()
     return f"127.{40 + number % 80}.{number // 80 % 250}.{2 + number // 20000 % 250}"
 
@@ -60,7 +60,7 @@ class Client:
         self.robot = held
         self.rtde = Rtde(held, [] if others is None else others)
 
-    def told(self) -> list[tuple[str, bytes]]:
+    def received(self) -> list[tuple[str, bytes]]:
         """What has come: kinds and payloads."""
         data, found = bytes(self.rtde.pending), []
         self.rtde.pending.clear()
@@ -70,24 +70,24 @@ class Client:
             data = data[length:]
         return found
 
-    def ask(self, kind: str, payload: bytes = b"") -> tuple[str, bytes]:
+    def request(self, kind: str, payload: bytes = b"") -> tuple[str, bytes]:
         """One message, and its answer."""
         self.rtde.received(message(kind, payload))
-        (answer,) = self.told()
+        (answer,) = self.received()
         return answer
 
     def begin(self, outputs: Sequence[str], inputs: Sequence[str] = (), frequency: float | None = None) -> None:
         """From the version to the first sample."""
         rate = 1 / self.robot.dt if frequency is None else frequency
-        assert self.ask("V", b"\0\2") == ("V", b"\1")
-        assert self.ask("O", struct.pack(">d", rate) + ",".join(outputs).encode())[1][0] == 1
+        assert self.request("V", b"\0\2") == ("V", b"\1")
+        assert self.request("O", struct.pack(">d", rate) + ",".join(outputs).encode())[1][0] == 1
         if inputs:
-            assert self.ask("I", ",".join(inputs).encode())[1][0] == 1
-        assert self.ask("S") == ("S", b"\1")
+            assert self.request("I", ",".join(inputs).encode())[1][0] == 1
+        assert self.request("S") == ("S", b"\1")
 
     def samples(self, form: str) -> list[tuple[Any, ...]]:
         """The samples that have come, as `struct` reads them."""
-        return [struct.unpack(f">{form}", payload[1:]) for kind, payload in self.told() if kind == "U"]
+        return [struct.unpack(f">{form}", payload[1:]) for kind, payload in self.received() if kind == "U"]
 
     def write(self, form: str, *values: Any) -> None:
         """Inputs of the first recipe."""
@@ -133,19 +133,19 @@ end
 
 
 class Line:
-    """Connections to a robot without sockets: its clock goes on where a client waits for a sample, and only there."""
+    """Connections to a robot without sockets: its clock advances only while a client waits for a sample."""
 
     def __init__(self, held: VirtualRobot) -> None:
         self.robot, self.others = held, list[Rtde]()
         self.cut, self.closed = False, False
-        """Nothing passes any more, in either direction; or both ends are told that it is closed."""
+        """Nothing passes any more, in either direction; or both ends see a closed connection."""
 
     def __call__(self, host: str, port: int) -> Link:
         self.check()
         return Link(self, Rtde(self.robot, self.others) if port == PORT else None)
 
     def check(self) -> None:
-        """As the operating system tells of a connection that is closed."""
+        """Raise the error of a closed connection."""
         if self.closed:
             raise LostError("the robot has closed the connection")
 
@@ -188,19 +188,21 @@ class Trace:
     """What a robot did, cycle by cycle."""
 
     def __init__(self, held: VirtualRobot) -> None:
-        self.time, self.speed, self.told = list[float](), list[float](), list[float]()
+        self.time, self.speed, self.commanded = list[float](), list[float](), list[float]()
         self.lost = 0
         held.listeners.append(self)
 
     def cycle(self, robot: VirtualRobot) -> None:
         self.time.append(robot.time)
         self.speed.append(float(np.abs(robot.dq).max()))
-        self.told.append(float(np.abs(robot.target.qd).max()))
+        self.commanded.append(float(np.abs(robot.target.qd).max()))
         self.lost += robot.sample_lost
 
     def rest(self, since: float) -> float:
         """How long from then on until nothing moves any more [s]; inf where something still does."""
-        moves = [k for k, (v, told) in enumerate(zip(self.speed, self.told, strict=True)) if v > REST or told > 0]
+        moves = [
+            k for k, (v, target) in enumerate(zip(self.speed, self.commanded, strict=True)) if v > REST or target > 0
+        ]
         first = moves[-1] + 1 if moves else 0
         return self.time[first] - since if first < len(self.time) else math.inf
 

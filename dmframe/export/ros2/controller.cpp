@@ -19,8 +19,8 @@ using controller_interface::interface_configuration_type;
 using controller_interface::return_type;
 
 constexpr double PERIOD = DM_PERIOD;  // s
-constexpr double STILL = 0.01;  // below this share of its pace it stands
-constexpr bool NEEDS_TARGET = DM_NEEDS_TARGET;  // the law measures where the servo is told to be
+constexpr double STILL = 0.01;  // pace below which the controller waits
+constexpr bool NEEDS_TARGET = DM_NEEDS_TARGET;  // the law reads the servo's target
 
 struct Row
 {
@@ -28,7 +28,7 @@ struct Row
   std::size_t first, size;
 };
 
-/// Gains and other numbers, and where they are in DM_FILE_parameters.
+/// Parameters, and their indices in DM_FILE_parameters.
 constexpr std::array<Row, DM_COUNT> ROWS = {{
 DM_ROWS
 }};
@@ -39,7 +39,7 @@ struct Part
   std::size_t size;
 };
 
-/// Of the path, in the order of DM_FILE_path.
+/// Parts of the path, in the order of DM_FILE_path.
 constexpr std::array<Part, DM_PARTS> PATH = {{
 DM_PATH
 }};
@@ -132,19 +132,19 @@ InterfaceConfiguration Controller::state_interface_configuration() const
 std::vector<hardware_interface::CommandInterface::SharedPtr> Controller::on_export_reference_interfaces_list()
 {
   const auto made = [this](const std::string & name) {
-    hardware_interface::InterfaceInfo told;
-    told.name = name;
-    told.data_type = "double";
+    hardware_interface::InterfaceInfo info;
+    info.name = name;
+    info.data_type = "double";
     return std::make_shared<hardware_interface::CommandInterface>(
-      hardware_interface::InterfaceDescription(get_node()->get_name(), told));
+      hardware_interface::InterfaceDescription(get_node()->get_name(), info));
   };
   pace_ = made("pace");
-  asked_.clear();
+  path_references_.clear();
   for (const Part & part : PATH) {
-    for (std::size_t k = 0; k < part.size; k++) asked_.push_back(made(std::string(part.name) + "." + std::to_string(k)));
+    for (std::size_t k = 0; k < part.size; k++) path_references_.push_back(made(std::string(part.name) + "." + std::to_string(k)));
   }
   std::vector<hardware_interface::CommandInterface::SharedPtr> all{pace_};
-  all.insert(all.end(), asked_.begin(), asked_.end());
+  all.insert(all.end(), path_references_.begin(), path_references_.end());
   return all;
 }
 
@@ -158,11 +158,11 @@ CallbackReturn Controller::on_activate(const rclcpp_lifecycle::State &)
   if (NEEDS_TARGET && target_.empty()) {
     RCLCPP_WARN(
       get_node()->get_logger(),
-      "interfaces.target is empty: the servo's target is taken as the measured start plus all that is commanded");
+      "interfaces.target is empty: the target is the measured start plus the integral of the commands");
   }
   begun_ = false;
   fault_ = "";
-  const bool set = pace_ == nullptr || lead_by_itself();
+  const bool set = pace_ == nullptr || use_own_path();
   return command(0) && set ? CallbackReturn::SUCCESS : CallbackReturn::FAILURE;
 }
 
@@ -172,29 +172,29 @@ CallbackReturn Controller::on_deactivate(const rclcpp_lifecycle::State &)
   return command(0) ? CallbackReturn::SUCCESS : CallbackReturn::ERROR;
 }
 
-/// The graph's own path at its own pace: nobody but a controller before this one gives it others.
-bool Controller::lead_by_itself()
+/// Select the graph's path and pace; a preceding controller may set others.
+bool Controller::use_own_path()
 {
   bool set = pace_->set_value(1.0);
-  for (const auto & one : asked_) set = one->set_value(static_cast<double>(NAN)) && set;
+  for (const auto & one : path_references_) set = one->set_value(static_cast<double>(NAN)) && set;
   return set;
 }
 
 return_type Controller::update_reference_from_subscribers(const rclcpp::Time &, const rclcpp::Duration &)
 {
-  if (!lead_by_itself() && *fault_ == 0) fault_ = "the pace could not be set";
-  return return_type::OK;  // so that zeros are commanded after a fault, too
+  if (!use_own_path() && *fault_ == 0) fault_ = "the pace could not be set";
+  return return_type::OK;  // zeros are commanded after a fault
 }
 
 return_type Controller::update_and_write_commands(const rclcpp::Time &, const rclcpp::Duration & period)
 {
   if (*fault_ == 0) fault_ = pass(period.seconds());
-  const bool sent = command(*fault_ == 0 ? share_ : 0);
+  const bool sent = command(*fault_ == 0 ? fraction_ : 0);
   if (!sent && *fault_ == 0) fault_ = "a command could not be set";
   return *fault_ == 0 ? return_type::OK : return_type::ERROR;
 }
 
-/// One sample, the last one `lasted` s ago; returns what is wrong with it.
+/// Compute one sample, `lasted` s after the last; returns a fault.
 const char * Controller::pass(double lasted)
 {
   const auto pace = pace_->get_optional();
@@ -204,8 +204,8 @@ const char * Controller::pass(double lasted)
   if (*fault == 0 && !target_.empty()) fault = read(2 * n, q_c_);
   if (*fault != 0) return fault;
   if (!scaling_.empty()) {
-    const auto told = state_interfaces_.back().get_optional();
-    scaling = told ? *told : NAN;
+    const auto found = state_interfaces_.back().get_optional();
+    scaling = found ? *found : NAN;
   }
   if (!pace || !(*pace >= 0 && *pace <= 1)) return "pace: expected a number from 0 to 1";
   if (!(scaling >= 0 && scaling <= 1)) return "interfaces.scaling: expected a number from 0 to 1";
@@ -229,10 +229,10 @@ const char * Controller::pass(double lasted)
   const double scale = *pace * scaling;
   const double t = static_cast<double>(samples_) * PERIOD - behind_;
   scale_ = scale >= STILL ? scale : 0;
-  share_ = scale >= STILL ? *pace : 0;
+  fraction_ = scale >= STILL ? *pace : 0;
   if (!begun_) {
     measure(1);
-    if (!DM_FILE_reset(&law_, &measured_, t)) return "it cannot start from what is measured";
+    if (!DM_FILE_reset(&law_, &measured_, t)) return "it cannot start from the measurements";
   }
   if (scale >= STILL) {
     measure(scale);
@@ -240,37 +240,37 @@ const char * Controller::pass(double lasted)
     fault = on_path(t, T);
     if (*fault != 0) return fault;
     if (!DM_FILE_step_on(&law_, &measured_, &path_, t, T, &commanded_)) {
-      return "from a sample followed what is not finite";
+      return "a command or a state is not finite";
     }
   }
   begun_ = true;
-  for (std::size_t k = 0; k < n; k++) sent_[k] = share_ * scaling * commanded_.DM_COMMAND[k];
+  for (std::size_t k = 0; k < n; k++) sent_[k] = fraction_ * scaling * commanded_.DM_COMMAND[k];
   return "";
 }
 
-/// The path that a controller before this one gives; the graph's own where it gives none.
+/// Path of a preceding controller, or the graph's.
 const char * Controller::on_path(double t, double T)
 {
   DM_FILE_path_at(&law_, t, T, &path_);
   double * number = reinterpret_cast<double *>(&path_);
   std::size_t given = 0;
-  for (const auto & one : asked_) {
+  for (const auto & one : path_references_) {
     const auto value = one->get_optional();
     if (!value) return "the path could not be read";
     if (std::isnan(*value)) continue;
     given++;
-    number[&one - asked_.data()] = *value;
+    number[&one - path_references_.data()] = *value;
   }
-  return given == 0 || given == asked_.size() ? "" : "path: expected all of its numbers, or none";
+  return given == 0 || given == path_references_.size() ? "" : "path: expected all of its numbers, or none";
 }
 
-/// What the law measures, in its own time: that goes `scale` times as fast as the robot's, where velocities are larger.
+/// Measurements in the law's time, which runs `scale` times as fast as the robot's.
 void Controller::measure(double scale)
 {
 DM_MEASURED
 }
 
-/// The numbers of `n` state interfaces, from the first on.
+/// Read `n` state interfaces from `first` on.
 const char * Controller::read(std::size_t first, double * values) const
 {
   for (std::size_t k = 0; k < n; k++) {
@@ -282,12 +282,12 @@ const char * Controller::read(std::size_t first, double * values) const
   return "";
 }
 
-/// Commands a share of what the law wants, or zeros.
-bool Controller::command(double share)
+/// Write a fraction of the law's commands, or zeros.
+bool Controller::command(double fraction)
 {
   bool set = true;
   for (std::size_t k = 0; k < n; k++) {
-    set = command_interfaces_[k].set_value(share == 0 ? 0.0 : share * commanded_.DM_COMMAND[k]) && set;
+    set = command_interfaces_[k].set_value(fraction == 0 ? 0.0 : fraction * commanded_.DM_COMMAND[k]) && set;
   }
   return set;
 }

@@ -12,7 +12,7 @@
 namespace DM_PACKAGE
 {
 
-/// DM_FILE under a controller manager: an update is one sample. It asks for no memory there, and says nothing.
+/// DM_FILE under a controller manager: an update is one sample, without memory allocation or logging.
 class Controller : public controller_interface::ChainableControllerInterface
 {
 public:
@@ -35,10 +35,10 @@ private:
 
   const char * pass(double lasted);
   const char * on_path(double t, double T);
-  bool lead_by_itself();
+  bool use_own_path();
   void measure(double scale);
   const char * read(std::size_t first, double * values) const;
-  bool command(double share);
+  bool command(double fraction);
 
   DM_FILE_controller law_{};
   DM_FILE_parameters parameters_{};
@@ -47,13 +47,13 @@ private:
   std::vector<std::string> joints_;
   std::string position_, velocity_, target_, scaling_, command_;
   hardware_interface::CommandInterface::SharedPtr pace_;
-  std::vector<hardware_interface::CommandInterface::SharedPtr> asked_;
+  std::vector<hardware_interface::CommandInterface::SharedPtr> path_references_;
   DM_FILE_path path_{};
   long patience_ = 5;
   const char * fault_ = "";
   bool begun_ = false;
   long samples_ = 0;
-  double behind_ = 0, scale_ = 0, share_ = 0;
+  double behind_ = 0, scale_ = 0, fraction_ = 0;
   double q_[n] = {}, dq_[n] = {}, q_c_[n] = {}, sent_[n] = {};
 };
 

@@ -19,13 +19,13 @@ if (content.robot) content.robot.meshes = await Promise.all(content.robot.meshes
 const plots = [], said = new Map(); // by an element's id: its text
 // `perMs`: how much work of the solver a millisecond takes, as last seen
 let run = null, perMs = Infinity, scene = null, inks = {}, frames = null;
-let time = 0, hover = null, playing = !still, pace = 1, before = 0, told = 0, waiting = false;
-let asked = null;
+let time = 0, hover = null, playing = !still, pace = 1, before = 0, lastRead = 0, waiting = false;
+let requested = null;
 
 // ---- what is simulated
 
 function ask(quick) {
-  asked = asked === false ? false : quick;
+  requested = requested === false ? false : quick;
   wake();
 }
 
@@ -229,9 +229,9 @@ function turn(now) {
   waiting = false;
   const passed = Math.min(0.1, (now - before) / 1000);
   before = now;
-  if (asked !== null) {
-    const quick = asked;
-    asked = null;
+  if (requested !== null) {
+    const quick = requested;
+    requested = null;
     try {
       simulate(quick);
     } catch (error) {
@@ -244,8 +244,8 @@ function turn(now) {
   if (playing && hover === null) time = time >= last + pace ? 0 : time + passed * pace; // a second's rest at the end
   const at = Math.min(hover ?? time, last);
   if (scene) drawScene(at);
-  const read = !playing || hover !== null || now - told > 120;
-  if (read) told = now;
+  const read = !playing || hover !== null || now - lastRead > 120;
+  if (read) lastRead = now;
   for (const plot of plots) {
     plot.draw();
     plot.point(at, read);

@@ -3,7 +3,7 @@
 const LEFT = 58, RIGHT = 10, TOP = 8, BOTTOM = 22; // [pixels]
 
 class Plot {
-  // `spec`: title, unit, and whether the axis is logarithmic; `point` is told of a time that is pointed at, or null.
+  // `spec`: title, unit, and whether the axis is logarithmic; `point` receives the time under the pointer, or null.
   constructor(holder, spec, point) {
     Object.assign(this, spec);
     this.curves = [];
@@ -205,8 +205,8 @@ function line(g, x, y, u, v) {
   g.stroke();
 }
 
-// An axis that shows no less than what three digits tell apart: steps of a rounding error are not curves, and its marks
-// would all read the same, or never end.
+// Smallest range of an axis: three significant digits, so that rounding errors are not drawn as curves and tick labels
+// differ.
 function widened(low, high) {
   const lacking = Math.max(Math.abs(low), Math.abs(high)) * 1e-3 - (high - low);
   return lacking > 0 ? [low - lacking / 2, high + lacking / 2] : [low, high];

@@ -134,7 +134,7 @@ class Scene {
       if (apart && now) this.zoom(apart / now);
       apart = now;
     };
-    // without being held or asked for by a key, the wheel goes on scrolling the page
+    // without focus or Ctrl key, the wheel scrolls the page
     canvas.addEventListener("wheel", (event) => {
       if (!event.ctrlKey && document.activeElement !== canvas) return;
       event.preventDefault();

@@ -18,7 +18,7 @@ class Sliders {
         : proved && !content.verdict.sampled ? "The proof is in continuous time; the page runs at this clock. A slow clock shows where the proof ends."
           : "How often the controller samples."],
       path: ["Path", ""],
-      start: ["Start", content.pose?.sought ? "Each joint beside the pose that lies on the path." : "Each joint beside the file's start."],
+      start: ["Start", content.pose?.sought ? "Offset of each joint from the pose on the path." : "Offset of each joint from the start in the file."],
     };
     const all = this.known();
     for (const [group, [title, hint]] of Object.entries(groups)) {
@@ -30,7 +30,7 @@ class Sliders {
       for (const slider of mine) box.append(this.row(slider));
       holder.append(box);
     }
-    // a slider that is let go where it was taken tells of no change
+    // a slider released where it was grabbed reports no change
     const release = () => { if (this.held) { this.held = false; this.settle(); } };
     addEventListener("pointerup", release);
     addEventListener("pointercancel", release);
@@ -45,7 +45,7 @@ class Sliders {
       all.push({ label: "clock", group: "clock", block: "", name: "period", says, unit: "s", kind: "factor", most: SLOWEST, least });
     }
     pose?.names.forEach((name, joint) => {
-      const unit = pose.units[joint], says = "Where this joint is at the start, beside the rest.";
+      const unit = pose.units[joint], says = "Initial offset of this joint.";
       all.push({ label: `start[${joint}]`, group: "start", block: "", name, says, unit, kind: "shift", most: unit === "m" ? 0.1 : 0.5, least: -1, joint });
     });
     return all;
@@ -167,7 +167,7 @@ class Sliders {
   }
 }
 
-// As YAML has it: numbers at their places, in lists where they stand in lists.
+// YAML text: numbers in their nested lists.
 function listed(places, number) {
   if (Array.isArray(places)) return `[${places.map((inner) => listed(inner, number)).join(", ")}]`;
   return places === null ? "0" : String(number(places));

@@ -50,7 +50,7 @@ export class Loop {
     this.places = {};
     let at = Math.ceil(exports.heap.value / 8) * 8;
     const columns = {
-      state: states, beside: states, p: sizes.P, T: 1, t: 1, pose: sizes.pose, residual: sizes.reach,
+      state: states, scratch: states, p: sizes.P, T: 1, t: 1, pose: sizes.pose, residual: sizes.reach,
       slope: sizes.reach * sizes.pose, rates: sizes.X, shown: sizes.shown, judged: sizes.judged,
       bounds: states, kept: Math.ceil(states / 2),
     };
@@ -94,8 +94,8 @@ export class Loop {
     const here = this.judged(p, pose, tick), most = new Float64Array(here.length);
     for (let turn = 1; turn <= 4; turn++) {
       const off = (value, k) => value * (1 + Math.sign(Math.sin(turn * (k + 0.5) * 2.4)) * 2 ** -48);
-      const beside = this.judged(p.map(off), pose.map(off), tick);
-      beside.forEach((value, k) => (most[k] = Math.max(most[k], Math.abs(value - here[k]))));
+      const scratch = this.judged(p.map(off), pose.map(off), tick);
+      scratch.forEach((value, k) => (most[k] = Math.max(most[k], Math.abs(value - here[k]))));
     }
     return most;
   }
@@ -118,10 +118,10 @@ export class Loop {
     this.view("T", 1)[0] = tick;
     this.view("t", 1)[0] = k * every * tick;
     const stored = (place) => {
-      const state = this.view("beside", states);
+      const state = this.view("scratch", states);
       state.set(x);
       if (place !== null) state[place] *= 1 + part;
-      exports.shown(places.beside, places.t, places.T, places.p, places.shown);
+      exports.shown(places.scratch, places.t, places.T, places.p, places.shown);
       return this.view("shown", content.sizes.shown).subarray(at, at + size).reduce((sum, value) => sum + value, 0);
     };
     const V = stored(null);
@@ -190,12 +190,12 @@ export class Loop {
   speed(state, T) {
     const { sizes, flowing: n } = this.content, first = this.states - n, J = [];
     const rates = (k, shift) => {
-      const x = this.view("beside", this.states);
+      const x = this.view("scratch", this.states);
       x.set(state);
       x[first + k] += shift;
       this.view("T", 1)[0] = T;
       this.view("t", 1)[0] = 0;
-      this.exports.flow(this.places.beside, this.places.t, this.places.T, this.places.p, this.places.rates);
+      this.exports.flow(this.places.scratch, this.places.t, this.places.T, this.places.p, this.places.rates);
       return this.view("rates", sizes.X).slice(-n);
     };
     for (let k = 0; k < n; k++) {
@@ -293,16 +293,16 @@ export class Loop {
     this.view("T", 1)[0] = tick;
     const times = new Float64Array(kept), drawn = new Float64Array(width * kept);
     const aims = jointly ? new Float64Array(3 * kept) : null;
-    const t = this.view("t", 1), result = this.view("shown", width), beside = this.view("beside", states);
+    const t = this.view("t", 1), result = this.view("shown", width), scratch = this.view("scratch", states);
     for (let k = 0; k < kept; k++) {
       t[0] = times[k] = k * every * tick;
       const row = this.free + 8 * states * k;
       exports.shown(row, places.t, places.T, places.p, places.shown);
       drawn.set(result, width * k);
       if (!jointly) continue;
-      beside.set(log.subarray(states * k, states * (k + 1)));
-      beside.set(drawn.subarray(width * k + goal.at, width * k + goal.at + goal.size), pose.at);
-      exports.shown(places.beside, places.t, places.T, places.p, places.shown);
+      scratch.set(log.subarray(states * k, states * (k + 1)));
+      scratch.set(drawn.subarray(width * k + goal.at, width * k + goal.at + goal.size), pose.at);
+      exports.shown(places.scratch, places.t, places.T, places.p, places.shown);
       aims.set(result.subarray(sizes.scene - 3, sizes.scene), 3 * k);
     }
     return { times, drawn, aims };

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Any, ClassVar, final
+from typing import Any, final
 from xml.etree import ElementTree
 
 import numpy as np
@@ -30,7 +30,7 @@ from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import EngineError, MissingError, ShapeError, ValueFault
 from dmframe.parameter import Diagonal, Positive
-from dmframe.port import Access, Port, Side, State
+from dmframe.port import Access, Input, Output, Side, State
 from dmframe.simulate import Solver, simulate
 from dmframe_blocks.joint_tracking import JointTracking
 from dmframe_blocks.kinematic_command import KinematicCommand
@@ -44,16 +44,16 @@ K_P, K_I, J, ALPHA = 6.0, 40.0, 0.5, 7.0
 class Flywheel(AbstractBlock):
     """A pure inertia, J ddq = u."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (Port("u", "n", "V"),)
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad", Access.MEASURED),
-        Port("dq", "n", "rad/s", Access.MEASURED, derivative_of="q"),
-        Port("ddq", "n", "rad/s^2", derivative_of="dq"),
-        Port("g", "n", "N m"),
-        Port("K", "n", "N m/V"),
+    side = Side.PLANT
+    inputs = (Input("u", "n", "V"),)
+    outputs = (
+        Output("q", "n", "rad", Access.MEASURED),
+        Output("dq", "n", "rad/s", Access.MEASURED, derivative_of="q"),
+        Output("ddq", "n", "rad/s^2", derivative_of="dq"),
+        Output("g", "n", "N m"),
+        Output("K", "n", "N m/V"),
     )
-    states: ClassVar[tuple[State, ...]] = (State("q", "n", "rad"), State("dq", "n", "rad/s"))
+    states = (State("q", "n", "rad"), State("dq", "n", "rad/s"))
 
     J: Diagonal = Positive("n", "kg m^2")
 
@@ -314,7 +314,7 @@ def test_a_search_that_leaves_the_numbers_is_told_as_a_loop_that_cannot_rest() -
 class Leak(AbstractBlock):
     """A tank that goes on leaking where it is empty."""
 
-    states: ClassVar[tuple[State, ...]] = (State("h", "", "m"),)
+    states = (State("h", "", "m"),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(rates={"h": -1 - x.h**1.5})
@@ -338,7 +338,7 @@ def test_a_diagram_without_a_servo_or_a_goal_is_told() -> None:
 class Still(AbstractBlock):
     """Commands nothing."""
 
-    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "1", "rad/s", Access.COMMANDED),)
+    outputs = (Output("dq_c", "1", "rad/s", Access.COMMANDED),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"dq_c": 0})

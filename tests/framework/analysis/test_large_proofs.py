@@ -21,11 +21,10 @@ from dmframe.exact.matrix import Matrix
 from dmframe.exact.rounded import Rounded, falls, similar
 from dmframe.exact.rows import dense, sparse
 from dmframe.parameter import Positive, Real, Scalar
-from dmframe.port import PERIOD, Access, Port, Side, State
+from dmframe.port import PERIOD, Access, Input, Output, Side, State
 from dmframe.program import read
 from dmframe_blocks._averaged_servo import AveragedServo, averaged_servo
 
-Ports = ClassVar[tuple[Port, ...]]
 States = ClassVar[tuple[State, ...]]
 
 T = 0.05
@@ -34,10 +33,10 @@ T = 0.05
 class Follower(AbstractBlock):
     """A target that integrates the command, and what follows it: d target = v, dy = 3 (target - y)."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: Ports = (Port("v"),)
-    outputs: Ports = (Port("y", access=Access.MEASURED),)
-    states: States = (State("target"), State("y"))
+    side = Side.PLANT
+    inputs = (Input("v"),)
+    outputs = (Output("y", access=Access.MEASURED),)
+    states = (State("target"), State("y"))
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"y": x.y}, rates={"target": u.v, "y": 3 * (x.target - x.y)})
@@ -46,9 +45,9 @@ class Follower(AbstractBlock):
 class Modelling(AbstractBlock):
     """v = -k y - the mean of W older y; counts along where the target must be, and sums up by how much y misses it."""
 
-    inputs: Ports = (Port("y"), PERIOD)
-    outputs: Ports = (Port("v", access=Access.COMMANDED),)
-    states: States = (
+    inputs = (Input("y"), PERIOD)
+    outputs = (Output("v", access=Access.COMMANDED),)
+    states = (
         State("aim", sampled=True),
         State("sent", sampled=True),
         State("z", sampled=True),
@@ -80,9 +79,9 @@ class LongModelling(Modelling):
 class Rounding(AbstractBlock):
     """y in steps of 0.01."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: Ports = (Port("y"),)
-    outputs: Ports = (Port("y_m", access=Access.MEASURED, instead_of="y", rounded_by="step"),)
+    side = Side.PLANT
+    inputs = (Input("y"),)
+    outputs = (Output("y_m", access=Access.MEASURED, instead_of="y", rounded_by="step"),)
     step: Scalar = Positive(default=0.01)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:

@@ -28,7 +28,7 @@ from dmframe.simulate import start_state
 TUBE = 0.02
 
 TINY = 1e-6
-"""Asked for where the closed form is of rank loss itself."""
+"""Stating for where the closed form is of rank loss itself."""
 
 ARM2 = """
 dmframe: 1

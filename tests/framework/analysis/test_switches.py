@@ -18,9 +18,8 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.errors import BlockError, EngineError
 from dmframe.parameter import Positive, Real, Scalar
-from dmframe.port import PERIOD, Access, Port, Side, State
+from dmframe.port import PERIOD, Access, Input, Output, Side, State
 
-Ports = ClassVar[tuple[Port, ...]]
 States = ClassVar[tuple[State, ...]]
 Rule = Callable[[Any], Any]
 
@@ -31,9 +30,9 @@ RULES: dict[str, Rule] = {"": lambda y: -2 * y}
 class Law(AbstractBlock):
     """v = g(y), or of what was measured one sample ago."""
 
-    inputs: Ports = (Port("y"),)
-    outputs: Ports = (Port("v", access=Access.COMMANDED),)
-    states: States = (State("old", sampled=True),)
+    inputs = (Input("y"),)
+    outputs = (Output("v", access=Access.COMMANDED),)
+    states = (State("old", sampled=True),)
     rule: str = ""
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -43,10 +42,10 @@ class Law(AbstractBlock):
 class Cart(AbstractBlock):
     """dy = v - y."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: Ports = (Port("v"),)
-    outputs: Ports = (Port("y", access=Access.MEASURED),)
-    states: States = (State("y"),)
+    side = Side.PLANT
+    inputs = (Input("v"),)
+    outputs = (Output("y", access=Access.MEASURED),)
+    states = (State("y"),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"y": x.y}, rates={"y": u.v - x.y})
@@ -135,9 +134,9 @@ def test_where_the_slope_alone_jumps_the_numbers_are_of_one_side_and_nothing_is_
 class Rounding(AbstractBlock):
     """Measures in steps, or says that it does."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: Ports = (Port("y"), Port("eta", drawn="normal"))
-    outputs: Ports = (Port("y_m", access=Access.MEASURED, instead_of="y", rounded_by="step"),)
+    side = Side.PLANT
+    inputs = (Input("y"), Input("eta", drawn="normal"))
+    outputs = (Output("y_m", access=Access.MEASURED, instead_of="y", rounded_by="step"),)
     step: Scalar = Positive(default=0.01)
     noise: Scalar = Real(default=0.001)
     lie: str = ""
@@ -183,9 +182,9 @@ def test_a_declared_step_does_not_excuse_other_roundings() -> None:
 class Second(AbstractBlock):
     """v = -z, dz/dt = y - z with a second term in its step: by itself, and in the loop it decides."""
 
-    inputs: Ports = (Port("y"), PERIOD)
-    outputs: Ports = (Port("v", access=Access.COMMANDED),)
-    states: States = (State("z"),)
+    inputs = (Input("y"), PERIOD)
+    outputs = (Output("v", access=Access.COMMANDED),)
+    states = (State("z"),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"v": -x.z}, rates={"z": u.y - x.z}, second={"z": 50 * x.z - 20 * u.y})

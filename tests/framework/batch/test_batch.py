@@ -1,4 +1,4 @@
-"""Runs in lanes: figures of many runs, against those of the same runs made whole."""
+"""SIMD batches: figures of many runs, checked against those of the same runs computed one by one."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import ctypes
 import subprocess
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -14,19 +14,19 @@ import pytest
 
 import dmframe as dm
 import dmframe.batch.batch
-import dmframe.batch.lanes
+import dmframe.batch.simd
 from dmframe.batch import Batch, Measured, Wanted
 from dmframe.batch.starts import starts_of
 from dmframe.batch.values import columns_of, parameters_of, varied
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.build.compiler import find_compiler
-from dmframe.codegen import lanes_source
-from dmframe.codegen.function import LANES, ONE, written
+from dmframe.codegen import simd_source
+from dmframe.codegen.function import ONE, SIMD, written
 from dmframe.codegen.source import shipped
 from dmframe.diagram import Diagram
 from dmframe.errors import NeedsDiagramError, UnknownNameError, ValueFault
 from dmframe.parameter import Real, Scalar, specs
-from dmframe.port import TIME, Access, Port, Side, State
+from dmframe.port import TIME, Access, Output, Side, State
 from dmframe.simulate.run import prepare
 from dmframe.simulate.start import start_state
 
@@ -70,32 +70,32 @@ def furthest(one: Measured, other: Measured) -> float:
         ("observed_regulation_pid", {"servo__K_I": (300, 600)}, ("arm.dq",)),
     ],
 )
-def test_lanes_measure_what_whole_runs_measure(name: str, values: Any, signals: tuple[str, ...]) -> None:
+def test_simd_batches_measure_what_whole_runs_measure(name: str, values: Any, signals: tuple[str, ...]) -> None:
     wanted = Wanted(signals, {"error": 1e-3, signals[0]: 1e-2})
     columns = spread(11, **values)  # more than one group, and the last of them not full
-    lanes, whole = (batch(name, 0.5, engine, wanted).measure(columns) for engine in ("compiled", "interpreted"))
-    assert lanes.engine.startswith("lanes of ")
+    simd, whole = (batch(name, 0.5, engine, wanted).measure(columns) for engine in ("compiled", "interpreted"))
+    assert simd.engine.startswith("SIMD batch of ")
     assert whole.engine == "interpreted"
-    assert furthest(lanes, whole) < 1e-9
-    assert np.isfinite(lanes.signals[signals[0]].crossed).any()
-    assert lanes.error is not None
+    assert furthest(simd, whole) < 1e-9
+    assert np.isfinite(simd.signals[signals[0]].crossed).any()
+    assert simd.error is not None
     one = dm.load(name).set({label: column[3] for label, column in columns.items()}).run(0.5)
     assert one.error is not None
-    np.testing.assert_allclose(lanes.error.rms_by_eighth[3, 0], one.error.rms_by_eighth, rtol=1e-9)
+    np.testing.assert_allclose(simd.error.rms_by_eighth[3, 0], one.error.rms_by_eighth, rtol=1e-9)
 
 
 @needs_compiler
 def test_a_long_log_and_an_end_between_two_kept_instants_are_those_of_a_run() -> None:
     columns = spread(3, dynamics__Gamma=(1, 100))
-    lanes, whole = (
+    simd, whole = (
         batch("arm2_joint", 0.3, engine, Wanted(("arm.q",)), log={"every": "14 ms"}).measure(columns)
         for engine in ("compiled", "interpreted")
     )
-    assert furthest(lanes, whole) < 1e-9
+    assert furthest(simd, whole) < 1e-9
 
 
 @needs_compiler
-def test_a_run_that_diverges_is_told_when_and_leaves_the_others_alone() -> None:
+def test_a_divergence_has_a_time_and_does_not_affect_other_runs() -> None:
     wild = np.array([1.0, 1e6, 2.0, 3.0, 1e6, 4.0, 5.0, 6.0, 7.0])
     tame = np.where(wild > 1e5, 1.0, wild)
     free = dm.load("arm2_joint").set({"dynamics.a_d_hat_box": None})  # in its box no estimate grows without limit
@@ -115,10 +115,10 @@ def test_a_run_that_diverges_is_told_when_and_leaves_the_others_alone() -> None:
 class Late(AbstractBlock):
     """dy = -speed tanh(t) y: stiff later than at the start."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (TIME,)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("y", "2", "", Access.MEASURED),)
-    states: ClassVar[tuple[State, ...]] = (State("y", "2"),)
+    side = Side.PLANT
+    inputs = (TIME,)
+    outputs = (Output("y", "2", "", Access.MEASURED),)
+    states = (State("y", "2"),)
     speed: Scalar = Real(default=1.0)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -136,7 +136,7 @@ def test_what_the_integrator_alone_blew_up_is_done_again_at_shorter_steps() -> N
         engine="compiled",
     )
     found = made.measure({"plant.speed": [4e3, 4.0, -4.0]})
-    assert found.engine.startswith("lanes of ")
+    assert found.engine.startswith("SIMD batch of ")
     np.testing.assert_array_equal(np.isfinite(found.diverged), [False, False, True])
     assert "at longer steps the integrator itself diverged in 1 of 3 runs" in found.notices
     # of log cosh t the last squares count: y = exp(-speed log cosh t)
@@ -144,7 +144,7 @@ def test_what_the_integrator_alone_blew_up_is_done_again_at_shorter_steps() -> N
 
 
 @needs_compiler
-def test_a_stiff_run_goes_in_lanes_by_the_linearly_implicit_method() -> None:
+def test_a_stiff_run_goes_into_a_simd_batch_by_the_linearly_implicit_method() -> None:
     gains = np.array([[8e5, 800, 400], [800, 800, 400], [9e5, 800, 400]])
     wanted = Wanted(("arm.q",))
     found, whole = (
@@ -159,23 +159,23 @@ UNLIKE = {"servo.K_D": np.array([80, 8000, 800, 2400, 4000, 6000, 500, 1000, 300
 
 
 @needs_compiler
-def test_runs_of_unlike_stiffness_fill_the_lanes_each_with_the_steps_that_it_takes_alone(
+def test_runs_of_unlike_stiffness_fill_the_batches_each_with_the_steps_that_it_takes_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    groups, start = list[list[int]](), dmframe.batch.lanes.Lanes.start
+    groups, start = list[list[int]](), dmframe.batch.simd.SimdLoop.start
 
-    def noted(lanes: Any, states: Any, p: Any, substeps: Any) -> Any:
+    def noted(loop: Any, states: Any, p: Any, substeps: Any) -> Any:
         groups.append(list(substeps))
-        return start(lanes, states, p, substeps)
+        return start(loop, states, p, substeps)
 
     made, whole = (batch("ur10_fast", 0.2, engine, Wanted(("arm.q",))) for engine in ("compiled", "interpreted"))
     made.measure({"servo.K_D": UNLIKE["servo.K_D"][:1]})  # so that the library's own trial is over
-    monkeypatch.setattr(dmframe.batch.lanes.Lanes, "start", noted)
+    monkeypatch.setattr(dmframe.batch.simd.SimdLoop, "start", noted)
     found = made.measure(UNLIKE)
     monkeypatch.undo()
-    runs, width = UNLIKE["servo.K_D"], int(found.engine.removeprefix("lanes of "))
+    runs, width = UNLIKE["servo.K_D"], int(found.engine.removeprefix("SIMD batch of "))
     steps = [step for group in groups for step in group]
-    assert len(groups) == -(-runs.size // width), "a lane was left empty"
+    assert len(groups) == -(-runs.size // width), "an element was left empty"
     assert steps == sorted(steps, reverse=True)
     assert len(set(steps)) > 4
     assert furthest(found, whole.measure(UNLIKE)) < 1e-9
@@ -185,10 +185,10 @@ def test_runs_of_unlike_stiffness_fill_the_lanes_each_with_the_steps_that_it_tak
             mine, alone = (getattr(each.signals["arm.q"], part) for each in (found, one))
             np.testing.assert_array_equal(mine[k], alone[0])
 
-    def wrong(lanes: Any, states: Any, p: Any, substeps: Any) -> Any:
-        return start(lanes, states, p, np.full_like(substeps, min(steps)))
+    def wrong(loop: Any, states: Any, p: Any, substeps: Any) -> Any:
+        return start(loop, states, p, np.full_like(substeps, min(steps)))
 
-    monkeypatch.setattr(dmframe.batch.lanes.Lanes, "start", wrong)
+    monkeypatch.setattr(dmframe.batch.simd.SimdLoop, "start", wrong)
     spoilt = made.measure(UNLIKE).signals["arm.q"].last
     missed = ~(np.abs(spoilt - found.signals["arm.q"].last) < 1e-9).all(axis=1)
     assert missed[runs > 2000].all(), "steps of another run would pass unseen"
@@ -198,12 +198,12 @@ def test_runs_of_unlike_stiffness_fill_the_lanes_each_with_the_steps_that_it_tak
 def test_blocks_of_runs_and_threads_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
     columns = spread(21, servo__K_D=(600, 900))
     whole = batch("ur10_fast", 0.2).measure(columns)
-    monkeypatch.setattr(dmframe.batch.batch, "TOGETHER", 10)
-    monkeypatch.setattr("dmframe.batch.together.TICKS", 7)
+    monkeypatch.setattr(dmframe.batch.batch, "BLOCK", 10)
+    monkeypatch.setattr("dmframe.batch.groups.TICKS", 7)
     assert furthest(batch("ur10_fast", 0.2).measure(columns), whole) == 0.0
 
 
-def test_a_run_that_cannot_be_is_a_fault_of_its_own() -> None:
+def test_a_run_with_values_that_are_not_allowed_has_a_fault_of_its_own() -> None:
     found = batch("pendulum", 0.1, "auto").measure({"dynamics.Gamma": [1.0, -1.0, np.nan, 2.0]})
     assert {run: str(fault) for run, fault in found.faults.items()} == {
         1: "dynamics.Gamma: expected a number > 0, found -1.0",
@@ -236,18 +236,25 @@ def test_the_first_runs_fault_is_not_that_of_others_who_start_where_it_would(
     ("values", "wanted", "kind", "text"),
     [
         ({"dynamics.Gama": [1]}, Wanted(), UnknownNameError, "did you mean dynamics.Gamma?"),
-        ({"dynamics.Gamma": 1}, Wanted(), ValueFault, "values.dynamics.Gamma: expected a row a run, found one number"),
-        ({"dynamics.Gamma": ["a"]}, Wanted(), ValueFault, "expected an array of numbers with a row a run"),
+        (
+            {"dynamics.Gamma": 1},
+            Wanted(),
+            ValueFault,
+            "values.dynamics.Gamma: expected a row per run, found one number",
+        ),
+        ({"dynamics.Gamma": ["a"]}, Wanted(), ValueFault, "expected an array of numbers with a row per run"),
         ({"dynamics.Gamma": [1], "servo.K_D": [1, 2]}, Wanted(), ValueFault, "dynamics.Gamma 1, servo.K_D 2"),
         ({"dynamics.Gamma": [1]}, Wanted(("arm.qq",)), UnknownNameError, "signals: unknown signal"),
         ({"dynamics.Gamma": [1]}, Wanted((), {"arm.q": 1.0}), UnknownNameError, "limits: unknown measured signal"),
     ],
 )
 @pytest.mark.parametrize("engine", ["interpreted", "compiled"])
-def test_what_no_run_can_have_is_refused(values: Any, wanted: Wanted, kind: Any, text: str, engine: Any) -> None:
-    with pytest.raises(kind) as told:
+def test_values_that_are_wrong_for_all_runs_are_refused(
+    values: Any, wanted: Wanted, kind: Any, text: str, engine: Any
+) -> None:
+    with pytest.raises(kind) as caught:
         batch("pendulum", 0.1, engine, wanted).measure(values)
-    assert text in str(told.value)
+    assert text in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -257,8 +264,8 @@ def test_the_numbers_and_starts_of_many_runs_are_those_of_each(name: str) -> Non
     """Of every parameter that is a number."""
     graph = dm.load(name)
     diagram = graph.diagram
-    asked = {key: value for key, value in graph.experiment.settings.items() if key != "start"}
-    prepared = prepare(diagram, 0.1, **asked)
+    settings = {key: value for key, value in graph.experiment.settings.items() if key != "start"}
+    prepared = prepare(diagram, 0.1, **settings)
     instants, start = prepared.step.instants, graph.experiment.start
     seen = 0
     for block, model in diagram.models.items():
@@ -301,15 +308,15 @@ _SPECIAL = [0.0, -0.0, 1.0, -1.0, 0.5, 20.5, -30.0, 99999.0, 1e5, -3e7, 1e300, n
 
 @needs_compiler
 @pytest.mark.parametrize(("flags", "width"), [("-mno-avx", 2), ("-mavx -mno-avx512f", 4), ("-mavx512f", 8)])
-def test_arithmetic_in_lanes_is_that_of_one_run_bit_by_bit(tmp_path: Path, flags: str, width: int) -> None:
+def test_vector_arithmetic_is_that_of_one_run_bit_by_bit(tmp_path: Path, flags: str, width: int) -> None:
     cpu = Path("/proc/cpuinfo").read_text(encoding="utf-8") if Path("/proc/cpuinfo").exists() else ""
     if width > 2 and {4: " avx ", 8: " avx512f "}[width] not in cpu:
         pytest.skip("this processor has no such registers")
     f = ca.Function("f", [_X, _Y], [ca.vertcat(*_OPERATIONS)])
-    one, lanes = (written(f, dialect) for dialect in (ONE, LANES))
+    one, simd = (written(f, dialect) for dialect in (ONE, SIMD))
     loops = """
 void each(const double *x, const double *y, double *r) { dm_one(x, y, r); }
-void lanes(const double *x, const double *y, double *r) {
+void together(const double *x, const double *y, double *r) {
   dm_real a, b, c[ROWS];
   memcpy(&a, x, sizeof a);
   memcpy(&b, y, sizeof b);
@@ -317,8 +324,8 @@ void lanes(const double *x, const double *y, double *r) {
   memcpy(r, c, sizeof c);
 }
 """
-    text = [shipped(name) for name in LANES.arithmetic] + [f"#define ROWS {len(_OPERATIONS)}"]
-    text += [one.replace("dm_f(", "dm_one("), lanes, loops]
+    text = [shipped(name) for name in SIMD.arithmetic] + [f"#define ROWS {len(_OPERATIONS)}"]
+    text += [one.replace("dm_f(", "dm_one("), simd, loops]
     (tmp_path / "f.c").write_text("\n".join(text), encoding="utf-8")
     compiler = find_compiler()
     assert compiler is not None
@@ -337,13 +344,11 @@ void lanes(const double *x, const double *y, double *r) {
 
     for first in range(0, x.size, width):
         some = slice(first, first + width)
-        together = called(library.lanes, x[some], y[some], rows=width)
-        for lane in range(width):
-            alone = called(library.each, x[first + lane : first + lane + 1], y[first + lane : first + lane + 1], rows=1)
-            np.testing.assert_array_equal(
-                together[:, lane], alone[:, 0], err_msg=str((x[first + lane], y[first + lane]))
-            )
-            signs = np.signbit(together[:, lane]) == np.signbit(alone[:, 0])
+        together = called(library.together, x[some], y[some], rows=width)
+        for k in range(width):
+            alone = called(library.each, x[first + k : first + k + 1], y[first + k : first + k + 1], rows=1)
+            np.testing.assert_array_equal(together[:, k], alone[:, 0], err_msg=str((x[first + k], y[first + k])))
+            signs = np.signbit(together[:, k]) == np.signbit(alone[:, 0])
             assert np.all(signs | np.isnan(alone[:, 0]))
 
 
@@ -355,18 +360,18 @@ void lanes(const double *x, const double *y, double *r) {
         ("memcpy(x, k.z, DM_Z * sizeof *x);", ""),
     ],
 )
-def test_a_library_with_a_wrong_lane_is_not_used(
+def test_a_library_with_one_wrong_element_is_not_used(
     right: str, wrong: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("DMFRAME_CACHE", str(tmp_path))
-    source = lanes_source
+    source = simd_source
 
     def spoilt(parts: Any, *, implicit: bool) -> str:
         text = source(parts, implicit=implicit)
         assert right in text
         return text.replace(right, wrong)
 
-    monkeypatch.setattr(dmframe.batch.lanes, "lanes_source", spoilt)
+    monkeypatch.setattr(dmframe.batch.simd, "simd_source", spoilt)
     found = batch("arm2_joint", 0.02).measure({"dynamics.Gamma": [1.0, 2.0]})
     assert found.engine == "compiled"
     assert any("a library that does not work" in notice for notice in found.notices)

@@ -30,7 +30,7 @@ needs_permissions = pytest.mark.skipif(
 def forget() -> None:
     """What a new process would not know."""
     library._kept.clear()
-    library._told.cache_clear()
+    library._reported.clear()
 
 
 def entries(folder: Path) -> list[Path]:
@@ -184,17 +184,17 @@ def test_a_compiler_that_fails_leaves_the_interpreter_with_a_notice(
     assert any("the compiled engine is not available: error: broken" in notice for notice in run.notices)
 
 
-def test_a_cache_that_cannot_be_written_is_told_and_the_run_is_compiled_all_the_same(
+def test_a_cache_that_cannot_be_written_is_reported_and_the_run_is_compiled_all_the_same(
     cache: Path, pendulum: Runner
 ) -> None:
     cache.write_text("a file where the folder should be", encoding="utf-8")
     run, again = pendulum(), pendulum("compiled")
     assert (run.engine, again.engine) == ("compiled", "compiled")
-    assert any("cannot be used (file exists): compiled for this process alone" in notice for notice in run.notices)
+    assert any("cannot be used (file exists): compiled for this process only" in notice for notice in run.notices)
 
 
 @needs_permissions
-def test_a_read_only_cache_is_told(cache: Path, pendulum: Runner) -> None:
+def test_a_read_only_cache_is_reported(cache: Path, pendulum: Runner) -> None:
     cache.mkdir(mode=0o500)
     assert any("permission denied" in notice for notice in pendulum().notices)
 
@@ -220,8 +220,8 @@ def test_what_a_killed_process_left_is_cleared_away_after_a_while(tmp_path: Path
         place = folder / f"{keeping._PART}{name}"
         place.mkdir(parents=True)
         place.joinpath("loop.c").write_text("int x;", encoding="utf-8")
-        told = place.stat().st_mtime - age
-        os.utime(place, (told, told))
+        modified = place.stat().st_mtime - age
+        os.utime(place, (modified, modified))
     make(folder, "key", "int dm_x(void) { return 1; }", compiler)
     assert [path.name for path in entries(folder) if path.is_dir()] == [f"{keeping._PART}new"]
 
@@ -236,34 +236,34 @@ def test_the_cache_lies_where_the_platform_keeps_caches(monkeypatch: pytest.Monk
     assert keeping.cache_folder() == tmp_path / ".cache" / "dmframe"
 
 
-def test_variables_that_cannot_be_meant_are_told(
+def test_variables_that_are_invalid_are_reported(
     monkeypatch: pytest.MonkeyPatch, cache: Path, pendulum: Runner
 ) -> None:
     forget()
     monkeypatch.setenv("CC", 'gcc "')
-    with pytest.raises(ValueFault, match=r'^CC=gcc ": expected a command, found one that cannot be read: no closing'):
+    with pytest.raises(ValueFault, match=r'^CC=gcc ": expected a command, found an invalid one: no closing'):
         pendulum()
     monkeypatch.delenv("CC")
-    monkeypatch.setenv("DMFRAME_CACHE", "~nobody_of_that_name/x")
-    with pytest.raises(ValueFault, match=r"^DMFRAME_CACHE=~nobody_of_that_name/x: expected a folder, found the home"):
+    monkeypatch.setenv("DMFRAME_CACHE", "~no_such_user/x")
+    with pytest.raises(ValueFault, match=r"^DMFRAME_CACHE=~no_such_user/x: expected a folder, found the home"):
         pendulum()
 
 
 def test_a_user_without_a_home_compiles_for_this_process(
     monkeypatch: pytest.MonkeyPatch, cache: Path, pendulum: Runner
 ) -> None:
-    def nobody(_: int) -> None:
+    def no_user(_: int) -> None:
         raise KeyError
 
     for name in ("DMFRAME_CACHE", "XDG_CACHE_HOME", "HOME"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr("pwd.getpwuid", nobody)
+    monkeypatch.setattr("pwd.getpwuid", no_user)
     run = pendulum()
     assert run.engine == "compiled"
-    assert "the cache cannot be used (this user has no home): compiled for this process alone" in run.notices
+    assert "the cache cannot be used (this user has no home): compiled for this process only" in run.notices
 
 
-def test_another_compiler_than_the_one_asked_for_is_told(
+def test_another_compiler_than_the_requested_one_is_reported(
     monkeypatch: pytest.MonkeyPatch, cache: Path, pendulum: Runner
 ) -> None:
     monkeypatch.setenv("CC", "no_such_compiler -O3")

@@ -45,22 +45,24 @@ def test_a_library_that_does_not_work_is_neither_loaded_nor_kept(
     assert run.engine == "interpreted"
     (notice,) = run.notices
     assert notice.startswith("the compiled engine is not available: ")
-    assert "badcc made a library that does not work" in notice
+    assert "badcc built a library that does not work" in notice
     assert list(cache.iterdir()) == []
     monkeypatch.delenv("CC")
     np.testing.assert_allclose(run["arm.q"], pendulum()["arm.q"], rtol=1e-9)
 
 
-def test_a_sound_library_is_asked_once_and_kept(cache: Path, pendulum: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = list[Path]()
+def test_a_sound_library_is_tested_once_and_kept(
+    cache: Path, pendulum: Runner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tested = list[Path]()
 
     def counted(library: Path, *words: object) -> object:
-        asked.append(library)
+        tested.append(library)
         return called(library, *words)  # type: ignore[arg-type]
 
     monkeypatch.setattr("dmframe.simulate.engine.called", counted)
     assert [pendulum().engine, pendulum().engine] == ["compiled", "compiled"]
-    assert len(asked) == 1
+    assert len(tested) == 1
     assert len(list(cache.iterdir())) == 1
 
 
@@ -91,15 +93,15 @@ def test_a_folder_in_which_others_may_write_is_no_cache(cache: Path, pendulum: R
 
 
 def test_what_rounding_alone_moves_counts_for_no_fault_and_nothing_else_is_let_through() -> None:
-    def told(state: np.ndarray) -> list[ca.DM]:
+    def evaluated(state: np.ndarray) -> list[ca.DM]:
         x, y = state
         return [ca.DM([x + 1e12 * x * x - (1e6 * x) ** 2, 3 * y])]  # the first has lost all but four digits
 
     state = np.array([0.7, 1.1])
-    first, second = told(state)[0].full().ravel()
-    assert alike([[first + 2e-5, second]], told, state)
-    assert not alike([[first + 1.0, second]], told, state)
-    assert not alike([[first, second * (1 + 1e-5)]], told, state)
-    assert not alike([[np.nan, second]], told, state)
+    first, second = evaluated(state)[0].full().ravel()
+    assert alike([[first + 2e-5, second]], evaluated, state)
+    assert not alike([[first + 1.0, second]], evaluated, state)
+    assert not alike([[first, second * (1 + 1e-5)]], evaluated, state)
+    assert not alike([[np.nan, second]], evaluated, state)
     assert alike([[np.nan]], lambda _: [ca.DM([np.nan])], state)
     assert alike([[np.inf]], lambda _: [ca.DM([np.inf])], state)

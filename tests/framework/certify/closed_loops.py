@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -14,12 +16,16 @@ import pinocchio as pin
 from dmframe.block import AbstractBlock
 from dmframe.catalogue import block_types
 from dmframe.certify import Claim
+from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.port import Side
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.library import load
 from dmframe.simulate.step import Solver, build_step
+
+sys.path.append(str(Path(__file__).parents[1]))  # as a command's, the path has this folder alone
+from structures import packaged
 
 Spec = tuple[str, Mapping[str, Any]]
 """A block's type and its parameters."""
@@ -42,14 +48,13 @@ def counting(types: Mapping[str, str], wires: Mapping[str, str]) -> set[str]:
     return {kind for name, kind in types.items() if name not in silent}
 
 
-@dataclass(frozen=True)
-class Loop:
-    """A closed loop that is to be proved."""
+class Built:
+    """What a loop's robot, blocks and wires make."""
 
     name: str
     robot: Any
     specs: Mapping[str, Spec]
-    wires: Mapping[str, str] = field(default_factory=dict)
+    wires: Mapping[str, str]
 
     @property
     def types(self) -> set[str]:
@@ -71,6 +76,41 @@ class Loop:
     @cached_property
     def diagram(self) -> Diagram:
         return self.build()
+
+
+@dataclass(frozen=True)
+class Loop(Built):
+    """A closed loop that is to be proved."""
+
+    name: str
+    robot: Any
+    specs: Mapping[str, Spec]
+    wires: Mapping[str, str] = field(default_factory=dict)
+
+
+class PackagedLoop(Built):
+    """A packaged graph's, read when it is built: its name alone is needed to list it."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    @cached_property
+    def _graph(self) -> Any:
+        return load_experiment(self.name)
+
+    @property
+    def robot(self) -> Any:  # type: ignore[override]
+        return self._graph.robot
+
+    @property
+    def wires(self) -> Mapping[str, str]:  # type: ignore[override]
+        wires: Mapping[str, str] = self._graph.file.wires
+        return wires
+
+    @cached_property
+    def specs(self) -> Mapping[str, Spec]:  # type: ignore[override]
+        blocks = self._graph.data["blocks"]
+        return {block: (str(entry["type"]), _parameters(entry)) for block, entry in blocks.items()}
 
 
 def odd_chain(n: int, seed: int, axes: str = "xyz", kinds: Sequence[str] = ()) -> SerialChain:
@@ -135,12 +175,12 @@ def _path(source: str, task: str, n: int, m: int) -> dict[str, Any]:
 
 
 @cache
-def loops() -> tuple[Loop, ...]:
+def loops() -> tuple[Built, ...]:
     """What every fault of the mutation suite is put into, one of each pair where a fault goes into one only."""
     return tuple(_loops())
 
 
-def _loops() -> Iterator[Loop]:
+def _loops() -> Iterator[Built]:
     robots = (load("arm2"), odd_chain(3, 5, "xy"))
     sources = {"task": ("circle", "setpoint"), "joint": ("sinusoid", "waypoints")}
     for robot in robots:
@@ -224,25 +264,18 @@ def _positive(n: int) -> list[list[float]]:
     return rows
 
 
-def _packaged(held: set[str]) -> Iterator[Loop]:
+def _packaged(held: set[str]) -> Iterator[Built]:
     """A packaged graph for each block that none of the others holds: so a new block brings its own."""
-    from dmframe.catalogue import graphs
-    from dmframe.config import load_experiment
-    from dmframe.config.document import read_file
-
     blocks = known_blocks()
     held = held | loop_of(load("arm2"), "task", "PI").types | loop_of(load("arm2"), "joint", "PID").types
-    for name, path in graphs().items():  # a type's name suffices to pass most of them by: robots take a while to read
-        data = read_file(path).data
+    for name, data in sorted(packaged().items()):
         named = {block: str(entry["type"]) for block, entry in data["blocks"].items()}
         types = counting(named, data.get("wires", {}))
         claims = all("certificate" in vars(blocks[kind]) or blocks[kind].side is Side.SOURCE for kind in named.values())
         if not types - held or not claims:
             continue
-        graph = load_experiment(name)
-        specs = {block: (str(entry["type"]), _parameters(entry)) for block, entry in graph.data["blocks"].items()}
         held |= types
-        yield Loop(name, graph.robot, specs, graph.file.wires)
+        yield PackagedLoop(name)
 
 
 def _parameters(entry: Mapping[str, Any]) -> dict[str, Any]:

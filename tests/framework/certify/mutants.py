@@ -47,6 +47,7 @@ OUTCOMES = {
     "refuted": "the certifier refutes it",
     "no diagram": "the diagram cannot be built, or is defined nowhere",
     "condition": "the identity is true, and a condition fails",
+    "units": "the identity is true, every condition holds, and units do not agree",
     "equivalent": "the identity is true: seen in numbers, independently",
     "survived": "proved, though numbers say that the identity is false",
 }
@@ -288,7 +289,7 @@ def unlabelled(stated: Mapping[str, Certificate], laws: Any) -> dict[str, Certif
 def nothing_printed() -> Iterator[None]:
     """Leave a fault to the exact test, before which the printed laws would tell of some; nor ask what follows."""
     with (
-        mock.patch("dmframe.certify.claim._laws", return_value=({}, ())),
+        mock.patch("dmframe.certify.claim.printed_laws", return_value={}),
         mock.patch("dmframe.certify.claim.labelled", unlabelled),
         mock.patch("dmframe.certify.assumed._written", return_value=""),
         mock.patch("dmframe.certify.verify.statements_of", return_value=[]),
@@ -346,6 +347,8 @@ def _outcome(diagram: Diagram, verdict: Any) -> str:
         return "no diagram"
     if not true_in_numbers(diagram, verdict.claim):
         return "survived"
+    if diagram.unit_faults and verdict.test.zero and all(item.holds for item in verdict.conditions):
+        return "units"
     return "equivalent" if verdict.outcome == "proved" or not verdict.test.zero else "condition"
 
 

@@ -9,7 +9,7 @@ from dmframe.block import AbstractBlock, Equations
 from dmframe.certificate import Certificate
 from dmframe.diagram import Diagram
 from dmframe.parameter import Positive, Scalar
-from dmframe.port import TIME, Port, Side, State
+from dmframe.port import TIME, Input, Output, Side, State
 
 Rates = Callable[[Any, Any, Any], Mapping[str, Any]]
 """Of the states, the inputs and the parameters."""
@@ -22,8 +22,8 @@ def scalar_loop(states: str, rates: Rates, claim: Callable[[Any, Any, Any], Cert
     class Toy(AbstractBlock):
         """What the arguments say."""
 
-        inputs: ClassVar[tuple[Port, ...]] = (TIME, *(Port(name) for name in sources))
-        outputs: ClassVar[tuple[Port, ...]] = ()
+        inputs = (TIME, *(Input(name) for name in sources))
+        outputs = ()
         states: ClassVar[tuple[State, ...]]
         k: Scalar = Positive("", "", default=2.0)
 
@@ -44,9 +44,9 @@ def _source(name: str, function: Callable[[Any], Any]) -> AbstractBlock:
     class Path(AbstractBlock):
         """A function of time."""
 
-        side: ClassVar[Side] = Side.SOURCE
-        inputs: ClassVar[tuple[Port, ...]] = (TIME,)
-        outputs: ClassVar[tuple[Port, ...]] = (Port(name),)
+        side = Side.SOURCE
+        inputs = (TIME,)
+        outputs = (Output(name),)
 
         def equations(self, u: Any, x: Any, p: Any) -> Equations:
             return Equations(outputs={name: function(u.t)})

@@ -171,11 +171,11 @@ def test_a_bound_is_not_to_be_had_by_assumption() -> None:
 def test_nobody_pays_with_a_weight_that_is_only_assumed() -> None:
     def claim(x: Any, u: Any, p: Any) -> Certificate:
         spent = Square(x.y, x.z, positive=WHY)
-        return Certificate(storage=(Square(x.y, x.z, positive=WHY),), dissipation=(spent,), pays=(1,))
+        return Certificate(storage=(Square(x.y, x.z, positive=WHY),), dissipation=(spent,), dominates=(1,))
 
     verdict = verify(scalar_loop("y z", lambda x, u, p: {"y": -x.y, "z": 0 * x.z}, claim))
     assert verdict.outcome == "not_applicable"
-    assert "nobody pays for a cascade with a weight that is positive by assumption" in verdict.reason
+    assert "no weight that is positive by assumption can dominate a cascade's cross term" in verdict.reason
 
 
 def test_beside_a_residual_nothing_is_ultimately_bounded_by_a_weight_that_may_grow() -> None:

@@ -48,7 +48,7 @@ def lying(block: type[AbstractBlock], how: str, factor: float = 1.0) -> type[Abs
             dissipation=(*honest.dissipation, lie) if how == "dissipation" else honest.dissipation,
             supply=honest.supply + (lie.value if how == "supply" else 0),
             consumes=honest.consumes,
-            pays=honest.pays,
+            dominates=honest.dominates,
             truth=honest.truth,
             estimates=honest.estimates,
         )
@@ -129,12 +129,14 @@ def test_a_false_statement_of_how_sigma_is_composed_is_refuted_and_blamed() -> N
     def certificate(self: Any, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         honest = block.certificate(self, u, x, p, truth)
         assert honest is not None
-        return replace(honest, pays=(ca.SX(1), 2 * p.K_c), driven=())
+        return replace(honest, dominates=(ca.SX(1), 2 * p.K_c), driven=())
 
     liar = type(block)(block.__name__, (block,), {"__module__": block.__module__, "certificate": certificate})
     verdict = verify(diagram_with("PID", {"pid_inverse": liar}))
     assert verdict.outcome == "refuted"
-    assert verdict.reason.startswith("inverse: what it pays for is what task consumes is not what the block claims")
+    assert verdict.reason.startswith(
+        "inverse: the vector that it dominates is that of task is not what the block claims"
+    )
     assert verdict.refutation is not None
     assert verdict.refutation.blame == ("inverse",)
     claim = claim_of(diagram_with("PID", {"pid_inverse": liar}))

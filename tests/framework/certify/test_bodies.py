@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from typing import Any, ClassVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -24,7 +24,7 @@ from dmframe.diagram.projection import Bodies, Projection
 from dmframe.eigen import eigen, positive_part
 from dmframe.errors import DmframeError, StartError
 from dmframe.parameter import Positive, Real, Scalar
-from dmframe.port import Port, State
+from dmframe.port import Input, Output, State
 from dmframe.simulate import start_state
 
 LAW = "dynamics.a_d_hat: law of the set of bodies"
@@ -175,8 +175,8 @@ def test_another_metric_than_that_of_the_nominal_bodies_is_no_proof(monkeypatch:
 class Moving(AbstractBlock):
     """Its nominal bodies move."""
 
-    inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"), Port("a_d_nominal", "p", ""))
-    outputs: ClassVar[tuple[Port, ...]] = (Port("a_d_other", "p", ""),)
+    inputs = (Input("q", "n", "rad"), Input("a_d_nominal", "p", ""))
+    outputs = (Output("a_d_other", "p", ""),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations({"a_d_other": u.a_d_nominal * (1 + u.q[0] * u.q[0])})
@@ -195,8 +195,8 @@ def test_nominal_bodies_that_move_are_refused() -> None:
 class Undeclared(AbstractBlock):
     """A set of bodies of which half is missing."""
 
-    inputs: ClassVar[tuple[Port, ...]] = (Port("a_d_nominal", "p", ""),)
-    states: ClassVar[tuple[State, ...]] = (State("a", "p", bodies="flor", nominal="a_nominal"),)
+    inputs = (Input("a_d_nominal", "p", ""),)
+    states = (State("a", "p", bodies="flor", nominal="a_nominal"),)
     floor: Scalar = Positive(default=1.0)
     other: Scalar = Real(default=1.0)
 

@@ -17,7 +17,7 @@ from scalar_blocks import scalar_loop
 from dmframe.certificate import Certificate, Clipped, Gathered, Square, clip
 from dmframe.certify import claim_of, verify
 from dmframe.certify.checked import Checked, Numbers
-from dmframe.certify.controls import negative_controls
+from dmframe.certify.controls import inject_faults
 from dmframe.certify.definite import is_semidefinite
 from dmframe.certify.excess import bounds_of
 from dmframe.certify.memories import memory_starts
@@ -122,7 +122,7 @@ def test_a_gain_that_changes_no_rate_is_no_fault_and_one_that_does_is() -> None:
 
     def faults(diagram: Diagram) -> dict[str, bool]:
         claim = claim_of(diagram)
-        return {c.fault: c.refuted for c in negative_controls(claim, symbols_of(claim), seed=0)}
+        return {c.fault: c.refuted for c in inject_faults(claim, symbols_of(claim), seed=0)}
 
     changed = "toy.k changed in the equations only"
     assert faults(loop(0.0)).get(changed) is None
@@ -138,7 +138,7 @@ def test_what_was_sampled_is_not_said_to_hold() -> None:
     (line,) = [line for line in verdict_text(graph.name, verdict).splitlines() if "M(q) > 0" in line]
     assert line.endswith("sampled, not proved")
     row = Condition("M(q) > 0", "0.1", True, "sampled", "property P2")
-    assert row.told == "sampled, not proved"
+    assert row.status == "sampled, not proved"
 
 
 EXTREMES = ["1e308", "5e-324", "-0.0", ".nan", ".inf"]

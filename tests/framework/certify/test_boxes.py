@@ -11,7 +11,7 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import Certificate, CommonLyapunov, Square
 from dmframe.certify import verify
 from dmframe.diagram import Diagram
-from dmframe.port import Access, Port, Side, State
+from dmframe.port import Access, Input, Output, Side, State
 
 SIZES = [((0, 2), (0, 2)), ((2, 2), (1, 2)), ((1, 3), (1, 3)), ((1, 1), (1, 1)), ((1, 2), (2, 2))]
 
@@ -19,10 +19,10 @@ SIZES = [((0, 2), (0, 2)), ((2, 2), (1, 2)), ((1, 3), (1, 3)), ((1, 1), (1, 1)),
 class Plant(AbstractBlock):
     """dy = v."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (Port("v"),)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("y", access=Access.MEASURED),)
-    states: ClassVar[tuple[State, ...]] = (State("y"),)
+    side = Side.PLANT
+    inputs = (Input("v"),)
+    outputs = (Output("y", access=Access.MEASURED),)
+    states = (State("y"),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"y": x.y}, rates={"y": u.v})
@@ -34,8 +34,8 @@ class Plant(AbstractBlock):
 class Law(AbstractBlock):
     """v = -y."""
 
-    inputs: ClassVar[tuple[Port, ...]] = (Port("y"),)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("v", access=Access.COMMANDED),)
+    inputs = (Input("y"),)
+    outputs = (Output("v", access=Access.COMMANDED),)
     boxes: ClassVar[tuple[tuple[int, int], tuple[int, int]]] = ((1, 2), (1, 2))
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:

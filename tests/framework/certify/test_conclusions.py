@@ -1,4 +1,4 @@
-"""From V to the theorem's last line: what is bounded, what vanishes, who pays; each step with a lie that it stops."""
+"""From V to the theorem's last line: boundedness, convergence, small gain; each step with a fault that it stops."""
 
 from __future__ import annotations
 
@@ -178,31 +178,31 @@ def test_what_was_not_shown_of_a_driven_signal_asks_for_its_conditions():
 
 def _payer(weight, *, task):
     """X' = -weight x, of which one block says that it dissipates weight |x|^2, and another consumes |x|^2."""
-    from typing import Any, ClassVar, final
+    from typing import Any, final
 
     from dmframe.block import AbstractBlock, Equations
     from dmframe.diagram import Diagram
-    from dmframe.port import Port, State
+    from dmframe.port import Input, Output, State
 
     @final
     class Payer(AbstractBlock):
         """Its state grows or falls."""
 
-        outputs: ClassVar[tuple[Port, ...]] = (Port("x"),)
-        states: ClassVar[tuple[State, ...]] = (State("x"),)
+        outputs = (Output("x"),)
+        states = (State("x"),)
 
         def equations(self, u: Any, x: Any, p: Any) -> Equations:
             return Equations(outputs={"x": x.x}, rates={"x": (0.0 - weight) * x.x})
 
         def certificate(self, u: Any, x: Any, p: Any, truth: Any) -> Certificate:
-            return Certificate(storage=(Square(x.x),), dissipation=(Square(x.x, weight),), pays=(1,), task=task)
+            return Certificate(storage=(Square(x.x),), dissipation=(Square(x.x, weight),), dominates=(1,), task=task)
 
     @final
     class Taker(AbstractBlock):
         """A cascade y' = -y + x."""
 
-        inputs: ClassVar[tuple[Port, ...]] = (Port("x"),)
-        states: ClassVar[tuple[State, ...]] = (State("y"),)
+        inputs = (Input("x"),)
+        states = (State("y"),)
 
         def equations(self, u: Any, x: Any, p: Any) -> Equations:
             return Equations(rates={"y": -x.y + u.x})
@@ -218,7 +218,7 @@ def test_a_payer_that_v_weighs_by_one_has_no_kappa_to_pay_with():
     assert _payer(0.5, task=False).outcome == "proved"
     poor = _payer(0.5, task=True)
     assert poor.outcome == "not_applicable"
-    assert "with the weight 1 that V gives it" in poor.reason
+    assert "with its weight 1 in V" in poor.reason
     assert _payer(1.5, task=True).outcome == "proved"
 
 

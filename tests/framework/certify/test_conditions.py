@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import random
 from fractions import Fraction
 from itertools import product
 from typing import Any, ClassVar, final
@@ -19,8 +20,8 @@ from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.conditions import conditions_of
 from dmframe.certify.definite import pivots, pseudo_inertia
-from dmframe.certify.payment import payment
 from dmframe.certify.schema import verdict_schema
+from dmframe.certify.small_gain import small_gain
 from dmframe.certify.stability import common_margin
 from dmframe.certify.summary import summary
 from dmframe.certify.uncertain import intervals
@@ -160,7 +161,7 @@ def test_bodies_of_point_masses_are_physical_and_others_are_not() -> None:
 def test_kappa_is_what_a_brute_force_maximisation_finds(tie: str) -> None:
     diagram = built(reference="task", friction="viscous", inverse={"tie": tie})
     claim = claim_of(diagram)
-    found = payment(claim, Numbers(claim, {}))
+    found = small_gain(claim, Numbers(claim, {}))
     assert found is not None
     K_c, gamma, B, K_D, K_P, K_I = 0.8, 0.8, 2.0, 80.0, 176.0, 56.0
     M_bar = (K_D + B) * K_c + K_P - K_I / K_c
@@ -174,7 +175,7 @@ def test_kappa_is_what_a_brute_force_maximisation_finds(tie: str) -> None:
 
 def test_kappa_of_the_pi_servo_is_the_consumption_over_the_least_damping() -> None:
     claim = claim_of(built("PI", servo={"K_P": [60, 30], "K_I": 240}))
-    found = payment(claim, Numbers(claim, {}))
+    found = small_gain(claim, Numbers(claim, {}))
     assert found is not None
     assert found.least == Fraction(1, 2) / 30  # alpha = 2, K_star = 30 at the weaker joint
 
@@ -189,7 +190,7 @@ def test_an_interval_bounds_what_samples_of_it_give() -> None:
         for name, item in checked(built(servo=servo)).items():
             if name in least and item.value is not None:
                 least[name] = min(least[name], item.value)
-    kappa = "the servo level pays for the cascade, with any kappa above"
+    kappa = "the servo level dominates the cascade's cross term for kappa above"
     for name, sampled in least.items():
         bound = bounds[name].value
         assert bound is not None
@@ -313,7 +314,7 @@ def weighing(make: Any, role: str = "storage") -> Verdict:
         c = block.certificate(self, u, x, p, truth)
         assert c is not None
         # the square is split in two that add up to it, so that the identity stays true
-        W = make(u)
+        W = make(u) if role == "storage" else make(u) * p.alpha_bar / 10  # in the unit of what it is split off
 
         def split(term: Square) -> tuple[Square, Square]:
             return Square(term.vector, W), Square(term.vector, ca.diag(term.weight * ca.SX.ones(2)) - W)
@@ -371,6 +372,36 @@ def test_a_bad_interval_says_what_was_expected(given: dict[str, Any], text: str)
     with pytest.raises(DmframeError) as caught:
         intervals(built(), given)
     assert text in str(caught.value)
+
+
+def eliminated(matrix: list[list[Fraction]]) -> list[Fraction]:
+    """The pivots by the book, in Fractions."""
+    rows, found = [list(row) for row in matrix], list[Fraction]()
+    for j in range(len(rows)):
+        found.append(rows[j][j])
+        if found[-1] <= 0:
+            break
+        for i in range(j + 1, len(rows)):
+            factor = rows[i][j] / rows[j][j]
+            rows[i] = [above - factor * below for above, below in zip(rows[i], rows[j], strict=True)]
+    return found
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5, 8, 13])
+@pytest.mark.parametrize("dense", [0.3, 1.0])
+def test_pivots_in_whole_numbers_are_those_in_fractions(n: int, dense: float) -> None:
+    rng, signs = random.Random(n), set[bool]()
+    for shift in (-1, 0, 1, 2, 3) * 4:
+        half = [[Fraction(rng.randrange(-9, 10), rng.randrange(1, 50)) for _ in range(n)] for _ in range(n)]
+        half = [[value if rng.random() < dense else Fraction(0) for value in row] for row in half]
+        matrix = [[sum((a * b for a, b in zip(x, y, strict=True)), Fraction(0)) for y in half] for x in half]
+        matrix = [
+            [value + Fraction(shift, 7) * (i == j) for j, value in enumerate(row)] for i, row in enumerate(matrix)
+        ]
+        found = pivots(matrix)
+        assert found == eliminated(matrix)
+        signs.add(found[-1] > 0)
+    assert signs == {True, False}
 
 
 def test_intervals_enclose_the_pivots_of_all_their_matrices() -> None:

@@ -20,11 +20,10 @@ from dmframe.config.schema import json_schema
 from dmframe.diagram import Diagram
 from dmframe.errors import BlockError, DmframeError
 from dmframe.parameter import Box, Diagonal, Interval, Positive, Real, Scalar, specs
-from dmframe.port import Access, Adapted, Port, Side, State
+from dmframe.port import Access, Adapted, Input, Output, Side, State
 from dmframe.results.estimate_figure import estimate_figure
 from dmframe.simulate import simulate, start_state
 
-Ports = ClassVar[tuple[Port, ...]]
 States = ClassVar[tuple[State, ...]]
 Estimates = ClassVar[tuple[Adapted, ...]]
 
@@ -32,10 +31,10 @@ Estimates = ClassVar[tuple[Adapted, ...]]
 class Drift(AbstractBlock):
     """dx = -x (1/s) + (w - theta)."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: Ports = (Port("w", "n", "m/s^2"),)
-    outputs: Ports = (Port("x", "n", "m/s", Access.MEASURED), Port("theta", "n", "m/s^2"))
-    states: States = (State("x", "n", "m/s"),)
+    side = Side.PLANT
+    inputs = (Input("w", "n", "m/s^2"),)
+    outputs = (Output("x", "n", "m/s", Access.MEASURED), Output("theta", "n", "m/s^2"))
+    states = (State("x", "n", "m/s"),)
     theta: Diagonal = Real("n", "m/s^2")
     rate: Diagonal = Positive("n", "1/s", default=1.0)
 
@@ -51,9 +50,9 @@ class Drift(AbstractBlock):
 class Learner(AdaptingBlock):
     """dw = -Gamma x: all that there is to state."""
 
-    inputs: Ports = (Port("x", "n", "m/s"), Port("w_nominal", "n", "m/s^2", optional=True))
-    outputs: Ports = (Port("w", "n", "m/s^2", Access.COMMANDED),)
-    truth: Ports = (Port("theta", "n", "m/s^2"),)
+    inputs = (Input("x", "n", "m/s"), Input("w_nominal", "n", "m/s^2", optional=True))
+    outputs = (Output("w", "n", "m/s^2", Access.COMMANDED),)
+    truth = (Input("theta", "n", "m/s^2"),)
     estimates: Estimates = (Adapted("w", "n", "m/s^2", gain="Gamma", nominal="w_nominal", ball=True),)
     driven_by: ClassVar[str] = "x"
     Gamma: Diagonal = Positive("n", "1/s^2", default=2.0)
@@ -77,7 +76,7 @@ class Started(Learner):
 class Nominal(AbstractBlock):
     """Hands out where the estimate starts."""
 
-    outputs: Ports = (Port("w_nominal", "n", "m/s^2"),)
+    outputs = (Output("w_nominal", "n", "m/s^2"),)
     at: Diagonal = Real("n", "m/s^2", default=0.3)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -281,8 +280,8 @@ def test_a_declaration_of_what_the_block_lacks_is_told(changes: dict[str, Any], 
 def test_what_is_declared_of_another_kind_is_told_when_the_class_is_made() -> None:
     with pytest.raises(BlockError, match=r"Wrong: expected estimates to be a tuple of Adapteds, found .*; a comma"):
         type("Wrong", (Learner,), {"__module__": __name__, "estimates": Adapted("w", "n")})
-    with pytest.raises(BlockError, match=r"Wrong: expected driven_by to be the name of an input or output, found Port"):
-        type("Wrong", (Learner,), {"__module__": __name__, "driven_by": Port("x", "n")})
+    with pytest.raises(BlockError, match=r"Wrong: expected driven_by to be the name of an input or output"):
+        type("Wrong", (Learner,), {"__module__": __name__, "driven_by": Input("x", "n")})
 
 
 def test_a_parameter_that_every_adapting_block_is_given_is_not_declared_again() -> None:
@@ -302,10 +301,10 @@ def test_estimates_of_a_block_that_does_not_adapt_are_told() -> None:
 class Minimal(AbstractBlock):
     """dw = -Gamma x, stated with all the rest; its certificate alone says what w estimates."""
 
-    inputs: Ports = (Port("x", "n", "m/s"),)
-    outputs: Ports = (Port("w", "n", "m/s^2", Access.COMMANDED),)
-    states: States = (State("w", "n", "m/s^2", box="w_box"), State("other_hat", "n"))
-    truth: Ports = (Port("theta", "n", "m/s^2"),)
+    inputs = (Input("x", "n", "m/s"),)
+    outputs = (Output("w", "n", "m/s^2", Access.COMMANDED),)
+    states = (State("w", "n", "m/s^2", box="w_box"), State("other_hat", "n"))
+    truth = (Input("theta", "n", "m/s^2"),)
     Gamma: Diagonal = Positive("n", "1/s^2", default=2.0)
     decay: Diagonal = Positive("n", "1/s", default=1.0)
     w_box: Box = Interval("n", "m/s^2")
@@ -370,7 +369,7 @@ def test_every_adapting_block_says_what_its_options_are_on_its_page_and_to_an_ed
 class Seen(Drift):
     """The same, with theta measured."""
 
-    outputs: Ports = (*Drift.outputs, Port("theta_m", "n", "m/s^2", Access.MEASURED))
+    outputs = (*Drift.outputs, Output("theta_m", "n", "m/s^2", Access.MEASURED))
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         stated = super().equations(u, x, p)
@@ -380,9 +379,9 @@ class Seen(Drift):
 class Fitter(AdaptingBlock):
     """Composite adaptation, with a memory that forgets."""
 
-    inputs: Ports = (Port("x", "n", "m/s"), Port("theta_m", "n", "m/s^2"))
-    outputs: Ports = (Port("w", "n", "m/s^2", Access.COMMANDED),)
-    truth: Ports = (Port("theta", "n", "m/s^2"),)
+    inputs = (Input("x", "n", "m/s"), Input("theta_m", "n", "m/s^2"))
+    outputs = (Output("w", "n", "m/s^2", Access.COMMANDED),)
+    truth = (Input("theta", "n", "m/s^2"),)
     estimates: Estimates = (Adapted("w", "n", "m/s^2", gain="Gamma", memory="M_w"),)
     driven_by: ClassVar[str] = "x"
     Gamma: Diagonal = Positive("n", "", default=2.0)

@@ -41,8 +41,8 @@ WRONG: dict[str, Callable[[], object]] = {
     "Certificate: expected supply to be an expression, found None": lambda: Certificate(supply=None),
     "Certificate: expected supply to be an expression, found a tuple": lambda: Certificate(supply=(x,)),
     "Certificate: expected consumes to be a Consumed or None, found a tuple": lambda: Certificate(consumes=(x, 1)),
-    "Certificate: expected pays to be a tuple of expressions, found an SX; is a comma missing?": lambda: Certificate(
-        pays=x
+    "Certificate: expected dominates to be a tuple of expressions, found an SX; is a comma missing?": lambda: (
+        Certificate(dominates=x)
     ),
     "Certificate: expected task to be True or False, found a str": lambda: Certificate(task="yes"),
     "Certificate: expected truth to be a mapping of names to expressions, found a str": lambda: Certificate(

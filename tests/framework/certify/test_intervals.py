@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import casadi as ca
 import numpy as np
@@ -21,7 +21,7 @@ from dmframe.certify.over import NEEDED
 from dmframe.diagram import Diagram
 from dmframe.exact.rational import Interval
 from dmframe.parameter import Positive, Real, Scalar
-from dmframe.port import TIME, Port, Side, State
+from dmframe.port import TIME, Input, Output, Side, State
 
 CERTIFY = Path(dm.__file__).parent / "certify"
 
@@ -34,9 +34,9 @@ def over(*pairs: tuple[str, str]) -> list[Interval]:
 class Stepping(AbstractBlock):
     """A ramp that jumps by a number of its own, which a graph leaves at zero; another part jumps above two."""
 
-    side: ClassVar[Side] = Side.SOURCE
-    inputs: ClassVar[tuple[Port, ...]] = (TIME,)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("r"),)
+    side = Side.SOURCE
+    inputs = (TIME,)
+    outputs = (Output("r"),)
     jump: Scalar = Real("", "", default=0.0)
     late: Scalar = Real("", "", default=1.0)
 
@@ -49,9 +49,9 @@ class Stepping(AbstractBlock):
 class Follower(AbstractBlock):
     """V holds x - r; y is bounded where a and b agree, or where a is small."""
 
-    inputs: ClassVar[tuple[Port, ...]] = (Port("r"), Port("dr", "", "1/s", derivative_of="r"))
-    outputs: ClassVar[tuple[Port, ...]] = ()
-    states: ClassVar[tuple[State, ...]] = (State("x"), State("w"), State("y"))
+    inputs = (Input("r"), Input("dr", "", "1/s", derivative_of="r"))
+    outputs = ()
+    states = (State("x"), State("w"), State("y"))
     a: Scalar = Positive("", "", default=2.0)
     b: Scalar = Positive("", "", default=2.0)
     k: Scalar = Positive("", "", default=1.0)
@@ -166,7 +166,7 @@ def test_every_condition_that_holds_has_a_margin_or_a_list_of_what_it_reads(grap
     verdict = dm.load(graph).verify().verdict
     assert verdict.conditions
     assert unlisted(verdict) == []
-    claim = verdict.claim if verdict.samples is None else verdict.samples.base
+    claim = verdict.claim
     for item in elsewhere(verdict.conditions, claim, {}):
         assert item.margin is not None or item.reads is not None, item.checked.name
 

@@ -12,17 +12,16 @@ import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, LeastSquaresSteps, Relation, SampledCertificate
+from dmframe.certificate import Certificate, LeastSquaresSteps, PlantIdentity
 from dmframe.certify import Verdict, verify
 from dmframe.certify.definite import is_semidefinite
 from dmframe.diagram import Diagram
 from dmframe.exact.rational import evaluate
 from dmframe.parameter import Positive, Scalar
-from dmframe.port import PERIOD, Access, Port, Side, State
+from dmframe.port import PERIOD, Access, Input, Output, Side, State
 from dmframe.simulate import simulate
 from dmframe.steps import packed, packed_size, unpacked
 
-Ports = ClassVar[tuple[Port, ...]]
 States = ClassVar[tuple[State, ...]]
 Matrix = list[list[Fraction]]
 
@@ -208,16 +207,16 @@ def test_triangles_are_what_the_matrices_were() -> None:
 class Cart(AbstractBlock):
     """m dv/dt + b v = c."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: Ports = (Port("c"),)
-    outputs: Ports = (
-        Port("y", access=Access.MEASURED),
-        Port("v", access=Access.MEASURED),
-        Port("m"),
-        Port("b"),
-        Port("force"),
+    side = Side.PLANT
+    inputs = (Input("c"),)
+    outputs = (
+        Output("y", access=Access.MEASURED),
+        Output("v", access=Access.MEASURED),
+        Output("m"),
+        Output("b"),
+        Output("force"),
     )
-    states: States = (State("y"), State("v"))
+    states = (State("y"), State("v"))
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         outputs = {"y": x.y, "v": x.v, "m": 2.0, "b": 0.5, "force": u.c}
@@ -230,9 +229,9 @@ class Cart(AbstractBlock):
 class Learner(AbstractBlock):
     """Learns m and b from c = m [v]/T + b [y]/T, by least squares or by what it passes off as that."""
 
-    inputs: Ports = (Port("y"), Port("v"), PERIOD)
-    outputs: Ports = (Port("c", access=Access.COMMANDED),)
-    states: States = (
+    inputs = (Input("y"), Input("v"), PERIOD)
+    outputs = (Output("c", access=Access.COMMANDED),)
+    states = (
         State("theta", "2", sampled=True),
         State("G", "3", sampled=True),
         State("y_old", sampled=True),
@@ -240,7 +239,7 @@ class Learner(AbstractBlock):
         State("c_old", sampled=True),
         State("count", sampled=True),
     )
-    truth: Ports = (Port("m"), Port("b"), Port("force"))
+    truth = (Input("m"), Input("b"), Input("force"))
     gain: Scalar = Positive(default=2.0)
     floor: Scalar = Positive(default=0.01)
     retention: Scalar = Positive(default=0.9)
@@ -280,7 +279,7 @@ class Learner(AbstractBlock):
         clock = {"y_old": u.y, "v_old": u.v, "c_old": pushes, "count": x.count + u.T}
         return Equations(outputs={"c": pushes}, next={"theta": theta, "G": G, **clock})
 
-    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> SampledCertificate:
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         steps = self._steps(u, x, p, ca.vertcat(truth.m, truth.b))
         match self.lie:
             case "one_state":
@@ -298,8 +297,8 @@ class Learner(AbstractBlock):
             case "two_factors":
                 steps = replace(steps, retention=p.retention * ca.DM.ones(2))
             case "another_relation":
-                return SampledCertificate(steps=(steps,), relations=(Relation(ca.SX(u.y), -u.v),))
-        return SampledCertificate(steps=(steps,), relations=(Relation(truth.m * u.v, truth.b * u.v - truth.force),))
+                return Certificate(steps=(steps,), plant=(PlantIdentity(ca.SX(u.y), -u.v),))
+        return Certificate(steps=(steps,), plant=(PlantIdentity(truth.m * u.v, truth.b * u.v - truth.force),))
 
 
 def verdict(start: dict[str, Any] | None = None, **options: Any) -> Verdict:

@@ -173,19 +173,19 @@ FORMS = {
         c.supply,
     ),
     "expected a scalar supply, found 2 x 1": lambda c, u: Certificate(c.storage, (), u.sigma),
-    "pays has 2 shares, expected one for each of 0": lambda c, u: Certificate(
-        c.storage, (), c.supply, pays=(ca.SX(1), ca.SX(1))
+    "dominates has 2 shares, expected one for each of 0": lambda c, u: Certificate(
+        c.storage, (), c.supply, dominates=(ca.SX(1), ca.SX(1))
     ),
-    "a cascade consumes and cannot pay": lambda c, u: Certificate(
-        c.storage, (Square(u.sigma, ca.SX(1)),), c.supply, consumes=Consumed(u.sigma, ca.SX(1)), pays=(ca.SX(1),)
+    "a cascade has consumes and cannot have dominates": lambda c, u: Certificate(
+        c.storage, (Square(u.sigma, ca.SX(1)),), c.supply, consumes=Consumed(u.sigma, ca.SX(1)), dominates=(ca.SX(1),)
     ),
-    "whoever pays for a cascade must dissipate squares": lambda c, u: Certificate(
-        c.storage, (Lemma(ca.SX(1), u.sigma, u.sigma, ca.SX(1)),), c.supply, pays=(ca.SX(1),)
+    "a certificate with dominates must dissipate squares": lambda c, u: Certificate(
+        c.storage, (Lemma(ca.SX(1), u.sigma, u.sigma, ca.SX(1)),), c.supply, dominates=(ca.SX(1),)
     ),
     "a certificate holds stranger, which is no signal": lambda c, u: Certificate(
         c.storage, (Square(u.sigma, ca.SX.sym("stranger")),), c.supply
     ),
-    "supply and pays: expected expressions of its u, x, p and truth, found an MX": lambda c, u: Certificate(
+    "supply and dominates: expected expressions of its u, x, p and truth, found an MX": lambda c, u: Certificate(
         c.storage, supply=ca.MX(0)
     ),
     "expected a Certificate, found dict": lambda c, u: {},

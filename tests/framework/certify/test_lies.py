@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import casadi as ca
 import pytest
@@ -13,7 +13,7 @@ from dmframe.certificate import Assumption, Certificate, Consumed, Driven, Squar
 from dmframe.certify import Verdict, verify
 from dmframe.diagram import Diagram
 from dmframe.parameter import Box, Interval
-from dmframe.port import TIME, Access, Port, Side, State
+from dmframe.port import TIME, Access, Input, Output, Side, State
 
 
 def says(verdict: Verdict) -> set[tuple[str, str]]:
@@ -28,26 +28,26 @@ def assumed(verdict: Verdict) -> str:
 class Payer(AbstractBlock):
     """v' = -v + 1.5 y."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (Port("y"),)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("v_out", access=Access.MEASURED),)
-    states: ClassVar[tuple[State, ...]] = (State("v"),)
+    side = Side.PLANT
+    inputs = (Input("y"),)
+    outputs = (Output("v_out", access=Access.MEASURED),)
+    states = (State("v"),)
 
     def equations(self, u: Any, x: Any, p: Any) -> Equations:
         return Equations(outputs={"v_out": x.v}, rates={"v": -x.v + 1.5 * u.y})
 
     def certificate(self, u: Any, x: Any, p: Any, truth: Any) -> Certificate:
         square = (Square(x.v),)
-        return Certificate(square, square, supply=1.5 * x.v * u.y, pays=(ca.DM.ones(4, 1),), task=True)
+        return Certificate(square, square, supply=1.5 * x.v * u.y, dominates=(ca.DM.ones(4, 1),), task=True)
 
 
 @final
 class Eater(AbstractBlock):
     """z' = -1.25 z + 1.5 v."""
 
-    inputs: ClassVar[tuple[Port, ...]] = (Port("v_out"),)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("y", access=Access.COMMANDED),)
-    states: ClassVar[tuple[State, ...]] = (State("z"),)
+    inputs = (Input("v_out"),)
+    outputs = (Output("y", access=Access.COMMANDED),)
+    states = (State("z"),)
 
     def equations(self, u: Any, x: Any, p: Any) -> Equations:
         return Equations(outputs={"y": x.z}, rates={"z": -1.25 * x.z + 1.5 * u.v_out})
@@ -87,8 +87,8 @@ def test_a_sentence_does_not_make_an_equation_stable() -> None:
 class Pushed(AbstractBlock):
     """An estimate that t sin t pushes against its box; y hears the push, and so swings as far as t."""
 
-    inputs: ClassVar[tuple[Port, ...]] = (TIME,)
-    states: ClassVar[tuple[State, ...]] = (State("x"), State("theta", box="theta_box"), State("y"))
+    inputs = (TIME,)
+    states = (State("x"), State("theta", box="theta_box"), State("y"))
     theta_box: Box = Interval()
 
     def equations(self, u: Any, x: Any, p: Any) -> Equations:
@@ -139,11 +139,11 @@ def test_a_number_of_derivatives_has_no_end() -> None:
     class Deep(AbstractBlock):
         """z' = -z + the seventh derivative of r."""
 
-        inputs: ClassVar[tuple[Port, ...]] = (
-            Port("r"),
-            *(Port(f"r{k}", unit=f"1/s^{k}", derivative_of=f"r{k - 1}" if k > 1 else "r") for k in range(1, 8)),
+        inputs = (
+            Input("r"),
+            *(Input(f"r{k}", unit=f"1/s^{k}", derivative_of=f"r{k - 1}" if k > 1 else "r") for k in range(1, 8)),
         )
-        states: ClassVar[tuple[State, ...]] = (State("x"), State("z", unit="1/s^7"))
+        states = (State("x"), State("z", unit="1/s^7"))
 
         def equations(self, u: Any, x: Any, p: Any) -> Equations:
             return Equations(rates={"x": -x.x, "z": -x.z + u.r7})
@@ -155,9 +155,9 @@ def test_a_number_of_derivatives_has_no_end() -> None:
     class Path(AbstractBlock):
         """It is bounded with six derivatives."""
 
-        side: ClassVar[Side] = Side.SOURCE
-        inputs: ClassVar[tuple[Port, ...]] = (TIME,)
-        outputs: ClassVar[tuple[Port, ...]] = (Port("r"),)
+        side = Side.SOURCE
+        inputs = (TIME,)
+        outputs = (Output("r"),)
 
         def equations(self, u: Any, x: Any, p: Any) -> Equations:
             return Equations(outputs={"r": ca.sin(u.t * u.t / 2) / (1 + u.t * u.t) ** 2.5})
@@ -170,13 +170,13 @@ def test_a_number_of_derivatives_has_no_end() -> None:
 class Mass(AbstractBlock):
     """A mass whose speed is measured."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (Port("f", unit="1/s^2"),)
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("y", access=Access.MEASURED),
-        Port("vel", unit="1/s", access=Access.MEASURED, derivative_of="y"),
+    side = Side.PLANT
+    inputs = (Input("f", unit="1/s^2"),)
+    outputs = (
+        Output("y", access=Access.MEASURED),
+        Output("vel", unit="1/s", access=Access.MEASURED, derivative_of="y"),
     )
-    states: ClassVar[tuple[State, ...]] = (State("q"), State("v", unit="1/s"))
+    states = (State("q"), State("v", unit="1/s"))
 
     def equations(self, u: Any, x: Any, p: Any) -> Equations:
         return Equations(outputs={"y": x.q, "vel": x.v}, rates={"q": x.v, "v": u.f})
@@ -190,8 +190,8 @@ class Mass(AbstractBlock):
 class Pd(AbstractBlock):
     """It derives the speed, which the diagram takes from the sensor."""
 
-    inputs: ClassVar[tuple[Port, ...]] = (Port("y"), Port("dy", unit="1/s", derivative_of="y"))
-    outputs: ClassVar[tuple[Port, ...]] = (Port("f", unit="1/s^2", access=Access.COMMANDED),)
+    inputs = (Input("y"), Input("dy", unit="1/s", derivative_of="y"))
+    outputs = (Output("f", unit="1/s^2", access=Access.COMMANDED),)
 
     def equations(self, u: Any, x: Any, p: Any) -> Equations:
         return Equations(outputs={"f": -2 * u.y - 2 * u.dy})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import casadi as ca
 import numpy as np
@@ -19,7 +19,7 @@ from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.smoothness import smoothness
 from dmframe.diagram import Diagram
 from dmframe.exact import random_prime, zero_test
-from dmframe.port import TIME, Port, Side, State
+from dmframe.port import TIME, Input, Output, Side, State
 
 
 def says(verdict: Verdict, what: str) -> list[str]:
@@ -42,7 +42,7 @@ def limited(stored: Callable[[Any], Any], start: float, slow: float, **uncertain
         return {"q": barrier(x).reference + x.s, "s": -slow * x.s * ca.sqrt(1 + (x.s / WIDE) ** 2)}
 
     def claim(x: Any, u: Any, p: Any) -> Certificate:
-        return Certificate((stored(x),), (Square(x.s, slow),), pays=(ca.SX(1),), barriers=(barrier(x),))
+        return Certificate((stored(x),), (Square(x.s, slow),), dominates=(ca.SX(1),), barriers=(barrier(x),))
 
     return verify(scalar_loop("q s", rates, claim), start={"toy.s": start}, **uncertain)
 
@@ -128,8 +128,8 @@ def ranked(R: Callable[[Any], Any]) -> Verdict:
     class Toy(AbstractBlock):
         """Of z the first element vanishes alone."""
 
-        outputs: ClassVar[tuple[Port, ...]] = (Port("R", "2 2", full_rank=True),)
-        states: ClassVar[tuple[State, ...]] = (State("y"), State("z", "2"))
+        outputs = (Output("R", "2 2", full_rank=True),)
+        states = (State("y"), State("z", "2"))
 
         def equations(self, u: Any, x: Any, p: Any) -> Equations:
             return Equations({"R": R(x)}, {"y": -x.y, "z": ca.vertcat(-x.z[0], 0)})
@@ -171,9 +171,9 @@ def carrying(load: Callable[[Any], Any]) -> Verdict:
     class Load(AbstractBlock):
         """Ten parameters."""
 
-        side: ClassVar[Side] = Side.SOURCE
-        inputs: ClassVar[tuple[Port, ...]] = (TIME,)
-        outputs: ClassVar[tuple[Port, ...]] = (Port("a_load", "10", steps=True),)
+        side = Side.SOURCE
+        inputs = (TIME,)
+        outputs = (Output("a_load", "10", steps=True),)
 
         def equations(self, u: Any, x: Any, p: Any) -> Equations:
             return Equations({"a_load": ca.densify(load(u.t))})
@@ -227,8 +227,8 @@ def test_a_generator_that_names_errors_may_be_filtered() -> None:
     class Wishing(AbstractBlock):
         """A wish."""
 
-        outputs: ClassVar[tuple[Port, ...]] = (Port("wish"),)
-        states: ClassVar[tuple[State, ...]] = (State("z"),)
+        outputs = (Output("wish"),)
+        states = (State("z"),)
 
         def equations(self, u: Any, x: Any, p: Any) -> Equations:
             return Equations({"wish": x.z}, {"z": -x.z})
@@ -240,8 +240,8 @@ def test_a_generator_that_names_errors_may_be_filtered() -> None:
     class Following(AbstractBlock):
         """Hears the wish."""
 
-        inputs: ClassVar[tuple[Port, ...]] = (Port("wish"),)
-        states: ClassVar[tuple[State, ...]] = (State("y"),)
+        inputs = (Input("wish"),)
+        states = (State("y"),)
 
         def equations(self, u: Any, x: Any, p: Any) -> Equations:
             return Equations(rates={"y": -x.y})

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from fractions import Fraction
-from typing import Any, ClassVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -27,19 +27,17 @@ from dmframe.parameter import Around, Diagonal, Positive, Real, Scalar
 from dmframe.parameter import Ball as Sphere
 from dmframe.parameter import Box as Range
 from dmframe.parameter import Interval as Ends
-from dmframe.port import Access, Port, Side, State
+from dmframe.port import Access, Input, Output, Side, State
 from dmframe.simulate import start_state
-
-Ports = ClassVar[tuple[Port, ...]]
 
 
 class Drift(AbstractBlock):
     """dx = -x + (w - theta); w learns theta, a number of the plant, or something that moves."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: Ports = (Port("w", "n"),)
-    outputs: Ports = (Port("x", "n", "", Access.MEASURED), Port("theta", "n"))
-    states: ClassVar[tuple[State, ...]] = (State("x", "n"), State("y", "n"), State("z", "n"))
+    side = Side.PLANT
+    inputs = (Input("w", "n"),)
+    outputs = (Output("x", "n", "", Access.MEASURED), Output("theta", "n"))
+    states = (State("x", "n"), State("y", "n"), State("z", "n"))
     theta: Diagonal = Real("n", default=0.5)
     moves: str = "not"
 
@@ -62,10 +60,10 @@ class Drift(AbstractBlock):
 class Learner(AbstractBlock):
     """dw = -Gamma x, projected onto a box or a ball."""
 
-    inputs: Ports = (Port("x", "n"),)
-    outputs: Ports = (Port("w", "n", "", Access.COMMANDED),)
-    states: ClassVar[tuple[State, ...]] = (State("w", "n", box="w_box", ball="w_ball", gain="Gamma"),)
-    truth: Ports = (Port("theta", "n"), Port("dtheta", "n", derivative_of="theta"))
+    inputs = (Input("x", "n"),)
+    outputs = (Output("w", "n", "", Access.COMMANDED),)
+    states = (State("w", "n", box="w_box", ball="w_ball", gain="Gamma"),)
+    truth = (Input("theta", "n"), Input("dtheta", "n", derivative_of="theta"))
     Gamma: Diagonal = Positive("n", default=1.0)
     w_box: Range = Ends("n")
     w_ball: Sphere = Around("n")

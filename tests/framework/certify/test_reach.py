@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,8 +12,10 @@ import pytest
 
 import dmframe as dm
 from dmframe.certify import verify
+from dmframe.certify.claim import claim_of
 from dmframe.certify.reach import reach_conditions
-from dmframe.certify.samples import sampled_claim_of
+from dmframe.certify.shell import shell_of
+from dmframe.robot.chain import SerialChain
 from dmframe.robot.library import find_robot
 from dmframe.units import plain
 
@@ -88,7 +92,7 @@ def test_a_sampled_law_may_not_follow_what_is_out_of_reach_either() -> None:
     from dmframe.config.experiment import load_experiment
 
     diagram = load_experiment("ur10_slow_sampled", ("path.radius=3",)).diagram()
-    (said,) = [item.name for item in reach_conditions(sampled_claim_of(diagram).base)]
+    (said,) = [item.name for item in reach_conditions(claim_of(diagram))]
     assert said.startswith("path.x_d is ")
 
 
@@ -98,3 +102,118 @@ def test_a_loop_without_a_robot_or_without_a_tools_path_has_no_reach() -> None:
 
         assert list(reach_conditions(claim_of(dm.load(name).diagram))) == []
     assert verify(dm.load("arm2_joint").diagram).outcome == "proved"
+
+
+def test_a_run_has_a_notice_of_a_path_that_leaves_the_reach_while_it_lasts() -> None:
+    moving = {"type": "circle", "center": [0.4, 0.2], "radius": 0.05, "rate": "1 rad/s"}
+    for path, expected in (({**moving, "radius": 5.0}, 1), (moving, 0)):
+        graph = following(path)
+        notices = [text for text in graph.run(until=0.05).notices if "no controller can follow it there" in text]
+        assert len(notices) == expected, notices
+
+
+BODY = '<inertial><mass value="2"/><inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.025"/></inertial>'
+TURNS, SLIDES = "revolute", "prismatic"
+CHAINS: dict[str, tuple[str, list[tuple[str, str, str, str]], float, float]] = {
+    # task axes; joints: kind, xyz, rpy, axis; inner and outer bound by hand
+    "planar, offset along its axes": (
+        "xz",
+        [(TURNS, "0.7 0.2 1.1", "0 0 0", "0 1 0"), (TURNS, "0.4 0.1 0.2", "0 0 0", "0 1 0")],
+        abs(np.hypot(0.4, 0.2) - np.hypot(0.3, 0.1)),
+        np.hypot(0.4, 0.2) + np.hypot(0.3, 0.1),
+    ),
+    "turned base in space": (
+        "xyz",
+        [(TURNS, "0.7 -0.4 1.1", "0.3 0.2 0.5", "0 0 1"), (TURNS, "0.2 0.1 0.9", "0.7 0 0", "0 1 0")],
+        np.sqrt(0.86) - np.hypot(np.hypot(0.3, 0.05), 0.1),
+        np.sqrt(0.86) + np.hypot(np.hypot(0.3, 0.05), 0.1),
+    ),
+    "SCARA": (
+        "xyz",
+        [
+            (TURNS, "0.1 0 0.3", "0 0 0", "0 0 1"),
+            (TURNS, "0.6 0 0", "0 0 0", "0 0 1"),
+            (SLIDES, "0.1 0 0", "0 0 0", "0 0 1"),
+        ],
+        0.6 - np.hypot(0.4, 0.05),
+        0.6 + np.hypot(0.4, 0.05),
+    ),
+    "slide, turn, slide along one line": (
+        "xyz",
+        [
+            (SLIDES, "0.1 0.2 0.3", "0 0 0", "1 0 0"),
+            (TURNS, "0 0.3 0", "0 0 0", "1 0 0"),
+            (SLIDES, "0 0.3 0", "0 0 0", "1 0 0"),
+        ],
+        np.hypot(0.35, 0.1),
+        np.hypot(0.35, 0.1),
+    ),
+}
+
+
+def chain_of(name: str, folder: Path) -> Path:
+    links = "".join(f'<link name="l{k}">{BODY}</link>' for k in range(len(CHAINS[name][1])))
+    joints = "".join(
+        f'<joint name="j{k}" type="{kind}"><parent link="{f"l{k - 1}" if k else "base"}"/><child link="l{k}"/>'
+        f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>'
+        '<limit lower="-2" upper="2" effort="100" velocity="3"/></joint>'
+        for k, (kind, xyz, rpy, axis) in enumerate(CHAINS[name][1])
+    )
+    last = len(CHAINS[name][1]) - 1
+    tool = (
+        f'<link name="tool"/><joint name="fixed" type="fixed"><parent link="l{last}"/><child link="tool"/>'
+        '<origin xyz="0.3 0.05 0.1"/></joint>'
+    )
+    path = folder / "made.urdf"
+    path.write_text(f'<robot name="made"><link name="base"/>{links}{joints}{tool}</robot>', encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("name", CHAINS)
+def test_the_shell_is_that_by_hand_and_holds_what_pinocchio_reaches(name: str, tmp_path: Path) -> None:
+    axes, joints, inner, outer = CHAINS[name]
+    path = chain_of(name, tmp_path)
+    model = pin.buildModelFromUrdf(str(path))
+    data, tool, rng = model.createData(), model.getFrameId("tool"), np.random.default_rng(0)
+    shell = shell_of(Chained(SerialChain.from_urdf(path, tool="tool", axes=axes)))
+    assert shell is not None
+    assert (shell.inner, shell.outer) == pytest.approx((inner, outer), rel=1e-8)
+    assert shell.slides is any(kind == SLIDES for kind, *_ in joints)
+    sizes = []
+    for q in rng.uniform(-np.pi, np.pi, (3000, len(joints))):
+        pin.framesForwardKinematics(model, data, q)
+        place = data.oMf[tool].translation[["xyz".index(axis) for axis in axes]]
+        sizes.append(float(np.linalg.norm(shell.across @ (place - shell.center))))
+    assert shell.inner <= min(sizes)
+    assert max(sizes) <= shell.outer
+    if name != "turned base in space":  # whose second axis has no pose in which the offsets are on one line
+        assert min(sizes) < inner + 0.05
+        assert outer - 0.05 < max(sizes)
+
+
+@dataclass(frozen=True)
+class Chained:
+    """What `shell_of` reads of a robot."""
+
+    chain: SerialChain
+
+
+@pytest.mark.parametrize(("share", "expected"), [(0.9, 1), (1.1, 0)])
+def test_a_goal_nearer_than_a_planar_arm_folds_is_out_of_reach(share: float, expected: int) -> None:
+    goal = _center() + share * 0.05 * np.array([0.6, 0.8])  # links of 0.45 and 0.4 m
+    said = [
+        text for text in far(following({"type": "setpoint", "x_d": goal.tolist()})) if "comes no nearer than" in text
+    ]
+    assert len(said) == expected
+
+
+def test_a_slide_behind_joints_about_different_axes_has_no_shell(tmp_path: Path) -> None:
+    joints = [
+        (TURNS, "0 0 1", "0 0 0", "0 0 1"),
+        (TURNS, "0 0 1", "0 0 0", "0 1 0"),
+        (SLIDES, "1 0 0", "0 0 0", "1 0 0"),
+    ]
+    CHAINS["free"] = ("xyz", joints, 0.0, 0.0)
+    path = chain_of("free", tmp_path)
+    del CHAINS["free"]
+    assert shell_of(Chained(SerialChain.from_urdf(path, tool="tool", axes="xyz"))) is None

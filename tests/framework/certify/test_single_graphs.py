@@ -22,6 +22,7 @@ from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
 from dmframe.errors import DmframeError
 from dmframe.exact.rational import Interval
+from dmframe.parameter import PAIRS, specs
 from dmframe.robot.rational import decimal
 from dmframe.study.drawn import FAILS, HOLDS, held_at
 
@@ -48,9 +49,16 @@ def drawn(diagram: Diagram, label: str, rng: np.random.Generator) -> np.ndarray 
     for size in (1.0, 0.3, 0.05):
         reach = size * (np.abs(own) + 0.1 * (own == 0))
         rows = own + rng.uniform(-1, 3, (POINTS, *(1 for _ in own.shape))) * reach
-        if label.startswith(START) or all(_taken(diagram, label, row) for row in rows):
+        if label.startswith(START) or all(_taken(diagram, label, row) for row in written(diagram, label, rows)):
             return np.asarray(rows)
     return None
+
+
+def written(diagram: Diagram, label: str, rows: np.ndarray) -> np.ndarray:
+    """As a graph file writes them: of an interval all lower ends, and then all upper ones."""
+    block, _, name = label.partition(".")
+    spec = specs(type(diagram.blocks[block])).get(name) if block in diagram.blocks else None
+    return np.moveaxis(rows, -1, 1) if spec is not None and spec.form in PAIRS else rows
 
 
 def _taken(diagram: Diagram, label: str, row: np.ndarray) -> bool:
@@ -89,22 +97,22 @@ def disagreements(name: str, labels: int = LABELS) -> Iterator[tuple[str, str]]:
             rows = drawn(diagram, label, rng)
             if rows is None:
                 continue
-            rows, box = rows.reshape(POINTS, *rows.shape[1:]), None
-            told = {"page": held_at(diagram, start, {label: rows}, POINTS, nominal)}
+            moved = written(diagram, label, rows)
+            told = {"page": held_at(diagram, start, {label: moved}, POINTS, nominal)}
             box = box_of(diagram, start, label, rows)
             if box is not None:
-                told["count"] = held_at(diagram, start, {label: rows}, POINTS, box)
+                told["count"] = held_at(diagram, start, {label: moved}, POINTS, box)
                 told["box"] = np.full(POINTS, HOLDS) if box.outcome == "proved" else None
             for point in range(POINTS):
                 says = {kind: int(found[point]) for kind, found in told.items() if found is not None}
                 if not {HOLDS, FAILS} & set(says.values()):
                     yield label, "open"
                     continue
-                proved = single(diagram, start, label, rows[point]).outcome == "proved"
+                proved = single(diagram, start, label, moved[point]).outcome == "proved"
                 for kind, said in says.items():
                     false = (said == HOLDS and not proved) or (said == FAILS and proved)
                     word = "holds" if said == HOLDS else "fails"
-                    yield label, f"{kind} says {word}, falsely, at {rows[point].tolist()}" if false else "agrees"
+                    yield label, f"{kind} says {word}, falsely, at {moved[point].tolist()}" if false else "agrees"
 
 
 def false(name: str, labels: int) -> list[tuple[str, str]]:
@@ -114,6 +122,18 @@ def false(name: str, labels: int) -> list[tuple[str, str]]:
 
 def test_what_is_said_of_many_numbers_single_graphs_say() -> None:
     assert false("arm2_joint", 1) == []
+
+
+def test_the_ends_of_an_interval_are_those_of_the_graph_that_writes_them() -> None:
+    graph, label = dm.load("arm2_joint"), "inverse.w_I_box"
+    diagram, start = graph.diagram, dict(graph.experiment.start)
+    # the first reads the same whichever ends are written as a row; of the second only the ends as written hold
+    rows = np.array([[[0.5, 2.5], [2.5, 20]], [[0.5, 0.6], [20, 20]]])
+    with SYMBOLIC:
+        said = held_at(diagram, start, {label: rows}, len(rows), verify(diagram, start=start))
+    alone = [single(diagram, start, label, row).outcome == "proved" for row in rows]
+    assert said is not None
+    assert said.tolist() == alone == [FAILS, HOLDS]
 
 
 @pytest.mark.parametrize("graph", sorted(graphs()))

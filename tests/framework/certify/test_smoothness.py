@@ -20,6 +20,7 @@ from dmframe.certificate import (
     Square,
 )
 from dmframe.certify import claim_of, verify
+from dmframe.certify.claim import flow_part
 from dmframe.certify.smoothness import Smoothness, is_smooth_over, smoothness, smoothness_faults
 from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
@@ -134,7 +135,7 @@ def test_a_correction_of_a_projection_in_v_is_refused() -> None:
     (projection, *_) = [item for item in claim.loop.projections if item.block == "inverse"]
     held = Square(projection.correction, ONE, "a correction")
     part = next(part for part in claim.parts if part.block == "inverse")
-    claim.field.part("inverse", replace(part.certificate, storage=(*part.certificate.storage, held)))
+    flow_part(claim.flow, "inverse", replace(part.certificate, storage=(*part.certificate.storage, held)))
     found = smoothness_faults(loop, claim)
     assert (
         f"inverse: the storage of a correction holds the correction of the projection of {projection.name}" in found[0]
@@ -145,7 +146,7 @@ def test_a_symbol_of_nowhere_in_v_is_refused() -> None:
     loop = stored(lambda y: y)
     claim = claim_of(loop)
     held = Square(ca.SX.sym("ghost"), ONE, "a ghost")
-    claim.field.part("toy", replace(claim.parts[0].certificate, storage=(held,)))
+    flow_part(claim.flow, "toy", replace(claim.parts[0].certificate, storage=(held,)))
     (fault,) = smoothness_faults(loop, claim)
     assert fault.startswith("toy: the storage of a ghost holds ghost, which is no state, trajectory or parameter")
 
@@ -211,7 +212,7 @@ def kept_in(position: Callable[[Any, Any], Any]) -> Diagram:
         "q s z",
         lambda x, u, p: {"q": barrier(x, u).reference + x.s, "s": -x.s, "z": -x.z},
         lambda x, u, p: Certificate(
-            (Square(x.s), Square(x.z)), (Square(x.s), Square(x.z)), pays=(ca.SX(1),), barriers=(barrier(x, u),)
+            (Square(x.s), Square(x.z)), (Square(x.s), Square(x.z)), dominates=(ca.SX(1),), barriers=(barrier(x, u),)
         ),
     )
 

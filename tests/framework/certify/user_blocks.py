@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import Certificate, Lemma, Square
 from dmframe.parameter import Diagonal, Positive
-from dmframe.port import Port, State
+from dmframe.port import Input, Output, State
 
 
 @final
@@ -29,9 +29,9 @@ class FilteredDamping(AbstractBlock):
         Corner of the filter.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (Port("sigma", "n", "rad/s"),)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("tau_task", "n", "N m"),)
-    states: ClassVar[tuple[State, ...]] = (State("y", "n", "rad"),)
+    inputs = (Input("sigma", "n", "rad/s"),)
+    outputs = (Output("tau_task", "n", "N m"),)
+    states = (State("y", "n", "rad"),)
 
     beta: Diagonal = Positive("n", "N m/rad")
     k: Diagonal = Positive("n", "1/s")
@@ -63,8 +63,8 @@ class SaturatedDamping(AbstractBlock):
         Where it reaches three quarters of that.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (Port("sigma", "n", "rad/s"),)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("tau_task", "n", "N m"),)
+    inputs = (Input("sigma", "n", "rad/s"),)
+    outputs = (Output("tau_task", "n", "N m"),)
 
     beta: Diagonal = Positive("n", "N m")
     v: Diagonal = Positive("n", "rad/s")
@@ -92,8 +92,8 @@ class OddDamping(AbstractBlock):
         As above.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (Port("sigma", "n", "rad/s"),)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("tau_task", "n", "N m"),)
+    inputs = (Input("sigma", "n", "rad/s"),)
+    outputs = (Output("tau_task", "n", "N m"),)
 
     beta: Diagonal = Positive("n", "N m")
     v: Diagonal = Positive("n", "rad/s")

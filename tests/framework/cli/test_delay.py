@@ -18,7 +18,7 @@ def test_motion_that_does_not_show_it_is_refused(dmframe: Any) -> None:
     assert said.status == 1
     told = json.loads(said.out)
     assert told["delay"] is None
-    assert "does not show it" in told["refused"]
+    assert "does not determine it" in told["refused"]
 
 
 def test_what_has_no_clock_has_no_delay(dmframe: Any) -> None:

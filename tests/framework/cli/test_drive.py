@@ -35,7 +35,7 @@ def test_a_drive_writes_what_a_run_writes_and_is_played_again(dmframe: Any) -> N
     assert said.status == 0
     assert said.out.startswith("ur10_fast: inverse.dq_c, robot.sent and ")
     assert said.out.endswith("by the compiled engine: identical, bit by bit\n")
-    assert "of 21 samples of log, computed again" in said.out
+    assert "of 21 samples of log, recomputed" in said.out
     said = dmframe("replay", "log", "ur10_fast", "--set", "task.gamma=1", "--json")
     assert said.status == 1
     assert json.loads(said.out)["identical"] is False
@@ -64,7 +64,7 @@ def test_a_signal_brings_the_robot_to_rest_and_what_was_done_is_kept(
     assert said.status == 130
     assert stops == [2.0]
     name = "Ctrl-C" if number is signal.SIGINT else "SIGTERM"
-    assert f"the robot was stopped: asked: {name}" in said.out
+    assert f"the robot was stopped: requested: {name}" in said.out
     assert json.loads(Path("log/summary.json").read_text())["interrupted"] is True
 
 
@@ -81,7 +81,7 @@ def test_a_signal_before_the_way_to_the_start_moves_nothing(dmframe: Any, monkey
     monkeypatch.setattr(SimulatedRobot, "move", lambda *given: moved.append(given))
     said = dmframe("drive", "ur10_fast", "--robot", "sim", "--seconds", "1 s", "--out", "log", "--no-plots")
     assert (said.status, moved) == (130, [])
-    assert "sim: the robot was stopped before its first command: asked: Ctrl-C\n" in said.err
+    assert "sim: the robot was stopped before its first command: requested: Ctrl-C\n" in said.err
     assert not Path("log").exists()
 
 
@@ -98,7 +98,7 @@ def test_wrong_words_are_told(dmframe: Any) -> None:
     Path("arm.yaml").write_text("dmframe-limits: 1\nacceleration: 15 rad/s^2\n")
     for words, told in (
         (["--robot", "abb"], "--robot abb: unknown kind of robot; "),
-        (["--robot", "sim:-1"], "--robot sim:-1: expected how many samples late commands act"),
+        (["--robot", "sim:-1"], "--robot sim:-1: expected a delay of commands in samples"),
         (["--robot", "sim", "--ramp", "-1"], "--ramp -1: expected a number in s of 0 or above"),
         (["--robot", "sim", "--seconds", "0"], "--seconds 0: expected a time above zero"),
         (["--robot", "ur:x", "--patience", "0"], "--patience 0: expected a time above zero"),
@@ -110,7 +110,7 @@ def test_wrong_words_are_told(dmframe: Any) -> None:
         assert told in said.err
         assert not Path("runs").exists() or not any(Path("runs").iterdir())
     said = dmframe("drive", "pd_torque", "--robot", "sim", "--set", "clock=2 ms")
-    assert (said.status, "expected a graph that commands velocities" in said.err) == (2, True)
+    assert (said.status, "expected a graph whose only command is" in said.err) == (2, True)
 
 
 def test_a_rehearsal_that_was_cut_short_is_not_kept(dmframe: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -121,5 +121,5 @@ def test_a_rehearsal_that_was_cut_short_is_not_kept(dmframe: Any, monkeypatch: p
     said = dmframe("rehearse", "ur10_fast", "--seconds", "0.4 s")
     assert said.status == 0
     assert "1 sample of delay, 8 ms" in said.out
-    assert said.out.endswith("not kept for drive: that takes runs of 40 s\n")
+    assert said.out.endswith("not kept for drive: that requires runs of 40 s\n")
     assert not list(Path("state").rglob("*.json"))

@@ -75,14 +75,14 @@ def test_it_follows_the_run_and_its_log_is_played_again_identically(dmframe: Any
             process.terminate()
         told = process.stdout.read()
     assert said.status == 0, said.err
-    assert "measured latency: the robot acted on commands" in said.out
+    assert "measured latency of commands" in said.out
     assert "dmframe_follow ends: its last line is done" in told
     assert len(signals("time")[0]) == 251
     assert off_the_run() < 1e-6  # 0.1 mm is asked for
     said = dmframe("replay", "log", "ur10_fast")
     assert said.status == 0
     assert said.out.startswith("ur10_fast: inverse.dq_c, robot.sent and ")
-    assert "of 251 samples of log, computed again" in said.out
+    assert "of 251 samples of log, recomputed" in said.out
     assert said.out.endswith(": identical, bit by bit\n")
 
 
@@ -161,8 +161,8 @@ def test_a_signal_brings_the_arm_to_rest_gently_and_all_files_are_there(
     said = dmframe(*words("arm"))
     name = "Ctrl-C" if number is signal.SIGINT else "SIGTERM"
     assert said.status == 130
-    assert f"the robot was stopped: asked: {name}" in said.out
-    assert np.max(-np.diff(trace.told)) / arm.dt == pytest.approx(2.0)
+    assert f"the robot was stopped: requested: {name}" in said.out
+    assert np.max(-np.diff(trace.commanded)) / arm.dt == pytest.approx(2.0)
     assert arm.target.still
     assert not arm.running
     files = {path.name for path in Path("log").iterdir()}
@@ -194,8 +194,8 @@ def test_what_must_be_there_before_an_arm_is_driven(
     rehearsed = [word for word in words("arm", "--seconds", "0.1 s") if word != "--without-a-passed-rehearsal"]
     unlimited = [word for word in rehearsed if word not in ("--limits", "arm.yaml")]
     for given, told in (
-        (unlimited, "expected limits with an acceleration for a real robot"),
-        (rehearsed, "expected a graph whose rehearsal was passed, found none of exactly this graph"),
+        (unlimited, "expected an acceleration limit for a real robot"),
+        (rehearsed, "expected a passed rehearsal of exactly this graph, found none"),
     ):
         said = dmframe(*given)
         assert said.status == 2
@@ -220,4 +220,4 @@ def test_a_robot_that_is_not_there_or_not_ready_is_one_line(dmframe: Any, arm: V
 def test_nobody_at_an_address_is_one_line(dmframe: Any) -> None:
     said = dmframe(*words("127.0.0.77"))
     assert said.status == 2
-    assert "127.0.0.77:30004: expected a robot, and nobody answers: Connection refused" in said.err
+    assert "127.0.0.77:30004: no robot answers: Connection refused" in said.err

@@ -20,15 +20,15 @@ FAULTS = {
     "draw of an unknown": (("draw", "pendulm"), "dmframe: pendulm: unknown graph; did you mean pendulum?\n"),
     "ending of a drawing": (
         ("draw", "pendulum", "-o", "a.gif"),
-        "dmframe: a.gif: expected a name that ends in .svg, .png, .pdf, .mmd, found .gif\n",
+        "dmframe: a.gif: expected the extension .svg, .png, .pdf, .mmd, found .gif\n",
     ),
     "no ending of a drawing": (
         ("draw", "pendulum", "-o", "a"),
-        "dmframe: a: expected a name that ends in .svg, .png, .pdf, .mmd, found no ending\n",
+        "dmframe: a: expected the extension .svg, .png, .pdf, .mmd, found no extension\n",
     ),
     "folder of a drawing": (
         ("draw", "pendulum", "-o", "no/a.svg"),
-        "dmframe: no/a.svg: the folder no does not exist; make it first, or name another\n",
+        "dmframe: no/a.svg: the folder no does not exist; create it first, or choose another\n",
     ),
     "unknown block": (
         ("blocks", "pid_invers"),
@@ -36,7 +36,7 @@ FAULTS = {
     ),
     "unknown block file": (
         ("blocks", "my.py:Mine"),
-        "dmframe: blocks: the file my.py does not exist; it is looked for beside the graph\n",
+        "dmframe: blocks: the file my.py does not exist; its path is relative to the graph's folder\n",
     ),
     "unknown robot": (("regressor", "ur11"), "dmframe: robot ur11: unknown robot; did you mean ur10?\n"),
     "unknown friction": (
@@ -49,7 +49,7 @@ FAULTS = {
     ),
     "hold at a length": (
         ("regressor", "arm2", "--hold", "joint2=3 m"),
-        "dmframe: robot arm2: hold: joint joint2 turns: expected an angle, 30 deg, say; found 3 m\n",
+        "dmframe: robot arm2: hold: joint joint2 is revolute: expected an angle, as 30 deg; found 3 m\n",
     ),
     "hold of an unknown joint": (
         ("regressor", "arm2", "--hold", "jint2=3 deg"),
@@ -83,15 +83,15 @@ FAULTS = {
     ),
     "a tube without rank": (
         ("analyse", "pendulum", "--tube", "3"),
-        "dmframe: --tube: it does nothing without --rank; add that\n",
+        "dmframe: --tube: it has no effect without --rank; add that\n",
     ),
     "the least without rank": (
         ("analyse", "pendulum", "--least", "1"),
-        "dmframe: --least: it does nothing without --rank; add that\n",
+        "dmframe: --least: it has no effect without --rank; add that\n",
     ),
     "a horizon with rank": (
         ("analyse", "theorem_3", "--rank", "--horizon", "nan"),
-        "dmframe: --horizon: it does nothing with --rank; leave one out\n",
+        "dmframe: --horizon: it has no effect with --rank; leave one out\n",
     ),
     "a horizon that is no number": (
         ("analyse", "pendulum", "--horizon", "nan"),
@@ -107,19 +107,19 @@ FAULTS = {
     ),
     "base parameters of kinematics": (
         ("regressor", "arm2", "--kinematic", "--base"),
-        "dmframe: --base: it does nothing with --kinematic; leave one out\n",
+        "dmframe: --base: it has no effect with --kinematic; leave one out\n",
     ),
     "a joint held twice": (
         ("regressor", "arm2", "--hold", "joint2=1", "--hold", "joint2=2"),
-        "dmframe: --hold joint2=2: joint2 is held twice; keep one of them\n",
+        "dmframe: --hold joint2=2: joint2 is given twice; keep one of them\n",
     ),
     "two texts in one file": (
         ("regressor", "arm2", "--c", "x.c", "--python", "./x.c"),
-        "dmframe: x.c: two files would be written there; name another for one of them\n",
+        "dmframe: x.c: two files have this name; rename one\n",
     ),
     "code in a folder that is not there": (
         ("regressor", "arm2", "--c", "no/x.c"),
-        "dmframe: no/x.c: the folder no does not exist; make it first, or name another\n",
+        "dmframe: no/x.c: the folder no does not exist; create it first, or choose another\n",
     ),
     "a name too long": (("run", "a" * 300), f"dmframe: {'a' * 300}: unknown graph; choose from "),
     "set without a value": ((*RUN, "--set", "foo"), "dmframe: --set foo: expected block.parameter=value"),

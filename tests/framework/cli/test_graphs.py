@@ -118,7 +118,7 @@ def test_results_are_written_to_a_folder_with_files_only_by_force(dmframe: Any, 
     (tmp_path / "o" / "notes.txt").write_text("mine")
     said = dmframe(*words)
     assert said.status == 2
-    assert "name another folder, or take --force" in said.err
+    assert "name another folder, or use --force" in said.err
     assert dmframe(*words, "--set", "dynamics.Gamma=7", "--force").status == 0
     assert read_file(tmp_path / "o" / "graph.yaml").data["blocks"]["dynamics"]["Gamma"] == 7
     assert (tmp_path / "o" / "notes.txt").read_text() == "mine"
@@ -181,15 +181,15 @@ def test_force_leaves_no_figure_of_another_run_and_touches_no_folder_or_link_of_
     (out / "signals.nc" / "deep").mkdir(parents=True)
     said = dmframe("run", "pendulum", *SHORT, "--out", "o", "--force")
     assert said.status == 2
-    assert "signals.nc is a folder, where a file is to be written" in said.err
+    assert "signals.nc is a folder, but a file has to be written" in said.err
     assert (out / "signals.nc" / "deep").is_dir()
 
 
 @pytest.mark.parametrize(
     ("stranger", "reason"),
     [
-        ("pendulum/notes.txt", "the folder pendulum holds no results; move it, or name another"),
-        ("pendulum", "pendulum is a file, where a folder is to be made; move it, or name another"),
+        ("pendulum/notes.txt", "the folder pendulum contains no results; move it, or name another folder"),
+        ("pendulum", "pendulum is a file, but a folder has to be created; move it, or name another folder"),
     ],
 )
 def test_force_asks_before_the_run_whether_what_it_would_replace_is_ours(

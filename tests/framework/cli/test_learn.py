@@ -38,7 +38,7 @@ def test_a_lesson_is_opened_as_a_notebook_and_never_over_another_file(dmframe: A
     again = dmframe("learn", "3")
     assert (again.status, again.err) == (
         2,
-        f"dmframe: {target}: expected a new file, found one; --force writes over it\n",
+        f"dmframe: {target}: expected a new file, found one; --force overwrites it\n",
     )
     assert (tmp_path / target).read_text() == "mine"
     assert dmframe("learn", "3", "--force").status == 0
@@ -57,9 +57,9 @@ def test_a_lesson_is_printed_and_nothing_is_written(dmframe: Any, tmp_path: Path
     [
         (("learn", "77"), "learn: expected a lesson from 0 to 10, found 77; `dmframe learn` lists them\n"),
         (("learn", "three"), "learn three: expected a whole number"),
-        (("learn", "--read"), "--read: it does nothing without a lesson; name one"),
-        (("learn", "3", "--json"), "--json: it does nothing with a lesson"),
-        (("learn", "3", "--read", "--force"), "--force: it does nothing with --read"),
+        (("learn", "--read"), "--read: it has no effect without a lesson; name one"),
+        (("learn", "3", "--json"), "--json: it has no effect with a lesson"),
+        (("learn", "3", "--read", "--force"), "--force: it has no effect with --read"),
     ],
 )
 def test_what_makes_no_sense_is_told(dmframe: Any, words: tuple[str, ...], fault: str) -> None:
@@ -75,7 +75,7 @@ def test_an_installation_without_a_course_says_so(
     said = dmframe("learn")
     assert (said.status, said.err) == (
         2,
-        "dmframe: learn: expected the lessons of the course, found none; install dmframe anew\n",
+        "dmframe: learn: expected the lessons of the course, found none; reinstall dmframe\n",
     )
 
 
@@ -100,8 +100,8 @@ def test_explain_prints_sentences_or_data(dmframe: Any) -> None:
     said = dmframe("explain", "pendulum", "--set", "inverse.w_P=3")
     assert said.status == 0
     text = " ".join(said.out.split())
-    assert "It estimates K_P/K_D by w_P [1/s], which starts at 3; the truth is 3." in text
-    assert "dmframe verify pendulum --set inverse.w_P=3 says: proved." in text
+    assert "It estimates K_P/K_D by w_P [1/s], initially 3; true value 3." in text
+    assert "Verdict: proved (dmframe verify pendulum --set inverse.w_P=3)." in text
     assert "\x1b" not in said.out
     data = json.loads(dmframe("explain", "pendulum", "--json").out)
     assert data["order"] == ["path", "task", "model", "dynamics", "inverse", "servo", "arm"]

@@ -143,7 +143,7 @@ def test_a_path_may_begin_at_home(
 
 def test_a_home_that_there_is_not_is_told(dmframe: Any) -> None:
     said = dmframe("draw", "pendulum", "--out=~no_such_user/p.svg")
-    expected = "~no_such_user/p.svg: found no home of that user; name the whole path"
+    expected = "~no_such_user/p.svg: unknown user; give the full path"
     assert (said.status, said.err) == (2, f"dmframe: {expected}\n")
 
 
@@ -164,13 +164,13 @@ def test_new_never_overwrites_a_file(dmframe: Any, tmp_path: Path) -> None:
     tmp_path.joinpath("mine.yaml").write_text("precious", encoding="utf-8")
     said = dmframe("new", "pendulum", "mine.yaml")
     assert (said.status, said.out) == (2, "")
-    assert said.err == "dmframe: mine.yaml: expected a new file, found one; name another\n"
+    assert said.err == "dmframe: mine.yaml: exists already; choose a new file\n"
     assert tmp_path.joinpath("mine.yaml").read_text() == "precious"
 
 
 def test_new_says_where_it_cannot_write(dmframe: Any) -> None:
     said = dmframe("new", "pendulum", "no/mine.yaml")
-    told = "dmframe: no/mine.yaml: the folder no does not exist; make it first, or name another\n"
+    told = "dmframe: no/mine.yaml: the folder no does not exist; create it first, or choose another\n"
     assert (said.status, said.err) == (2, told)
 
 

@@ -37,14 +37,14 @@ def test_json_holds_the_set_the_bound_and_what_to_paste(dmframe: Any) -> None:
 def test_known_kinematics_have_nothing_to_paste(dmframe: Any) -> None:
     said = dmframe("analyse", "ur10_fast", "--rank", *QUICK)
     assert said.status == 0
-    assert "what the model may be wrong by" in said.out
+    assert "it bounds the model error" in " ".join(said.out.split())
     assert "under blocks" not in said.out
 
 
 def test_an_estimate_that_starts_outside_is_told(dmframe: Any) -> None:
     said = dmframe("analyse", "theorem_3", "--rank", *QUICK, "--set", "geometry.start_error=150 mm")
     assert said.status == 0
-    assert "The estimate starts outside" in said.out
+    assert "The initial estimate is outside" in said.out
 
 
 def test_a_path_that_cannot_be_followed_is_told_with_the_time_and_the_status(dmframe: Any) -> None:

@@ -12,7 +12,7 @@ def test_entries_are_printed_with_their_parameters(dmframe: Any) -> None:
     assert "  Y_d[1, I_yy2] = ddq_ref_1 + ddq_ref_2\n" in said.out
     kinematic = dmframe("regressor", "arm2", "--kinematic", "--symbolic").out
     assert kinematic.startswith(
-        "arm2: 9 kinematic parameters [m], zero where no value stands: p_x1, p_y1, p_z1, p_x2 = "
+        "arm2: 9 kinematic parameters [m], zero if no value is given: p_x1, p_y1, p_z1, p_x2 = "
     )
     assert "  Y_k[2, p_x3] = c_12 psi_1 + c_12 psi_2\n" in kinematic
 
@@ -30,7 +30,7 @@ def test_files_are_written_with_their_distance_from_pinocchio(dmframe: Any, tmp_
 def test_proofs_are_printed_one_a_line(dmframe: Any) -> None:
     said = dmframe("regressor", "arm2", "--prove")
     assert said.status == 0
-    assert said.out.count("proved, wrong below 2^-") == 9
+    assert said.out.count("proved, error probability below 2^-") == 9
     assert "REFUTED" not in said.out
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 import xarray
 
 from dmframe.config import load_experiment
+from dmframe.errors import ValueFault
 from dmframe.results.place import FIGURES, OF_EACH
 
 CONTRACT = {"graph", "duration", "clock", "diverged", "error", "engine", "wall_time", "real_time_factor", "out"}
@@ -129,6 +131,27 @@ def test_figures_are_drawn_unless_told_otherwise(dmframe: Any, tmp_path: Path, m
     assert names == {f"{name}.{ending}" for name in (*FIGURES, *OF_EACH) for ending in ("png", "pdf")}
 
 
+def test_a_loop_that_is_unstable_on_its_clock_has_its_notice_in_print_and_in_the_summary(dmframe: Any) -> None:
+    said = dmframe("run", "ur10_slow", "--until", "12", "--no-plots", "--engine", "interpreted", "--out", "mine")
+    told = strict(Path("mine", "summary.json").read_text(encoding="utf-8"))
+    assert told["storage"]["start"] > 0
+    assert [text in said.out for text in told["notices"]] == [True] * len(told["notices"])
+    assert "unstable near its set-point on a clock of 90 ms" in " ".join(told["notices"])
+
+
+def test_the_numbers_are_printed_before_v_is_computed(dmframe: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = list[str]()
+
+    def refuse(*_: Any) -> Any:
+        shown.append(sys.stdout.getvalue())  # type: ignore[attr-defined]
+        raise ValueFault("no V today")
+
+    monkeypatch.setattr("dmframe.results.run.storage_of", refuse)
+    assert dmframe("run", "pendulum", "--until", "0.5", "--no-plots", "--out", "mine").status == 0
+    assert "q - q_d" in shown[0]
+    assert strict(Path("mine", "summary.json").read_text(encoding="utf-8"))["storage"]["reason"] == "no V today"
+
+
 def test_a_format_that_there_is_not_is_refused_before_the_run(dmframe: Any, tmp_path: Path) -> None:
     said = dmframe("run", "pendulum", "--until", "0.5", "--figures", "svg,jpg", "--out", "mine")
     assert said.status == 2
@@ -142,7 +165,7 @@ def test_a_folder_with_files_is_refused_before_the_run(dmframe: Any, tmp_path: P
     said = dmframe("run", "arm2_joint", *SHORT, "--out", "mine")
     assert (said.status, said.out) == (2, "")
     assert said.err == (
-        "dmframe: mine: expected an empty or a new folder, found one with files; name another folder, or take --force\n"
+        "dmframe: mine: expected an empty or a new folder, found one with files; name another folder, or use --force\n"
     )
     assert {path: path.stat().st_mtime_ns for path in tmp_path.joinpath("mine").iterdir()} == before
 
@@ -157,7 +180,7 @@ def test_a_folder_that_cannot_be_written_is_told_before_the_run(dmframe: Any) ->
     said = dmframe("run", "arm2_joint", *SHORT, "--out", "/proc/mine")
     assert (said.status, said.out) == (2, "")
     assert said.err == (
-        "dmframe: /proc/mine: the results cannot be written: no such file or directory; name another folder\n"
+        "dmframe: /proc/mine: the results cannot be written: no such file or directory; choose another folder\n"
     )
 
 
@@ -179,7 +202,7 @@ def test_a_fault_in_one_of_two_graphs_stops_both(dmframe: Any, tmp_path: Path) -
 def test_a_graph_that_has_no_page_is_told_before_the_first_run(dmframe: Any, tmp_path: Path) -> None:
     said = dmframe("run", "arm2_joint", *SHORT, "--page", "--set", "jitter=0.1 ms", "--out", "mine")
     assert said.status == 2
-    assert said.err.startswith("dmframe: page: expected a loop without chance")
+    assert said.err.startswith("dmframe: page: expected a deterministic loop")
     assert said.out == ""
     assert not tmp_path.joinpath("mine").exists()
 
@@ -268,7 +291,7 @@ def test_a_full_disk_at_the_end_leaves_the_numbers(dmframe: Any, monkeypatch: py
     def full(*_: Any) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("dmframe.results.folder._write_signals", full)
+    monkeypatch.setattr("dmframe.results.folder.netcdf", full)
     said = dmframe("run", "arm2_joint", *SHORT, "--out", "mine")
     assert said.status == 2
     assert said.out.splitlines()[1].startswith("arm2_joint")

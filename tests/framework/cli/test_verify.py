@@ -34,7 +34,7 @@ def test_a_proved_graph_gives_status_0_and_the_assumptions(dmframe: Any) -> None
     said = dmframe("verify", "arm2_joint")
     assert (said.status, said.err) == (0, "")
     assert said.out.startswith("arm2_joint: proved\n")
-    assert "  assumed\n" in said.out
+    assert "  assumptions\n" in said.out
     assert "time is continuous" in said.out
 
 

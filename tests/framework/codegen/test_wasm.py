@@ -8,7 +8,7 @@ import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import Any, Final
 
 import casadi as ca
 import numpy as np
@@ -26,7 +26,7 @@ from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import EngineError
 from dmframe.parameter import Real, Scalar
-from dmframe.port import PERIOD, Access, Port, Side, State
+from dmframe.port import PERIOD, Access, Input, Output, Side, State
 from dmframe.program import OPERATIONS
 from dmframe.simulate import Log, Solver
 from dmframe.simulate.engine import Compiled, Interpreted
@@ -127,7 +127,7 @@ def test_wrong_rules_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_an_operation_without_a_rule_is_refused() -> None:
-    with pytest.raises(EngineError, match=f"f holds CasADi's instruction {ca.OP_ERFINV}, which cannot be written as W"):
+    with pytest.raises(EngineError, match=f"f has CasADi's instruction {ca.OP_ERFINV}, which cannot be translated"):
         written(function(ca.OP_ERFINV))
 
 
@@ -192,7 +192,7 @@ def test_functions_that_browsers_refuse_are_refused_here() -> None:
         (most, "50001 locals, expected at most 50000"),
         (long, "7654322 bytes, expected at most 7654321"),
     ):
-        with pytest.raises(EngineError, match=f"WebAssembly: f takes {text} in one function"):
+        with pytest.raises(EngineError, match=f"WebAssembly: f has {text} in one function"):
             alone(body)
 
 
@@ -218,7 +218,7 @@ def difference(one: np.ndarray, other: np.ndarray, prepared: Prepared) -> float:
 
 
 @pytest.mark.parametrize("name", graphs())
-def test_every_packaged_graph_runs_as_interpreted_and_asks_the_host_for_nothing_else(name: str) -> None:
+def test_every_packaged_graph_runs_as_interpreted_and_imports_nothing_else_from_the_host(name: str) -> None:
     prepared, *given = prepared_graph(name, 0.2)
     step, kept = prepared.step, prepared.keeping
     engine = InWasm(step, kept.kept, kept.every)
@@ -226,7 +226,7 @@ def test_every_packaged_graph_runs_as_interpreted_and_asks_the_host_for_nothing_
     assert len(rows) > 2
     interpreted = marched(Interpreted(step, kept.kept, kept.every), prepared, *given)
     assert difference(rows, interpreted, prepared) < 1e-10
-    assert engine.loaded.asked <= {"sin", "cos"}
+    assert engine.loaded.imported <= {"sin", "cos"}
 
 
 @needs_gcc
@@ -245,15 +245,12 @@ def test_a_module_is_small() -> None:
     assert 5_000 < len(loop_module(prepared.step.parts)) < 25_000  # the boxes on all estimates take some 6500 of it
 
 
-Ports = ClassVar[tuple[Port, ...]]
-
-
 class Law(AbstractBlock):
     """v = -2 y_m - i, i+ = i + T y_m: in sampled time."""
 
-    inputs: Ports = (Port("y_m"), PERIOD)
-    outputs: Ports = (Port("v", access=Access.COMMANDED),)
-    states: ClassVar[tuple[State, ...]] = (State("i", sampled=True),)
+    inputs = (Input("y_m"), PERIOD)
+    outputs = (Output("v", access=Access.COMMANDED),)
+    states = (State("i", sampled=True),)
     i: Scalar = Real(default=0.3)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -263,10 +260,10 @@ class Law(AbstractBlock):
 class Cart(AbstractBlock):
     """dy = v - sin y exp y, dz = y - z/3; y is measured with noise."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: Ports = (Port("v"), Port("n", drawn="normal"), Port("r", drawn="uniform"))
-    outputs: Ports = (Port("y_m", access=Access.MEASURED),)
-    states: ClassVar[tuple[State, ...]] = (State("y"), State("z"))
+    side = Side.PLANT
+    inputs = (Input("v"), Input("n", drawn="normal"), Input("r", drawn="uniform"))
+    outputs = (Output("y_m", access=Access.MEASURED),)
+    states = (State("y"), State("z"))
     y: Scalar = Real(default=1.0)
     z: Scalar = Real(default=0.5)
 

@@ -42,7 +42,7 @@ from typing import ClassVar
 import casadi as ca
 from dmframe.block import AbstractBlock, Equations
 from dmframe.parameter import Positive, Scalar, Real, Interval, Box, Rows, Table
-from dmframe.port import Access, Port, Side, State, TIME
+from dmframe.port import Access, Input, Output, Side, State, TIME
 
 class Mine(AbstractBlock):
 """

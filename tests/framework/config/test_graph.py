@@ -22,15 +22,15 @@ LEAKY = '''\
 from typing import ClassVar
 from dmframe.block import AbstractBlock, Equations
 from dmframe.parameter import Positive, Scalar
-from dmframe.port import Port, State
+from dmframe.port import Input, Output, State
 
 
 class Leaky(AbstractBlock):
     """A filtered measurement."""
 
-    inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"),)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("q_slow", "n", "rad"),)
-    states: ClassVar[tuple[State, ...]] = (State("kept", "n", "rad"),)
+    inputs = (Input("q", "n", "rad"),)
+    outputs = (Output("q_slow", "n", "rad"),)
+    states = (State("kept", "n", "rad"),)
     rate: Scalar = Positive("", "1/s")
 
     def equations(self, u, x, p):
@@ -185,7 +185,7 @@ def test_a_users_block_beside_the_graph_runs_from_any_folder(tmp_path: Path) -> 
 
 def test_a_users_block_that_reads_what_is_hidden_is_refused(tmp_path: Path) -> None:
     (tmp_path / "my_block.py").write_text(
-        LEAKY.replace('Port("q", "n", "rad"),', 'Port("u", "n", "V"),').replace("u.q", "u.u")
+        LEAKY.replace('Input("q", "n", "rad"),', 'Input("u", "n", "V"),').replace("u.q", "u.u")
     )
     (tmp_path / "own.yaml").write_text(PENDULUM + "  slow:     {type: my_block.py:Leaky, rate: 3}\n")
     graph = load_experiment(tmp_path / "own.yaml")

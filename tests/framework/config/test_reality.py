@@ -40,7 +40,7 @@ UR = ("transport_delay", "command_limits", "command_ramp", "torque_limits", "joi
 def added(graph: dm.Graph) -> dict[str, Any]:
     """The blocks that stand between controller and robot."""
     held = graph.blocks
-    return {name: held[name] for name in held if any(port.instead_of or port.told for port in held[name].outputs)}
+    return {name: held[name] for name in held if any(port.instead_of or port.notice for port in held[name].outputs)}
 
 
 def test_a_set_puts_its_blocks_into_a_graph_and_the_graph_that_is_saved_runs_again_alike(tmp_path: Path) -> None:

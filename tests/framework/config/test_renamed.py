@@ -14,7 +14,7 @@ import pytest
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.config import load_experiment
 from dmframe.errors import BlockError, DmframeError, Faults
-from dmframe.port import Port
+from dmframe.port import Output
 from dmframe.results.resolved import resolved
 
 BLOCK = '''
@@ -22,14 +22,14 @@ from typing import ClassVar
 from dmframe.block import AbstractBlock, Equations
 from dmframe.certificate import Certificate, Square
 from dmframe.parameter import Positive, Real, Scalar
-from dmframe.port import Access, Port, Side, State
+from dmframe.port import Access, Input, Output, Side, State
 
 
 class Pull(AbstractBlock):
     """v = -rate y + bias."""
 
-    inputs = (Port("height"),)
-    outputs = (Port("v", "", "", Access.COMMANDED),)
+    inputs = (Input("height"),)
+    outputs = (Output("v", "", "", Access.COMMANDED),)
     renamed = {"gain": "rate", "y": "height"}
     rate: Scalar = Positive()
 
@@ -41,8 +41,8 @@ class Cart(AbstractBlock):
     """dplace = v + push."""
 
     side = Side.PLANT
-    inputs = (Port("v"),)
-    outputs = (Port("height", "", "", Access.MEASURED),)
+    inputs = (Input("v"),)
+    outputs = (Output("height", "", "", Access.MEASURED),)
     states = (State("place"),)
     renamed = {"y": "height", "z": "place", "shove": "push"}
     place: Scalar = Real(default=0.0)
@@ -200,7 +200,7 @@ def test_a_block_of_another_type_has_no_old_names(write: Callable[[str], Path]) 
 
 def test_old_names_must_lead_to_names_that_the_block_has() -> None:
     class Wrong(AbstractBlock):
-        outputs = (Port("a"), Port("b"))
+        outputs = (Output("a"), Output("b"))
         renamed = {"old": "c", "a": "b"}  # noqa: RUF012 - a block's class variables are annotated in its own file
 
         def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:

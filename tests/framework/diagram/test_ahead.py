@@ -10,13 +10,12 @@ import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.diagram import Diagram
-from dmframe.errors import DerivativeError, DmframeError
+from dmframe.errors import BlockError, DerivativeError, DmframeError
 from dmframe.parameter import Positive, Real, Scalar
-from dmframe.port import PERIOD, TIME, Access, Port, Side, State
+from dmframe.port import PERIOD, TIME, Access, Input, Output, Port, Side, State
 from dmframe.runtime import Controller
 from dmframe.simulate import Solver, simulate, simulate_many
 
-Ports = ClassVar[tuple[Port, ...]]
 States = ClassVar[tuple[State, ...]]
 
 T = 0.07
@@ -25,9 +24,9 @@ T = 0.07
 class Wave(AbstractBlock):
     """y_d = sin(rate t)."""
 
-    side: ClassVar[Side] = Side.SOURCE
-    inputs: Ports = (TIME,)
-    outputs: Ports = (Port("y_d"),)
+    side = Side.SOURCE
+    inputs = (TIME,)
+    outputs = (Output("y_d"),)
     rate: Scalar = Positive(unit="rad/s", default=2.0)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -37,14 +36,14 @@ class Wave(AbstractBlock):
 class Deadbeat(AbstractBlock):
     """Puts an integrator on y_d at the next sample; hands out what it saw."""
 
-    inputs: Ports = (
-        Port("y"),
-        Port("y_d"),
-        Port("y_d_1", ahead_of="y_d"),
-        Port("y_d_3", ahead_of="y_d", ahead=3),
+    inputs = (
+        Input("y"),
+        Input("y_d"),
+        Input("y_d_1", ahead_of="y_d"),
+        Input("y_d_3", ahead_of="y_d", ahead=3),
         PERIOD,
     )
-    outputs: Ports = (Port("v", access=Access.COMMANDED), Port("seen"))
+    outputs = (Output("v", access=Access.COMMANDED), Output("seen"))
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"v": (u.y_d_1 - u.y) / u.T, "seen": u.y_d_3})
@@ -53,10 +52,10 @@ class Deadbeat(AbstractBlock):
 class Integrator(AbstractBlock):
     """dy = v."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: Ports = (Port("v"),)
-    outputs: Ports = (Port("y", access=Access.MEASURED),)
-    states: States = (State("y"),)
+    side = Side.PLANT
+    inputs = (Input("v"),)
+    outputs = (Output("y", access=Access.MEASURED),)
+    states = (State("y"),)
     y: Scalar = Real(default=0.4)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -66,8 +65,8 @@ class Integrator(AbstractBlock):
 class Filter(AbstractBlock):
     """A controller's y_d, of which nobody knows the future."""
 
-    outputs: Ports = (Port("y_d"),)
-    states: States = (State("s"),)
+    outputs = (Output("y_d"),)
+    states = (State("s"),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"y_d": x.s}, rates={"s": 1 - x.s})
@@ -76,8 +75,8 @@ class Filter(AbstractBlock):
 class Differentiating(AbstractBlock):
     """Asks for the time derivative of what looks ahead."""
 
-    inputs: Ports = (Port("seen"), Port("dseen", derivative_of="seen"))
-    states: States = (State("s"),)
+    inputs = (Input("seen"), Input("dseen", derivative_of="seen"))
+    states = (State("s"),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(rates={"s": u.dseen})
@@ -134,16 +133,16 @@ def test_its_time_derivative_is_refused() -> None:
 @pytest.mark.parametrize(
     ("port", "text"),
     [
-        (Port("a_1", ahead_of="b"), "declared b some samples later, unknown; choose from a, a_1"),
-        (Port("a_1", ahead_of="a", ahead=0), "is a 0 samples later; expected 1 or more"),
-        (Port("a_1", ahead_of="a_1"), "which looks ahead itself"),
-        (Port("a_1", ahead_of="a", drawn="normal"), "choose one"),
-        (Port("a_1", "", "rad", ahead_of="a"), "another shape or unit"),
+        (Input("a_1", ahead_of="b"), "declared b some samples later, unknown; choose from a, a_1"),
+        (Input("a_1", ahead_of="a", ahead=0), "is a 0 samples later; expected 1 or more"),
+        (Input("a_1", ahead_of="a_1"), "which looks ahead itself"),
+        (Input("a_1", ahead_of="a", drawn="normal"), "choose one"),
+        (Input("a_1", "", "rad", ahead_of="a"), "another shape or unit"),
     ],
 )
-def test_a_port_that_cannot_look_ahead_is_refused(port: Port, text: str) -> None:
+def test_a_port_that_cannot_look_ahead_is_refused(port: Input, text: str) -> None:
     class Looking(AbstractBlock):
-        inputs: Ports = (Port("a"), port)
+        inputs = (Input("a"), port)
 
         def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
             return Equations()
@@ -154,9 +153,9 @@ def test_a_port_that_cannot_look_ahead_is_refused(port: Port, text: str) -> None
 
 def test_a_plant_and_an_output_cannot_look_ahead() -> None:
     class Seer(AbstractBlock):
-        side: ClassVar[Side] = Side.PLANT
-        inputs: Ports = (Port("a"), Port("a_1", ahead_of="a"))
-        outputs: Ports = (Port("b", ahead_of="a"),)
+        side = Side.PLANT
+        inputs = (Input("a"), Input("a_1", ahead_of="a"))
+        outputs = (Output("b"),)
 
         def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
             return Equations(outputs={"b": u.a})
@@ -165,4 +164,10 @@ def test_a_plant_and_an_output_cannot_look_ahead() -> None:
         Diagram.build({"seer": Seer()})
     texts = [fault.text for fault in found.value.faults]
     assert any("a plant has no foresight" in text for text in texts)
-    assert any("the output b is a some samples later" in text for text in texts)
+    with pytest.raises(TypeError, match="ahead_of"):
+        Output("b", ahead_of="a")  # type: ignore[call-arg]
+    with (
+        pytest.warns(DeprecationWarning, match="instead of Port"),
+        pytest.raises(BlockError, match="b: an output has no field ahead_of"),
+    ):
+        type("Former", (Seer,), {"__module__": __name__, "outputs": (Port("b", ahead_of="a"),)})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -27,18 +27,16 @@ from dmframe.errors import (
     WiringError,
 )
 from dmframe.parameter import Diagonal, Positive, Real, Scalar
-from dmframe.port import TIME, Access, Port, Side, State
+from dmframe.port import TIME, Access, Input, Output, Side, State
 from dmframe.simulate import Solver, simulate
-
-Ports = ClassVar[tuple[Port, ...]]
 
 
 class Wave(AbstractBlock):
     """y_d = sin(rate t)."""
 
-    side: ClassVar[Side] = Side.SOURCE
-    inputs: Ports = (TIME,)
-    outputs: Ports = (Port("y_d", "", "m"),)
+    side = Side.SOURCE
+    inputs = (TIME,)
+    outputs = (Output("y_d", "", "m"),)
     rate: Scalar = Positive("", "rad/s", default=2.0)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -48,13 +46,13 @@ class Wave(AbstractBlock):
 class Law(AbstractBlock):
     """v_c = dy_d - k (y - y_d), with its derivative of the derivative shown."""
 
-    inputs: Ports = (
-        Port("y", "", "m"),
-        Port("y_d", "", "m"),
-        Port("dy_d", "", "m/s", derivative_of="y_d"),
-        Port("extra", "", "m/s", optional=True),
+    inputs = (
+        Input("y", "", "m"),
+        Input("y_d", "", "m"),
+        Input("dy_d", "", "m/s", derivative_of="y_d"),
+        Input("extra", "", "m/s", optional=True),
     )
-    outputs: Ports = (Port("v_c", "", "m/s", Access.COMMANDED), Port("inner", "", "m/s"))
+    outputs = (Output("v_c", "", "m/s", Access.COMMANDED), Output("inner", "", "m/s"))
     k: Scalar = Positive("", "1/s", default=3.0)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -64,12 +62,12 @@ class Law(AbstractBlock):
 class Watch(AbstractBlock):
     """Shows the derivative of v_c, and the derivative of that."""
 
-    inputs: Ports = (
-        Port("v_c", "", "m/s"),
-        Port("dv_c", "", "m/s^2", derivative_of="v_c"),
-        Port("ddv_c", "", "m/s^3", derivative_of="dv_c"),
+    inputs = (
+        Input("v_c", "", "m/s"),
+        Input("dv_c", "", "m/s^2", derivative_of="v_c"),
+        Input("ddv_c", "", "m/s^3", derivative_of="dv_c"),
     )
-    outputs: Ports = (Port("first", "", "m/s^2"), Port("second", "", "m/s^3"))
+    outputs = (Output("first", "", "m/s^2"), Output("second", "", "m/s^3"))
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"first": u.dv_c, "second": u.ddv_c})
@@ -78,15 +76,15 @@ class Watch(AbstractBlock):
 class Cart(AbstractBlock):
     """dy = v, dv = -c (v - v_c); y and v are measured, the acceleration is hidden."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: Ports = (Port("v_c", "", "m/s"),)
-    outputs: Ports = (
-        Port("y", "", "m", Access.MEASURED),
-        Port("v", "", "m/s", Access.MEASURED, derivative_of="y"),
-        Port("a", "", "m/s^2", Access.MEASURED, derivative_of="v"),
-        Port("secret", "", "m"),
+    side = Side.PLANT
+    inputs = (Input("v_c", "", "m/s"),)
+    outputs = (
+        Output("y", "", "m", Access.MEASURED),
+        Output("v", "", "m/s", Access.MEASURED, derivative_of="y"),
+        Output("a", "", "m/s^2", Access.MEASURED, derivative_of="v"),
+        Output("secret", "", "m"),
     )
-    states: ClassVar[tuple[State, ...]] = (State("y", "", "m"), State("v", "", "m/s"))
+    states = (State("y", "", "m"), State("v", "", "m/s"))
     c: Scalar = Positive("", "1/s", default=5.0)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -97,7 +95,7 @@ class Cart(AbstractBlock):
 class OddCart(Cart):
     """A cart that may count its way, and reads the count whether it counts or not."""
 
-    states: ClassVar[tuple[State, ...]] = (*Cart.states, State("way", "", "m", optional=True))
+    states = (*Cart.states, State("way", "", "m", optional=True))
     counts: bool = False
     reads: bool = False
 
@@ -110,7 +108,7 @@ class OddCart(Cart):
 class BlindCart(Cart):
     """The same, its velocity not handed out."""
 
-    outputs: Ports = (Port("y", "", "m", Access.MEASURED), Port("v", "", "m/s", derivative_of="y"))
+    outputs = (Output("y", "", "m", Access.MEASURED), Output("v", "", "m/s", derivative_of="y"))
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         said = super().equations(u, x, p)
@@ -120,9 +118,9 @@ class BlindCart(Cart):
 class Lag(AbstractBlock):
     """dz = out - z; its output is its state."""
 
-    inputs: Ports = (Port("one", "n", ""),)
-    outputs: Ports = (Port("two", "n", ""),)
-    states: ClassVar[tuple[State, ...]] = (State("z", "n"),)
+    inputs = (Input("one", "n", ""),)
+    outputs = (Output("two", "n", ""),)
+    states = (State("z", "n"),)
     z: Diagonal = Real("n", default=0.0)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -132,8 +130,8 @@ class Lag(AbstractBlock):
 class Gain(AbstractBlock):
     """one = g two."""
 
-    inputs: Ports = (Port("two", "n", ""),)
-    outputs: Ports = (Port("one", "n", ""),)
+    inputs = (Input("two", "n", ""),)
+    outputs = (Output("one", "n", ""),)
     g: Diagonal = Real("n", default=1.0)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -143,8 +141,8 @@ class Gain(AbstractBlock):
 class Back(AbstractBlock):
     """two = one."""
 
-    inputs: Ports = (Port("one", "n", ""),)
-    outputs: Ports = (Port("two", "n", ""),)
+    inputs = (Input("one", "n", ""),)
+    outputs = (Output("two", "n", ""),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"two": u.one})
@@ -226,7 +224,7 @@ def test_a_letter_that_nothing_binds_is_told_once_a_block() -> None:
 
 def test_wires_of_different_shapes_are_told_with_their_reasons() -> None:
     class Wide(Lag):
-        inputs: Ports = (Port("one", "m", ""),)
+        inputs = (Input("one", "m", ""),)
 
         def sizes(self, robot: Any) -> Mapping[str, int]:
             return {"m": 3}
@@ -261,8 +259,8 @@ def test_a_loop_is_told_port_by_port() -> None:
 
 def test_a_loop_is_told_once_and_without_those_who_only_suffer_from_it() -> None:
     class Reader(AbstractBlock):
-        inputs: Ports = (Port("one", "n", ""),)
-        outputs: Ports = (Port("three", "n", ""),)
+        inputs = (Input("one", "n", ""),)
+        outputs = (Output("three", "n", ""),)
 
         def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
             return Equations(outputs={"three": u.one})
@@ -274,9 +272,9 @@ def test_a_loop_is_told_once_and_without_those_who_only_suffer_from_it() -> None
 
 def test_a_loop_across_the_wall_is_told_port_by_port() -> None:
     class Stiff(AbstractBlock):
-        side: ClassVar[Side] = Side.PLANT
-        inputs: Ports = (Port("v_c", "", "m/s"),)
-        outputs: Ports = (Port("y", "", "m", Access.MEASURED),)
+        side = Side.PLANT
+        inputs = (Input("v_c", "", "m/s"),)
+        outputs = (Output("y", "", "m", Access.MEASURED),)
 
         def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
             return Equations(outputs={"y": u.v_c * 1.0})
@@ -290,8 +288,8 @@ def test_a_loop_across_the_wall_is_told_port_by_port() -> None:
 def test_a_chain_too_long_to_follow_is_told_in_words() -> None:
     def link(i: int) -> AbstractBlock:
         class Link(AbstractBlock):
-            inputs: Ports = (Port(f"s{i}"),)
-            outputs: Ports = (Port(f"s{i + 1}"),)
+            inputs = (Input(f"s{i}"),)
+            outputs = (Output(f"s{i + 1}"),)
 
             def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
                 return Equations(outputs={f"s{i + 1}": getattr(u, f"s{i}") + 1})
@@ -299,8 +297,8 @@ def test_a_chain_too_long_to_follow_is_told_in_words() -> None:
         return Link()
 
     class First(AbstractBlock):
-        side: ClassVar[Side] = Side.SOURCE
-        outputs: Ports = (Port("s0"),)
+        side = Side.SOURCE
+        outputs = (Output("s0"),)
 
         def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
             return Equations(outputs={"s0": ca.SX(1)})
@@ -312,16 +310,16 @@ def test_a_chain_too_long_to_follow_is_told_in_words() -> None:
 
 def test_the_derivative_of_a_matrix_is_one_element_by_element() -> None:
     class Turn(AbstractBlock):
-        inputs: Ports = (Port("y_d", "", "m"),)
-        outputs: Ports = (Port("Q", "2 3"),)
+        inputs = (Input("y_d", "", "m"),)
+        outputs = (Output("Q", "2 3"),)
 
         def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
             row = ca.horzcat(u.y_d, u.y_d**2, 0)
             return Equations(outputs={"Q": ca.vertcat(row, 2 * row)})
 
     class Rate(AbstractBlock):
-        inputs: Ports = (Port("Q", "2 3"), Port("dQ", "2 3", "1/s", derivative_of="Q"))
-        outputs: Ports = (Port("flat", "6", "1/s"),)
+        inputs = (Input("Q", "2 3"), Input("dQ", "2 3", "1/s", derivative_of="Q"))
+        outputs = (Output("flat", "6", "1/s"),)
 
         def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
             return Equations(outputs={"flat": ca.vec(ca.densify(u.dQ))})

@@ -21,17 +21,15 @@ from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
 from dmframe.errors import BlockError, DmframeError
 from dmframe.parameter import Positive, Real, Scalar
-from dmframe.port import TIME, Port, Side, State
+from dmframe.port import TIME, Input, Output, Side, State
 from dmframe.results import Run, write_run
 from dmframe.simulate import simulate
-
-Ports = ClassVar[tuple[Port, ...]]
 
 
 class Decay(AbstractBlock):
     """dy = -c y^k, with a constant and a structure that the test chooses."""
 
-    states: ClassVar[tuple[State, ...]] = (State("y"),)
+    states = (State("y"),)
     rate: Scalar = Positive(default=1.0)
     y: Scalar = Real(default=1.0)
     constant: float = 1.0
@@ -121,8 +119,8 @@ def test_what_was_proved_is_what_ran(tmp_path: Path) -> None:
 class Fickle(AbstractBlock):
     """Its equations depend on how often they were asked."""
 
-    states: ClassVar[tuple[State, ...]] = (State("y"), State("z", optional=True))
-    outputs: Ports = (Port("out"),)
+    states = (State("y"), State("z", optional=True))
+    outputs = (Output("out"),)
     how: str = ""
     asked: ClassVar[list[int]] = []
 
@@ -142,7 +140,7 @@ class Fickle(AbstractBlock):
     [("sign", "rate of y"), ("constant", "rate of y"), ("state", "rate of z"), ("output", "output of out")],
 )
 def test_equations_that_change_when_they_are_asked_again_are_refused(how: str, what: str) -> None:
-    with pytest.raises(BlockError, match=f"block: equations\\(\\) state another {what} when they are asked again"):
+    with pytest.raises(BlockError, match=f"block: equations\\(\\) state another {what} when evaluated again"):
         of(Fickle(how=how))
     assert of(Fickle())
 
@@ -161,7 +159,7 @@ def a_source(**changes: Any) -> type[AbstractBlock]:
         "__module__": __name__,
         "side": Side.SOURCE,
         "inputs": (TIME,),
-        "outputs": (Port("g"),),
+        "outputs": (Output("g"),),
         "equations": equations,
         "__annotations__": {},
     }
@@ -172,9 +170,9 @@ def a_source(**changes: Any) -> type[AbstractBlock]:
     ("changes", "text"),
     [
         ({"states": (State("s"),)}, "goal: has the state s; a source is a function of time alone"),
-        ({"inputs": (TIME, Port("q"))}, "goal: has the input q; a source is a function of time alone"),
-        ({"inputs": (Port("t", "", "rad"),)}, "goal: has the input t; a source is a function of time alone"),
-        ({"truth": (Port("k"),)}, "goal: reads the truth k; a source is a function of time alone"),
+        ({"inputs": (TIME, Input("q"))}, "goal: has the input q; a source is a function of time alone"),
+        ({"inputs": (Input("t", "", "rad"),)}, "goal: has the input t; a source is a function of time alone"),
+        ({"truth": (Input("k"),)}, "goal: reads the truth k; a source is a function of time alone"),
         ({"certificate": lambda self, u, x, p, truth: None}, "goal: has a certificate of its own"),
         ({"start": lambda self, u, p, truth: {}}, "goal: has a start of its own"),
     ],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -15,19 +15,17 @@ from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import Known, known_truths
 from dmframe.parameter import Positive, Scalar
-from dmframe.port import Access, Port, Side, State
+from dmframe.port import Access, Input, Output, Side, State
 from dmframe.robot.library import load
-
-Ports = ClassVar[tuple[Port, ...]]
 
 
 class Arm(AbstractBlock):
     """dq = v; K is handed out, its twice is hidden."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: Ports = (Port("v", "n", "rad/s"),)
-    outputs: Ports = (Port("q", "n", "rad", Access.MEASURED), Port("K", access=Access.MEASURED))
-    states: ClassVar[tuple[State, ...]] = (State("q", "n", "rad"),)
+    side = Side.PLANT
+    inputs = (Input("v", "n", "rad/s"),)
+    outputs = (Output("q", "n", "rad", Access.MEASURED), Output("K", access=Access.MEASURED))
+    states = (State("q", "n", "rad"),)
     K: Scalar = Positive(default=2.0)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -38,9 +36,9 @@ def law(expression: Callable[[Any, Any, Any], Any]) -> AbstractBlock:
     """A controller that commands -q times an expression of (robot, u, p)."""
 
     class Law(AbstractBlock):
-        uses_robot: ClassVar[bool] = True
-        inputs: Ports = (Port("q", "n", "rad"), Port("K"))
-        outputs: Ports = (Port("v", "n", "rad/s", Access.COMMANDED), Port("aside", "n"))
+        uses_robot = True
+        inputs = (Input("q", "n", "rad"), Input("K"))
+        outputs = (Output("v", "n", "rad/s", Access.COMMANDED), Output("aside", "n"))
 
         def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
             held = expression(p.robot, u, p)

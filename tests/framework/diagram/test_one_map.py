@@ -17,7 +17,7 @@ import pytest
 import dmframe
 from dmframe.analysis import linearise, linearised_period, prove_stability
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SampledCertificate, Square
+from dmframe.certificate import Certificate, Square
 from dmframe.certify import verify
 from dmframe.certify.symbols import exact_values
 from dmframe.config import load_experiment
@@ -33,13 +33,12 @@ from dmframe.export.c import source
 from dmframe.export.program import program_of
 from dmframe.page.functions import functions_of
 from dmframe.parameter import Positive, Scalar
-from dmframe.port import Access, Port, Side, State
+from dmframe.port import Access, Input, Output, Side, State
 from dmframe.runtime import Controller
 from dmframe.simulate import simulate
 
 ROOT = Path(dmframe.__file__).parent
 RAW = {"own_rate", "own_next", "own_second"}
-Ports = ClassVar[tuple[Port, ...]]
 States = ClassVar[tuple[State, ...]]
 T = 0.1
 
@@ -169,9 +168,9 @@ def test_the_order_of_states_and_an_unknown_kind_of_field_are_not_passed_over() 
 class Slow(AbstractBlock):
     """a' = y, and what a linear second term makes of its step on a clock; v = -a - k y."""
 
-    inputs: Ports = (Port("y"),)
-    outputs: Ports = (Port("v", access=Access.COMMANDED),)
-    states: States = (State("a"),)
+    inputs = (Input("y"),)
+    outputs = (Output("v", access=Access.COMMANDED),)
+    states = (State("a"),)
     k: Scalar = Positive(default=1.0)
     second: Scalar = Positive(default=1.0)
     there: bool = True
@@ -184,10 +183,10 @@ class Slow(AbstractBlock):
 class Lag(AbstractBlock):
     """y' = v."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: Ports = (Port("v"),)
-    outputs: Ports = (Port("y", access=Access.MEASURED),)
-    states: States = (State("y"),)
+    side = Side.PLANT
+    inputs = (Input("v"),)
+    outputs = (Output("y", access=Access.MEASURED),)
+    states = (State("y"),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations({"y": x.y}, {"y": u.v})
@@ -229,13 +228,13 @@ def test_second_terms_that_make_a_loop_unstable_are_seen() -> None:
 class Halved(AbstractBlock):
     """s+ = s/2, with its own certificate."""
 
-    states: States = (State("s", sampled=True),)
+    states = (State("s", sampled=True),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(next={"s": x.s / 2})
 
-    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> SampledCertificate:
-        return SampledCertificate(storage=(Square(x.s),), decrease=(Square(x.s, 0.75),))
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        return Certificate(storage=(Square(x.s),), dissipation=(Square(x.s, 0.375),))
 
 
 def test_a_proof_over_samples_is_of_the_map_of_the_loop() -> None:

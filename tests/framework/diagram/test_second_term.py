@@ -12,7 +12,7 @@ from dmframe.certificate import Certificate, Square
 from dmframe.certify import verify
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
-from dmframe.port import Port, Side, State
+from dmframe.port import Output, Side, State
 from dmframe.simulate import simulate
 
 
@@ -23,7 +23,7 @@ def falling(second: bool = True, side: Side = Side.CONTROLLER, sampled: bool = F
     class Falling(AbstractBlock):
         """What the arguments say."""
 
-        outputs: ClassVar[tuple[Port, ...]] = (Port("seen"),)
+        outputs = (Output("seen"),)
         states: ClassVar[tuple[State, ...]]
 
         def equations(self, u: Any, x: Any, p: Any) -> Equations:

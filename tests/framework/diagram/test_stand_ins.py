@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import pytest
 
@@ -10,17 +10,16 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.diagram import Diagram
 from dmframe.diagram.wiring import Wire
 from dmframe.errors import DmframeError
-from dmframe.port import Access, Port, Side, State
+from dmframe.port import Access, Input, Output, Side, State
 
-Ports = ClassVar[tuple[Port, ...]]
 PLANT: Any = Side.PLANT
 
 
 class Law(AbstractBlock):
     """v = -y."""
 
-    inputs: Ports = (Port("y"),)
-    outputs: Ports = (Port("v", access=Access.COMMANDED),)
+    inputs = (Input("y"),)
+    outputs = (Output("v", access=Access.COMMANDED),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations({"v": -u.y})
@@ -29,10 +28,10 @@ class Law(AbstractBlock):
 class Cart(AbstractBlock):
     """dy = v."""
 
-    side: ClassVar[Side] = PLANT
-    inputs: Ports = (Port("v"),)
-    outputs: Ports = (Port("y", access=Access.MEASURED),)
-    states: ClassVar[tuple[State, ...]] = (State("y"),)
+    side = PLANT
+    inputs = (Input("v"),)
+    outputs = (Output("y", access=Access.MEASURED),)
+    states = (State("y"),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations({"y": x.y}, {"y": u.v})
@@ -41,9 +40,9 @@ class Cart(AbstractBlock):
 class Watch(AbstractBlock):
     """Reads the true y, on the plant's side."""
 
-    side: ClassVar[Side] = PLANT
-    inputs: Ports = (Port("y"),)
-    outputs: Ports = (Port("seen"),)
+    side = PLANT
+    inputs = (Input("y"),)
+    outputs = (Output("seen"),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations({"seen": u.y})
@@ -52,20 +51,20 @@ class Watch(AbstractBlock):
 class Sensor(AbstractBlock):
     """y_m = 2 y."""
 
-    side: ClassVar[Side] = PLANT
-    inputs: Ports = (Port("y"),)
-    outputs: Ports = (Port("y_m", access=Access.MEASURED, instead_of="y"),)
+    side = PLANT
+    inputs = (Input("y"),)
+    outputs = (Output("y_m", access=Access.MEASURED, instead_of="y"),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations({"y_m": 2 * u.y})
 
 
 class Line(AbstractBlock):
-    """Halves a command, and stands in for one that nobody sends."""
+    """Halves a command, and replaces one that nobody sends."""
 
-    side: ClassVar[Side] = PLANT
-    inputs: Ports = (Port("v"), Port("w", optional=True))
-    outputs: Ports = (Port("half", instead_of="v"), Port("w_half", instead_of="w"))
+    side = PLANT
+    inputs = (Input("v"), Input("w", optional=True))
+    outputs = (Output("half", instead_of="v"), Output("w_half", instead_of="w"))
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations({"half": u.v / 2, "w_half": u.w / 2})
@@ -131,13 +130,18 @@ def broken(**members: Any) -> type[AbstractBlock]:
 @pytest.mark.parametrize(
     ("members", "text"),
     [
-        ({"outputs": (Port("y_m", instead_of="z"),)}, "the output y_m stands in for z, which is no input; choose"),
-        ({"outputs": (Port("y_m", "3", instead_of="y"),)}, "the output y_m stands in for y, and has another shape or"),
-        ({"outputs": (Port("y_m", "", "m", instead_of="y"),)}, "stands in for y, and has another shape or unit"),
-        ({"side": Side.CONTROLLER}, "the output y_m stands in for y, and the block is no plant; make it one"),
-        ({"inputs": (Port("y", instead_of="y"),)}, "the input y stands in for y; an output does"),
-        ({"inputs": (Port("y", told="much"),)}, "the input y says what a run tells of it; an output does"),
-        ({"outputs": (Port("y_m", told=3),)}, "expected the told of the port 'y_m' in outputs to be a text, found 3"),
+        ({"outputs": (Output("y_m", instead_of="z"),)}, "the output y_m replaces z, which is no input; choose"),
+        (
+            {"outputs": (Output("y_m", "3", instead_of="y"),)},
+            "the output y_m replaces y, and has another shape or",
+        ),
+        ({"outputs": (Output("y_m", "", "m", instead_of="y"),)}, "replaces y, and has another shape or unit"),
+        ({"side": Side.CONTROLLER}, "the output y_m replaces y, and the block is no plant; make it one"),
+        ({"inputs": (Output("y"),)}, "expected each of its inputs to be an Input, found Output(name='y'"),
+        (
+            {"outputs": (Output("y_m", notice=3),)},
+            "expected the notice of the output 'y_m' in outputs to be a text, found 3",
+        ),
     ],
 )
 def test_what_a_block_declares_of_it_has_to_fit(members: dict[str, Any], text: str) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import final
 
 import casadi as ca
 import pytest
@@ -12,16 +12,16 @@ from dmframe.certificate import Certificate, Square
 from dmframe.certify import verify
 from dmframe.diagram import Diagram
 from dmframe.errors import DerivativeError
-from dmframe.port import TIME, Port, Side, State
+from dmframe.port import TIME, Input, Output, Side, State
 
 
 @final
 class Both(AbstractBlock):
     """A path and its derivative."""
 
-    side: ClassVar[Side] = Side.SOURCE
-    inputs: ClassVar = (TIME,)
-    outputs: ClassVar = (Port("r", ""), Port("dr", "", "1/s", derivative_of="r"))
+    side = Side.SOURCE
+    inputs = (TIME,)
+    outputs = (Output("r", ""), Output("dr", "", "1/s", derivative_of="r"))
     factor: int = 1
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -32,8 +32,8 @@ class Both(AbstractBlock):
 class Track(AbstractBlock):
     """Follows."""
 
-    inputs: ClassVar = (Port("r", ""), Port("dr", "", "1/s", derivative_of="r"))
-    states: ClassVar = (State("x", ""),)
+    inputs = (Input("r", ""), Input("dr", "", "1/s", derivative_of="r"))
+    states = (State("x", ""),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(rates={"x": u.dr - (x.x - u.r)})
@@ -46,9 +46,9 @@ class Track(AbstractBlock):
 class Two(AbstractBlock):
     """A path, and another signal by the name of its derivative."""
 
-    side: ClassVar[Side] = Side.SOURCE
-    inputs: ClassVar = (TIME,)
-    outputs: ClassVar = (Port("r", ""), Port("dr", "", "1/s"))
+    side = Side.SOURCE
+    inputs = (TIME,)
+    outputs = (Output("r", ""), Output("dr", "", "1/s"))
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"r": ca.sin(u.t), "dr": 2 + ca.cos(u.t)})
@@ -58,8 +58,8 @@ class Two(AbstractBlock):
 class Reader(AbstractBlock):
     """Reads both."""
 
-    inputs: ClassVar = (Port("r", ""), Port("rate", "", "1/s", derivative_of="r"), Port("dr", "", "1/s"))
-    states: ClassVar = (State("q", ""),)
+    inputs = (Input("r", ""), Input("rate", "", "1/s", derivative_of="r"), Input("dr", "", "1/s"))
+    states = (State("q", ""),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(rates={"q": u.dr - u.rate})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -18,18 +18,16 @@ from dmframe.diagram.truths import distances
 from dmframe.diagram.view import view
 from dmframe.errors import BlockError
 from dmframe.parameter import Positive, Scalar
-from dmframe.port import TIME, Access, Port, Side, State
-
-Ports = ClassVar[tuple[Port, ...]]
+from dmframe.port import TIME, Access, Input, Output, Side, State
 
 
 class Store(AbstractBlock):
     """dy = -y; k is a hidden true number."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: Ports = (Port("v", access=Access.COMMANDED, optional=True),)
-    outputs: Ports = (Port("k"), Port("y", "", "", Access.MEASURED))
-    states: ClassVar[tuple[State, ...]] = (State("y"),)
+    side = Side.PLANT
+    inputs = (Input("v", optional=True),)
+    outputs = (Output("k"), Output("y", "", "", Access.MEASURED))
+    states = (State("y"),)
     k: Scalar = Positive(default=5.0)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -42,9 +40,9 @@ class Store(AbstractBlock):
 class Needs(AbstractBlock):
     """Its proof needs k < 1."""
 
-    inputs: Ports = (Port("y"),)
-    outputs: Ports = (Port("v", "", "", Access.COMMANDED),)
-    truth: Ports = (Port("k"),)
+    inputs = (Input("y"),)
+    outputs = (Output("v", "", "", Access.COMMANDED),)
+    truth = (Input("k"),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"v": u.y})
@@ -59,8 +57,8 @@ class Needs(AbstractBlock):
 class States(AbstractBlock):
     """Its certificate states a true value of a name that the test chooses."""
 
-    inputs: Ports = (Port("y"),)
-    outputs: Ports = (Port("z"),)
+    inputs = (Input("y"),)
+    outputs = (Output("z"),)
     name: str = "k"
     value: Scalar = Positive(default=0.1)
 
@@ -74,9 +72,9 @@ class States(AbstractBlock):
 class Reads(AbstractBlock):
     """Stores what it reads of b, so that a test sees whose b it was."""
 
-    inputs: Ports = (Port("z"),)
-    truth: Ports = (Port("b"),)
-    states: ClassVar[tuple[State, ...]] = (State("s"),)
+    inputs = (Input("z"),)
+    truth = (Input("b"),)
+    states = (State("s"),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(rates={"s": -x.s})
@@ -111,7 +109,7 @@ def test_each_of_two_loops_gets_the_truth_of_its_own_plant_in_any_order(seed: in
 
 def test_a_truth_that_two_blocks_have_as_near_is_an_error_that_names_them() -> None:
     class Both(Needs):
-        inputs: Ports = (Port("y"), Port("other"))
+        inputs = (Input("y"), Input("other"))
 
         def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
             return Equations(outputs={"v": u.y + u.other})
@@ -158,9 +156,9 @@ def test_a_stated_truth_may_not_have_the_name_of_a_controllers_output() -> None:
 
 def test_a_source_is_no_way_from_one_loop_to_another() -> None:
     class Clock(AbstractBlock):
-        side: ClassVar[Side] = Side.SOURCE
-        inputs: Ports = (TIME,)
-        outputs: Ports = (Port("y"),)
+        side = Side.SOURCE
+        inputs = (TIME,)
+        outputs = (Output("y"),)
 
         def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
             return Equations(outputs={"y": u.t})
@@ -171,8 +169,8 @@ def test_a_source_is_no_way_from_one_loop_to_another() -> None:
 
 def test_a_condition_that_a_source_states_counts() -> None:
     class Goal(AbstractBlock):
-        side: ClassVar[Side] = Side.SOURCE
-        outputs: Ports = (Port("g"),)
+        side = Side.SOURCE
+        outputs = (Output("g"),)
         height: Scalar = Positive(default=2.0)
 
         def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:

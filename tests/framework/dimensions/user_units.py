@@ -8,7 +8,7 @@ from typing import Any
 from dmframe.block import AbstractBlock, Equations
 from dmframe.diagram import Diagram
 from dmframe.parameter import Diagonal, Positive
-from dmframe.port import TIME, Port, State
+from dmframe.port import TIME, Output, State
 
 UNITS: Mapping[str, str] = {"K": "N m/rad", "D": "N m s/rad", "I": "kg m^2", "w": "1/s"}
 STATES = (State("q", "n", "rad"), State("dq", "n", "rad/s"))
@@ -33,7 +33,7 @@ def joint(
         "__annotations__": dict.fromkeys(numbers, Diagonal),
         **numbers,
         "inputs": (TIME,),
-        "outputs": (Port("tau", "n", "N m"),),
+        "outputs": (Output("tau", "n", "N m"),),
         "states": STATES,
         "equations": lambda self, u, x, p: Equations({"tau": shown(x, p)}, stated(u, x, p)),
     }

@@ -3,8 +3,6 @@ from __future__ import annotations
 import random
 from itertools import combinations
 
-import pytest
-
 from dmframe.drawing.layout import lay_out, segments
 from dmframe.drawing.netlist import Box, Netlist, Pin, columns
 from dmframe.port import Side
@@ -57,23 +55,26 @@ def crosses(piece, item):
     )
 
 
-@pytest.mark.parametrize("seed", range(120))
-def test_wires_cross_no_box_and_lie_on_no_other_wire(seed):
-    layout = lay_out(random_netlist(seed))
-    pieces = list(segments(layout))
-    for end, begin, finish in pieces:
-        assert begin[0] == finish[0] or begin[1] == finish[1]
-        assert not any(crosses((begin, finish), item) for item in layout.placed.values()), end
-    for (one, *first), (other, *second) in combinations(pieces, 2):
-        assert one == other or overlap(first, second) <= 0, (one, other)
+def test_wires_cross_no_box_and_lie_on_no_other_wire():
+    for seed in range(120):
+        layout = lay_out(random_netlist(seed))
+        pieces = list(segments(layout))
+        for end, begin, finish in pieces:
+            assert begin[0] == finish[0] or begin[1] == finish[1], seed
+            assert not any(crosses((begin, finish), item) for item in layout.placed.values()), (seed, end)
+        for (one, *first), (other, *second) in combinations(pieces, 2):
+            assert one == other or overlap(first, second) <= 0, (seed, one, other)
 
 
-@pytest.mark.parametrize("seed", range(120))
-def test_boxes_do_not_overlap_and_every_net_is_in_one_piece(seed):
-    layout = lay_out(random_netlist(seed))
+def test_boxes_do_not_overlap_and_every_net_is_in_one_piece():
+    for seed in range(120):
+        check_boxes_and_nets(lay_out(random_netlist(seed)), seed)
+
+
+def check_boxes_and_nets(layout, seed):
     for one, other in combinations(layout.placed.values(), 2):
         apart = one.x + one.width <= other.x or other.x + other.width <= one.x
-        assert apart or one.y + one.height <= other.y or other.y + other.height <= one.y
+        assert apart or one.y + one.height <= other.y or other.y + other.height <= one.y, seed
     for end, targets in layout.net.nets.items():
         pieces = [(begin, finish) for name, begin, finish in segments(layout) if name == end]
         source = layout.placed[end[0]]
@@ -86,7 +87,7 @@ def test_boxes_do_not_overlap_and_every_net_is_in_one_piece(seed):
                     reached |= {begin, finish}
         for target, pin in targets:
             item = layout.placed[target]
-            assert (item.x, item.input_y(pin)) in reached
+            assert (item.x, item.input_y(pin)) in reached, (seed, target)
 
 
 def on(point, piece):
@@ -94,17 +95,17 @@ def on(point, piece):
     return min(a, c) <= x <= max(a, c) and min(b, d) <= y <= max(b, d)
 
 
-@pytest.mark.parametrize("seed", range(60))
-def test_the_plant_stands_right_of_the_wall_and_the_rest_left_of_it(seed):
-    layout = lay_out(random_netlist(seed))
-    sides = {item.box.side is Side.PLANT for item in layout.placed.values()}
-    assert (layout.wall is not None) == (sides == {True, False})
-    for item in layout.placed.values():
-        if layout.wall is not None:
-            assert (item.x > layout.wall) == (item.box.side is Side.PLANT)
+def test_the_plant_stands_right_of_the_wall_and_the_rest_left_of_it():
+    for seed in range(60):
+        layout = lay_out(random_netlist(seed))
+        sides = {item.box.side is Side.PLANT for item in layout.placed.values()}
+        assert (layout.wall is not None) == (sides == {True, False}), seed
+        for item in layout.placed.values():
+            if layout.wall is not None:
+                assert (item.x > layout.wall) == (item.box.side is Side.PLANT), seed
 
 
-def test_signals_flow_from_left_to_right_and_feedback_is_told_apart():
+def test_signals_flow_from_left_to_right_and_feedback_is_reported_apart():
     def box(name, *inputs, side=Side.CONTROLLER):
         return Box(name, "kind", side, (), tuple(Pin(f"{s}_out", (s, "y")) for s in inputs), ("y",))
 

@@ -45,11 +45,11 @@ def test_each_block_stands_there_with_its_type_and_states(diagram):
 def test_each_wire_is_labelled_and_says_from_where_to_where(diagram):
     root = ET.fromstring(svg(diagram))
     labels = set(texts(root, "label"))
-    told = [item.find(f"{SVG}title").text for item in root.iter(f"{SVG}g") if item.get("class") == "net"]
+    titles = [item.find(f"{SVG}title").text for item in root.iter(f"{SVG}g") if item.get("class") == "net"]
     for (name, port), source in diagram.sources.items():
         if isinstance(source, Wire):
             assert unicode_name(source.port) in labels
-            (line,) = [text for text in told if text.startswith(f"{source.block}.{source.port} -> ")]
+            (line,) = [text for text in titles if text.startswith(f"{source.block}.{source.port} -> ")]
             assert f"{name}.{port}" in line
 
 

@@ -1,4 +1,4 @@
-"""A rehearsal has a bar of its own: a tolerance, or holding still and the kinematic inverse of J."""
+"""Error bounds of a rehearsal: a tolerance, or a stationary robot and the kinematic inverse of J."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from typing import ClassVar, final
 import casadi as ca
 from dmframe.block import AbstractBlock, Equations
 from dmframe.parameter import Positive, Scalar
-from dmframe.port import Port
+from dmframe.port import Input, Output
 
 @final
 class My(AbstractBlock):
-    inputs: ClassVar = (
-        Port("q", "n", "rad"), Port("q_d", "n", "rad"), Port("t", "", "s"),
-        Port("dq_d", "n", "rad/s", derivative_of="q_d"),
+    inputs = (
+        Input("q", "n", "rad"), Input("q_d", "n", "rad"), Input("t", "", "s"),
+        Input("dq_d", "n", "rad/s", derivative_of="q_d"),
     )
-    outputs: ClassVar = (Port("dq_r", "n", "rad/s"),)
+    outputs = (Output("dq_r", "n", "rad/s"),)
     rate: Scalar = Positive("", "1/s")
 
     def equations(self, u, x, p):
@@ -73,7 +73,7 @@ WRONG = {
 def test_a_law_that_does_not_do_its_task_fails_on_the_ideal_robot(tmp_path: Path, what: str) -> None:
     found = tried(written(tmp_path, WRONG[what]))
     assert not found.passed
-    assert found.sentence.startswith("graph may not meet a robot: on the ideal robot, ")
+    assert found.sentence.startswith("graph may not drive a robot: on the ideal robot, ")
 
 
 def test_the_kinematic_law_itself_passes_and_is_its_own_rival(tmp_path: Path) -> None:
@@ -83,10 +83,10 @@ def test_the_kinematic_law_itself_passes_and_is_its_own_rival(tmp_path: Path) ->
     for outcome in found.outcomes:
         assert outcome.error == pytest.approx(outcome.rival, rel=1e-6)
     assert found.bar.rival == "kinematic command at the joints, 2 1/s"
-    told = found.summary
-    assert told["conditions"][0]["rival"] == found.outcomes[0].rival
-    assert told["conditions"][0]["still"] == pytest.approx(0.6, rel=0.5)
-    assert "rival: kinematic command at the joints, 2 1/s; holding still: " in str(found)
+    message = found.summary
+    assert message["conditions"][0]["rival"] == found.outcomes[0].rival
+    assert message["conditions"][0]["still"] == pytest.approx(0.6, rel=0.5)
+    assert "rival: kinematic command at the joints, 2 1/s; stationary robot: " in str(found)
 
 
 def test_a_tolerance_decides_alone_in_each_condition(tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_a_tolerance_decides_alone_in_each_condition(tmp_path: Path) -> None:
 def test_a_tolerance_that_holding_still_meets_decides_nothing(tmp_path: Path, law: str) -> None:
     found = tried(written(tmp_path, law, "tolerance: 2 rad\n"))
     assert not found.passed
-    assert "which is within the tolerance of 2 rad: state a smaller one, or a start off the goal" in found.sentence
+    assert "is within the tolerance of 2 rad: set a smaller one, or a start off the goal" in found.sentence
 
 
 @pytest.mark.parametrize("before", ["0 * u.q", "ca.vertcat(ca.sin(3 * u.t), ca.sin(5 * u.t))"])
@@ -124,12 +124,12 @@ def test_a_path_that_is_back_at_its_start_in_the_end_is_judged_where_it_was_away
 
 
 def test_a_tolerance_that_is_none_is_refused(tmp_path: Path) -> None:
-    for text, told in (
+    for text, message in (
         ("-2 mm", "expected a positive error"),
         ("2 kg", "expected a positive error"),
         ("0", "positive"),
     ):
-        with pytest.raises(DmframeError, match=told):
+        with pytest.raises(DmframeError, match=message):
             written(tmp_path, "u.dq_d", f"tolerance: {text}\n")
     with pytest.raises(DmframeError, match=r":\d+:\d+: tolerance: expected a quantity in rad, found '2 mm'"):
         written(tmp_path, "u.dq_d", "tolerance: 2 mm\n").experiment.diagram()  # without a run, as `check` does
@@ -146,14 +146,15 @@ def test_a_goal_out_of_reach_does_not_pass() -> None:
 
 @pytest.mark.parametrize(
     ("name", "why"),
-    [("ur10_pose", "the task has an orientation, too"), ("ur10_paced", "path.x_d does not depend on time alone")],
+    [("ur10_pose", "the task includes an orientation"), ("ur10_paced", "path.x_d is not a function of time only")],
 )
 def test_without_a_fair_rival_a_tolerance_is_required(name: str, why: str) -> None:
     graph = dm.load(name)
     assert law_of(graph.experiment, graph.diagram) == (None, why)
     run = Measured("", "m", 0.001, 0.001, 0.001, 0.2, "")
     assert (
-        Bar(None, "", why).above(run, None, ideal=True) == f"no rival is fair ({why}): state a tolerance in the graph"
+        Bar(None, "", why).above(run, None, ideal=True)
+        == f"no rival is applicable ({why}): set a tolerance in the graph"
     )
     assert not Bar(0.002, "", why).above(run, None, ideal=True)
 
@@ -162,23 +163,25 @@ GOOD = Measured("e", "m", 0.01, 0.0021, 0.002, 0.2, "")
 
 
 @pytest.mark.parametrize(
-    ("rms", "still", "rival", "told"),
+    ("rms", "still", "rival", "message"),
     [
         (0.002, 0.2, GOOD, ""),
         (0.0021, 0.2, GOOD, ""),  # what the rival itself changes from one quarter to the next
-        (0.00211, 0.2, GOOD, "the rival errs by 2 mm"),
-        (0.002, 0.0039, GOOD, "a robot that holds still errs by 3.9 mm; at most half of that is required"),
-        (0.002, 0.0, GOOD, "a robot that holds still errs by 0 m"),
-        (0.002, 0.2, replace(GOOD, stopped="command too fast"), "the rival does not follow either: state a tolerance"),
-        (0.002, 0.2, replace(GOOD, last=0.15), "the rival does not follow either: state a tolerance"),
-        (np.nan, 0.2, GOOD, "a robot that holds still"),
+        (0.00211, 0.2, GOOD, "the error of the rival is 2 mm"),
+        (0.002, 0.0039, GOOD, "the error of a stationary robot is 3.9 mm; at most half of it is allowed"),
+        (0.002, 0.0, GOOD, "the error of a stationary robot is 0 m"),
+        (0.002, 0.2, replace(GOOD, stopped="command too fast"), "the rival does not follow either: set a tolerance"),
+        (0.002, 0.2, replace(GOOD, last=0.15), "the rival does not follow either: set a tolerance"),
+        (np.nan, 0.2, GOOD, "the error of a stationary robot"),
     ],
 )
-def test_the_bar_is_half_of_holding_still_and_the_rival(rms: float, still: float, rival: Measured, told: str) -> None:
+def test_the_bar_is_half_of_a_stationary_robot_and_the_rival(
+    rms: float, still: float, rival: Measured, message: str
+) -> None:
     run = Measured("e", "m", rms, rms, rms, still, "")
     found = Bar(None, "rival", "").above(run, rival, ideal=True)
-    assert found.startswith(told)
-    assert bool(found) == bool(told)
+    assert found.startswith(message)
+    assert bool(found) == bool(message)
 
 
 def test_under_a_condition_that_stops_the_rival_too_holding_still_remains() -> None:

@@ -25,12 +25,12 @@ from typing import ClassVar, final
 import {helper} as helper
 from dmframe.block import AbstractBlock, Equations
 from dmframe.parameter import Positive, Scalar
-from dmframe.port import Port
+from dmframe.port import Input, Output
 
 @final
 class My(AbstractBlock):
-    inputs: ClassVar = (Port("q", "n", "rad"), Port("q_d", "n", "rad"), Port("dq_d", "n", "rad/s", derivative_of="q_d"))
-    outputs: ClassVar = (Port("dq_r", "n", "rad/s"),)
+    inputs = (Input("q", "n", "rad"), Input("q_d", "n", "rad"), Input("dq_d", "n", "rad/s", derivative_of="q_d"))
+    outputs = (Output("dq_r", "n", "rad/s"),)
     rate: Scalar = Positive("", "1/s")
 
     def equations(self, u, x, p):
@@ -94,7 +94,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bench:
 
 
 def test_what_was_rehearsed_is_driven_and_nothing_before_it(bench: Bench) -> None:
-    with pytest.raises(DriveError, match="expected a graph whose rehearsal was passed, found none of exactly this"):
+    with pytest.raises(DriveError, match="expected a passed rehearsal of exactly this graph, found none"):
         bench.drive()
     assert kept.keep(bench.rehearse())
     assert bench.drive().recording.time.size == 51
@@ -158,7 +158,7 @@ def test_another_payload_engine_or_drive_is_refused_and_named(bench: Bench) -> N
     assert bench.drive(payload=0.0).recording.time.size == 51
     with pytest.raises(DriveError, match="engine: kind was interpreted, is compiled"):
         bench.drive(payload=0.0, engine="compiled")
-    with pytest.raises(DriveError, match=r"expected a drive of 100 ms at most, as the rehearsed graph's, found 110 ms"):
+    with pytest.raises(DriveError, match=r"expected a drive of at most 100 ms, .* found 110 ms"):
         bench.drive(payload=0.0, until=0.11)
 
 
@@ -209,7 +209,7 @@ def test_what_no_file_shows_is_seen_in_the_closed_loop_that_drives(bench: Bench)
     parameters = tuple(heavier if item is inertia else item for item in loop.parameters)
     diagram = replace(diagram, loop=replace(loop, parameters=parameters))
     limits = load_limits(bench.limits, graph.robot)
-    with pytest.raises(DriveError, match="this has changed: closed loop: field"):
+    with pytest.raises(DriveError, match=r"Changes since its rehearsal of .*: closed loop: field"):
         driven(experiment, diagram, "real:host", limits=limits, payload=1.0, engine="interpreted")
 
 
@@ -224,7 +224,7 @@ def test_one_flipped_bit_of_the_note_makes_it_none(bench: Bench, tmp_path: Path)
     _ = graph.diagram
     for place in range(0, len(whole), len(whole) // 12):
         note.write_bytes(whole[:place] + bytes([whole[place] ^ (1 << place % 7)]) + whole[place + 1 :])
-        with pytest.raises(DriveError, match="is damaged or was edited, and does not count"):
+        with pytest.raises(DriveError, match="is damaged or was edited"):
             bench.drive(graph)
     note.write_bytes(whole)
     assert bench.drive(graph).recording.time.size == 51
@@ -238,7 +238,7 @@ def test_a_note_edited_by_hand_or_cut_off_is_none(bench: Bench, tmp_path: Path) 
     held = json.loads(note.read_text())
     for text in (json.dumps({**held, "until": 1e9}, indent=1), note.read_text()[:-40], "{", ""):
         note.write_text(text)
-        with pytest.raises(DriveError, match="is damaged or was edited, and does not count"):
+        with pytest.raises(DriveError, match="is damaged or was edited"):
             bench.drive()
 
 
@@ -260,5 +260,5 @@ def test_what_is_cut_short_chosen_or_failed_is_not_kept(bench: Bench, tmp_path: 
 def test_a_user_without_a_home_is_refused(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("XDG_STATE_HOME")
     monkeypatch.setattr(kept.platformdirs, "user_state_dir", lambda *_, **__: "~")
-    with pytest.raises(DriveError, match="expected a user with a home"):
+    with pytest.raises(DriveError, match="expected a home folder"):
         bench.drive()

@@ -51,7 +51,7 @@ def test_one_speed_for_all_joints_raises_none_above_its_own(tmp_path: Path) -> N
     np.testing.assert_array_equal(load_limits(file, ROBOT).speed, [2.16, 2.16, 3.0])
 
 
-def test_all_faults_are_told_at_once_with_their_places(tmp_path: Path) -> None:
+def test_all_faults_are_reported_at_once_with_their_places(tmp_path: Path) -> None:
     file = tmp_path / "arm.yaml"
     file.write_text(
         "dmframe-limits: 2\n"
@@ -68,19 +68,19 @@ def test_all_faults_are_told_at_once_with_their_places(tmp_path: Path) -> None:
     )
     with pytest.raises(DmframeError) as raised:
         load_limits(file, ROBOT)
-    told = str(raised.value).splitlines()
+    message = str(raised.value).splitlines()
     for line, text in zip(
-        told,
+        message,
         [
             "1:17: dmframe-limits: expected 1",
-            "2:22: speed.elbow_joint: expected at most 3.15 rad/s, the robot's own, found 9 rad/s",
+            "2:22: speed.elbow_joint: expected at most 3.15 rad/s, the robot's limit, found 9 rad/s",
             "2:31: speed.elbow_jiont: unknown joint; did you mean elbow_joint?",
             "3:15: acceleration: expected a number for each joint, found none for shoulder_pan_joint",
             "3:29: acceleration.elbow_joint: expected a positive number in rad/s^2, found -4",
-            "5:16: position.elbow_joint: expected angles within the robot's own -3.14 rad to 3.14 rad",
-            "6:23: position.shoulder_pan_joint: expected the least first",
+            "5:16: position.elbow_joint: expected angles within the robot's -3.14 rad to 3.14 rad",
+            "6:23: position.shoulder_pan_joint: expected the minimum first",
             "7:7: box.w: unknown coordinate; choose from x, y, z",
-            "7:21: box.x: expected the least and the most, [0.1, 0.8], found 3",
+            "7:21: box.x: expected the minimum and the maximum, [0.1, 0.8], found 3",
             "8:15: deceleration: expected a quantity in rad/s^2, found '2 m/s^2'",
             "9:7: halt: expected 100 mrad/s^2 to 1000 rad/s^2, found 0",
             "10:7: lost: expected a whole number from 0 to 1000, found -1",
@@ -92,9 +92,7 @@ def test_all_faults_are_told_at_once_with_their_places(tmp_path: Path) -> None:
 
 
 def test_a_graph_without_a_robot_has_no_limits() -> None:
-    with pytest.raises(
-        DriveError, match="expected a graph with a robot, whose limits commands are held to, found none"
-    ):
+    with pytest.raises(DriveError, match="expected a graph with a robot, whose limits apply to commands, found none"):
         own_limits(None)
 
 

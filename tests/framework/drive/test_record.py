@@ -36,7 +36,7 @@ def test_its_signals_are_those_of_the_run_bit_by_bit() -> None:
         assert found[label].tobytes() == np.ascontiguousarray(run[label]).tobytes(), label
     for label in ("arm.q", "arm.dq", "servo.q_c"):
         assert found[label].tobytes() == np.ascontiguousarray(run[label]).tobytes(), label
-    assert not any(label in found.outputs for label in ("servo.u", "arm.ddq", "arm.g"))  # no robot tells them
+    assert not any(label in found.outputs for label in ("servo.u", "arm.ddq", "arm.g"))  # no robot measures them
     error, other = drive().error, Run(graph().experiment, run).error
     assert error is not None
     assert other is not None
@@ -53,16 +53,16 @@ def test_the_signals_of_a_robot_that_is_slowed_down_are_those_that_its_controlle
     np.testing.assert_allclose(around @ around[0] / 0.15**2, np.cos(found.time), atol=1e-9)
 
 
-def test_its_files_hold_what_the_robot_was_told_with_units(tmp_path: Path) -> None:
+def test_its_files_have_the_sent_commands_with_units(tmp_path: Path) -> None:
     drive().save(tmp_path / "out", plots=False)
     with h5netcdf.File(tmp_path / "out" / "signals.nc", "r") as file:
         for name, unit in (("sent", "rad/s"), ("answer", "s"), ("age", "s"), ("missed", "1"), ("scale", "1")):
             assert file.variables[f"robot.{name}"].attrs["units"] == unit
         assert file.variables["robot.sent"].dimensions == ("time", "joint")
         assert file.variables["robot.scale"].dimensions == ("time",)
-    told = " ".join(drive().notices)
-    assert "robot: sim" in told
-    assert "measured latency" in told
+    message = " ".join(drive().notices)
+    assert "robot: sim" in message
+    assert "measured latency" in message
 
 
 def test_every_figure_is_drawn_that_needs_no_hidden_signal() -> None:
@@ -84,7 +84,7 @@ def test_where_the_controller_waited_its_signals_are_no_numbers_and_figures_leav
         assert all(np.isfinite(line.get_ydata()).all() for line in axes.lines)
 
 
-def test_beside_what_a_slow_robot_did_stands_what_it_was_sent() -> None:
+def test_a_slow_robots_record_has_the_sent_commands() -> None:
     found = graph().drive(until="0.1 s", ramp="4 s", engine="interpreted")
     axes = found.plot()["commands"].axes[0]
     _, commanded = (line.get_ydata() for line in axes.lines)
@@ -92,9 +92,9 @@ def test_beside_what_a_slow_robot_did_stands_what_it_was_sent() -> None:
     assert np.abs(commanded).max() < 0.3 * np.abs(found.recording["inverse.dq_c"][:, 0]).max()
 
 
-def test_in_shadow_no_latency_is_told() -> None:
+def test_in_shadow_no_latency_is_reported() -> None:
     found = graph().drive(until="0.1 s", shadow=True, engine="interpreted")
-    assert any("nothing was sent" in notice for notice in found.notices)
+    assert any("no command was sent" in notice for notice in found.notices)
     assert not any("latency" in notice for notice in found.notices)
 
 
@@ -111,12 +111,12 @@ def test_a_record_played_again_is_identical_and_with_another_gain_it_is_not(tmp_
     assert same.identical
     assert str(same).startswith("ur10_fast: inverse.dq_c, robot.sent and ")
     assert str(same).endswith(
-        f"of {len(late.time)} samples of {tmp_path / 'log'}, computed again by the interpreted engine: "
+        f"of {len(late.time)} samples of {tmp_path / 'log'}, recomputed by the interpreted engine: "
         "identical, bit by bit"
     )
     other = graph().set({"inverse.K_c": 0.9}).replay(tmp_path / "log" / "signals.nc", engine="interpreted")
     assert other.differs is not None
-    assert "different\n  inverse.dq_c: first at t = " in str(other)
+    assert "different\n  inverse.dq_c: first difference at t = " in str(other)
     apart = np.nanmax(np.abs(other.now - other.then))
     assert other.summary["largest_difference"] == apart > 1e-6
 
@@ -134,11 +134,11 @@ def test_a_run_is_played_again_too(tmp_path: Path) -> None:
     assert graph().replay(tmp_path / "log", engine="interpreted").identical
 
 
-def test_what_is_no_record_or_lacks_a_signal_is_told(tmp_path: Path) -> None:
+def test_what_is_no_record_or_lacks_a_signal_is_reported(tmp_path: Path) -> None:
     with pytest.raises(MissingError, match=r"expected a folder of results, or its signals.nc, found none"):
         graph().replay(tmp_path / "none")
     (tmp_path / "other.nc").write_text("nothing")
-    with pytest.raises(MissingError, match="expected a record as dmframe writes it, found another file"):
+    with pytest.raises(MissingError, match="expected a record of dmframe, found another file"):
         graph().replay(tmp_path / "other.nc")
     graph().drive(until="0.02 s", engine="interpreted").save(tmp_path / "arm", plots=False)
     with pytest.raises(
@@ -147,22 +147,22 @@ def test_what_is_no_record_or_lacks_a_signal_is_told(tmp_path: Path) -> None:
         graph().reality({"encoder": {"step": 5e-5}}).replay(tmp_path / "arm", engine="interpreted")
 
 
-def test_a_record_of_another_robot_clock_or_of_some_samples_is_told(tmp_path: Path) -> None:
+def test_a_record_of_another_robot_clock_or_of_some_samples_is_reported(tmp_path: Path) -> None:
     each = "expected a sample each 8 ms, the graph's clock, found"
-    for k, (name, changed, told) in enumerate(
+    for k, (name, changed, message) in enumerate(
         (
-            ("panda_full", {}, "expected 6 x 3 numbers, as this controller has, found 6 x 7; it is a record of"),
-            ("ur10_fast", {"clock": "4 ms"}, f"{each} 4 ms after t = 0 s; it is of another clock"),
-            ("ur10_fast", {"log.every": "16 ms"}, f"{each} 16 ms after t = 0 s; it is of another clock, or a run"),
+            ("panda_full", {}, "expected 6 x 3 numbers, as this controller has, found 6 x 7; the record is of"),
+            ("ur10_fast", {"clock": "4 ms"}, f"{each} 4 ms after t = 0 s; the record has another clock"),
+            ("ur10_fast", {"log.every": "16 ms"}, f"{each} 16 ms after t = 0 s; the record has another clock, or log"),
         )
     ):
         run = dm.load(name).set(changed).run(5 * 0.008, engine="interpreted", progress=False)
         run.save(tmp_path / str(k), plots=False)
-        with pytest.raises(MissingError, match=told):
+        with pytest.raises(MissingError, match=message):
             graph().replay(tmp_path / str(k))
 
 
-def test_a_damaged_record_is_told(tmp_path: Path) -> None:
+def test_a_damaged_record_is_reported(tmp_path: Path) -> None:
     drive().save(tmp_path / "whole", plots=False)
     content = (tmp_path / "whole" / "signals.nc").read_bytes()
     file = tmp_path / "signals.nc"
@@ -172,7 +172,7 @@ def test_a_damaged_record_is_told(tmp_path: Path) -> None:
     damaged.append(content[:place] + b"#" + content[place + 1 :])
     for held in damaged:
         file.write_bytes(held)
-        with pytest.raises(MissingError, match="expected a record as dmframe writes it, found another file"):
+        with pytest.raises(MissingError, match="expected a record of dmframe, found another file"):
             graph().replay(file)
 
 

@@ -1,4 +1,4 @@
-"""A rehearsal says whether a controller may meet a robot, and a real one is driven after it alone."""
+"""A rehearsal decides whether a controller may drive a robot; a real one requires it."""
 
 from __future__ import annotations
 
@@ -32,29 +32,29 @@ def test_a_delay_is_borne_by_one_graph_and_not_by_another() -> None:
     late = Condition("3 samples of delay, 24 ms", {"delay": 3})
     borne = tried(dm.load("ur10_fast"), 1.0, late)
     assert borne.passed
-    assert borne.sentence == "ur10_fast bears what it must for 1 s; runs of 40 s decide whether it may meet a robot."
+    assert borne.sentence == "ur10_fast passes for 1 s; a rehearsal with runs of 40 s is required to drive a robot."
     whole = replace(borne, seconds=40.0)
-    assert whole.sentence.startswith("ur10_fast may meet a robot, as far as a simulation can tell: it was tried on no")
+    assert whole.sentence.startswith("ur10_fast passes the rehearsal and may drive a robot. It was not tested on")
     found = tried(dm.load("panda_full").set({"dynamics.Gamma": 30}), 3.0, late)
     assert not found.passed
     assert found.sentence.startswith(
-        "panda_full may not meet a robot: it does not bear 3 samples of delay, 24 ms (stopped "
+        "panda_full may not drive a robot: it fails with 3 samples of delay, 24 ms (stopped "
     )
     assert found.outcomes[0].why == ""
     assert "command too fast" in found.outcomes[1].why
 
 
-def test_what_is_not_asked_for_is_told_and_hinders_nothing() -> None:
+def test_a_condition_that_is_not_required_is_reported_only() -> None:
     graph = dm.load("panda_full").set({"dynamics.Gamma": 30})
     found = tried(graph, 3.0, Condition("3 samples", {"delay": 3}, needed=False))
     assert found.passed
     assert found.outcomes[1].why.startswith("stopped after 2.")
-    assert "no, not asked for" in str(found)
+    assert "no, not required" in str(found)
     assert [item["borne"] for item in found.summary["conditions"]] == [True, False]
 
 
 @pytest.mark.parametrize(
-    ("second", "last", "told"),
+    ("second", "last", "message"),
     [
         (0.006, 0.006, ""),
         (0.006, 0.0061, "the error is above 6 mm"),
@@ -63,9 +63,9 @@ def test_what_is_not_asked_for_is_told_and_hinders_nothing() -> None:
         (0.002, np.nan, "the error is above 6 mm"),
     ],
 )
-def test_an_error_that_is_too_large_or_that_grows_is_not_borne(second: float, last: float, told: str) -> None:
+def test_an_error_that_is_too_large_or_that_grows_is_not_borne(second: float, last: float, message: str) -> None:
     ideal = Measured("x - x_d", "m", 0.002, 0.002, 0.002, 0.2, "")
-    assert rehearse._why(replace(ideal, second=second, last=last), ideal) == told
+    assert rehearse._why(replace(ideal, second=second, last=last), ideal) == message
 
 
 def test_steps_of_the_longest_tick_are_as_short_as_those_of_the_clocks() -> None:
@@ -119,13 +119,13 @@ def test_a_real_robot_is_driven_after_a_passed_rehearsal_and_with_an_acceleratio
     def go(**options: Any) -> Any:
         return graph.drive("real:host", until="0.08 s", engine="interpreted", ramp="0.02 s", **options)
 
-    with pytest.raises(DriveError, match="expected limits with an acceleration for a real robot"):
+    with pytest.raises(DriveError, match="expected an acceleration limit for a real robot"):
         go(rehearsed=False)
-    with pytest.raises(DriveError, match="found none of exactly this graph; run dmframe rehearse with the same graph"):
+    with pytest.raises(DriveError, match="of exactly this graph, found none; run dmframe rehearse with the same graph"):
         go(limits=file)
     assert go(limits=file, rehearsed=False).recording.time.size > 1
     monkeypatch.setattr(rehearse, "conditions", lambda *_: [IDEAL])
     monkeypatch.setattr(rehearse, "LONGEST", 0.4)
     assert kept.keep(graph.rehearse(limits=file, engine="interpreted"))
     assert go(limits=file).recording.time.size > 1
-    assert go(shadow=True).notices[0] == "robot: real:host, in shadow: nothing was sent"
+    assert go(shadow=True).notices[0] == "robot: real:host, shadow drive: no command was sent"

@@ -27,7 +27,7 @@ needs_ur_rtde = pytest.mark.skipif(not INSTALLED, reason="needs ur_rtde: python 
 
 
 class Package:
-    """What stands for the package: an arm that does at once as it is told, a sample for each look at the clock."""
+    """Test double of the package: an arm that executes commands at once, with a sample for each poll of the clock."""
 
     def __init__(self) -> None:
         self.values: dict[str, Any] = dict(zip(CALLS, [100.0, *3 * [None], 1.0, 1.0, 7, 1, 1], strict=True))
@@ -104,10 +104,10 @@ def test_a_drive_sets_the_watchdog_follows_stops_and_lets_go(package: Package) -
     assert package.called[2] == ("setWatchdog", 25.0)  # five periods
     speeds = [called[1:] for called in package.called if called[0] == "speedJ"]
     assert [speed for speed, _, _ in speeds] == [
-        [*sent, 0, 0, 0] for sent in np.array(found.journal.sent[:-1]).tolist()
+        [*sent, 0, 0, 0] for sent in np.array(found.journal["sent"][:-1]).tolist()
     ]
     assert {(a, t) for _, a, t in speeds} == {(40.0, 0.008)}
-    # a kick beside a speed would be written over it, in the same cycle
+    # a kick in the same cycle would overwrite a speed
     assert "kickWatchdog" not in names(package)
     assert package.called[-4:] == [("speedStop", 2.0), ("stopScript",), ("disconnect",), ("gone",)]
 
@@ -139,7 +139,7 @@ def test_a_robot_that_is_silent_gone_or_takes_nothing_is_lost(package: Package) 
     package.silent = False
     at.begin()
     package.takes = False
-    with pytest.raises(LostError, match="its script takes no speeds any more"):
+    with pytest.raises(LostError, match="its script does not accept speeds any more"):
         at.command(np.zeros(3))
 
     def refused(*given: Any) -> Any:
@@ -182,7 +182,7 @@ def test_without_the_package_one_line_says_how_to_get_it(monkeypatch: pytest.Mon
 
 
 def client(host: str, first: str = "") -> list[str]:
-    """A process that drives by the package itself; nothing is held to real time but the arm's own watchdog."""
+    """A process that drives by the package itself; nothing keeps real time but the arm's own watchdog."""
     Path("arm.yaml").write_text("dmframe-limits: 1\nacceleration: 15 rad/s^2\nlost: 1000\n")
     words = ["drive", "ur10_fast", "--robot", f"ur_rtde:{host}", "--limits", "arm.yaml", "--out", "log", "--no-plots"]
     words += ["--without-a-passed-rehearsal", "--patience", "20 s", "--seconds"]

@@ -55,7 +55,7 @@ def drive(
     """Drive; at a sample something happens. How it ended, and when that was by the robot's clock."""
     count, when = [0], [0.0]
 
-    def asked() -> str:
+    def stop_requested() -> str:
         count[0] += 1
         if count[0] != tick:
             return ""
@@ -63,13 +63,13 @@ def drive(
         return happens(at) or ""
 
     held = limits(graph("ur10_fast"), acceleration=np.full(3, 40.0))
-    found = driven(graph("ur10_fast"), at.driver, ticks, engine="auto", held=held, asked=asked)
+    found = driven(graph("ur10_fast"), at.driver, ticks, engine="auto", held=held, stop_requested=stop_requested)
     at.held.advance(30)
     return found, when[0]
 
 
 def x_of(found: Driven) -> np.ndarray:
-    return np.array([sample.x for sample in found.journal.samples])
+    return found.journal["x"]
 
 
 def test_at_125_samples_a_second_it_is_the_run_and_no_sample_is_lost_or_used_twice() -> None:
@@ -79,9 +79,9 @@ def test_at_125_samples_a_second_it_is_the_run_and_no_sample_is_lost_or_used_twi
     assert found.stop is None
     x = x_of(found)
     assert len(x) == len(run["arm.x"]) == 251
-    assert np.max(np.abs(x - run["arm.x"])) < 1e-9  # 0.1 mm is asked for
-    np.testing.assert_allclose(np.diff(found.journal.time), 0.008, rtol=1e-9)
-    assert {sample.missed for sample in found.journal.samples} == {0}
+    assert np.max(np.abs(x - run["arm.x"])) < 1e-9  # 0.1 mm is required
+    np.testing.assert_allclose(np.diff(found.journal["time"]), 0.008, rtol=1e-9)
+    assert not found.journal["missed"].any()
     assert at.held.messages[-1].endswith("dmframe_follow ends: its last line is done")
 
 
@@ -97,7 +97,7 @@ def test_an_arm_with_a_shorter_cycle_takes_a_command_in_the_one_after_the_sample
     at = setting(series="e")
     found, _ = drive(at)
     assert found.stop is None
-    assert {sample.missed for sample in found.journal.samples} == {0}
+    assert not found.journal["missed"].any()
     assert 1e-5 < np.max(np.abs(x_of(found) - run["arm.x"])) < 3e-4
 
 
@@ -129,13 +129,13 @@ FAULTS: dict[str, tuple[Callable[[Setting], None], str, str]] = {
     "cut": (cut, "lost link: no sample for 40 ms", "dmframe_follow ends: its last line is done"),
     "closed": (
         close,
-        "lost link: lost link: the robot has closed the connection; it could not be told to stop: the robot has closed "
-        "the connection",
+        "lost link: lost link: the robot has closed the connection; the stop command was not sent: the robot has "
+        "closed the connection",
         "dmframe_follow ends: its last line is done",
     ),
     "samples": (lose, "lost link: no sample for 40 ms", "dmframe_follow ends: "),
     "emergency": (press, "robot: emergency stop of the robot", "ends: emergency stop: the button is pressed"),
-    "protective": (protect, "robot: protective stop", "ends: protective stop: asked for"),
+    "protective": (protect, "robot: protective stop", "ends: protective stop: requested"),
     "power": (power_off, "robot: its script has ended", "ends: the power is off"),
 }
 
@@ -149,7 +149,7 @@ def test_after_a_fault_the_arm_soon_rests_and_both_sides_name_the_reason(name: s
     assert str(found.stop) == ours
     assert any(theirs in text for text in at.held.messages)
     assert at.trace.rest(when) < SOON
-    assert len(found.journal.sent) >= FAST - 1  # what was done until then is there
+    assert len(found.journal["sent"]) >= FAST - 1  # what was done until then is there
 
 
 def never_silent(at: Setting) -> None:
@@ -182,8 +182,8 @@ def test_what_is_not_a_number_is_not_sent_and_the_arm_soon_rests(where: str, mon
 
     at = setting()
     found, when = drive(at, broken)
-    told = "command not finite: [nan" if where == "command" else "not finite: the robot tells x = [nan"
-    assert str(found.stop).startswith(told)
+    message = "command not finite: [nan" if where == "command" else "not finite: invalid sample: x = [nan"
+    assert str(found.stop).startswith(message)
     assert at.held.safety.ready  # the robot has seen nothing of it
     assert at.trace.rest(when) < SOON
 
@@ -211,11 +211,11 @@ def test_without_the_gate_it_would_be_sent_and_the_robot_stops_itself(monkeypatc
     assert at.held.safety.reason == "protective stop: a target speed is not a number"
 
 
-def test_a_stop_that_is_asked_for_is_as_gentle_as_the_limits_say() -> None:
+def test_a_stop_that_is_requested_is_as_gentle_as_the_limits_say() -> None:
     at = setting()
     found, when = drive(at, lambda _: "SIGTERM")
-    assert str(found.stop) == "asked: SIGTERM"
-    slowed = -np.diff(at.trace.told) / at.held.dt
+    assert str(found.stop) == "requested: SIGTERM"
+    slowed = -np.diff(at.trace.commanded) / at.held.dt
     assert np.max(slowed) == pytest.approx(2.0)  # not the 40 rad/s^2 with which it follows
     assert at.trace.rest(when) == pytest.approx(0.335 / 2, abs=0.03)
 
@@ -224,14 +224,14 @@ def test_what_a_killed_client_has_left_in_registers_moves_nothing() -> None:
     at = setting()
     drive(at, cut)
     assert at.held.registers.values["input_double_register_26"] != 0
-    begun = len(at.trace.told)
+    begun = len(at.trace.commanded)
     at.held.load_script(at.driver._script)
     at.held.advance(200)
-    assert max(at.trace.told[begun:]) == 0
-    assert not at.held.running  # nobody was heard for a second
-    at.held.load_script(at.driver._script.replace("dm_heard = False", "dm_heard = True"))
+    assert max(at.trace.commanded[begun:]) == 0
+    assert not at.held.running  # no heartbeat for a second
+    at.held.load_script(at.driver._script.replace("dm_started = False", "dm_started = True"))
     at.held.advance(20)
-    assert max(at.trace.told[begun:]) > 0.1
+    assert max(at.trace.commanded[begun:]) > 0.1
     at.line.cut = False
     at.driver = driver(at.line)
     again, _ = drive(at, tick=0, ticks=20)  # from the way to the start on
@@ -243,10 +243,10 @@ def test_lost_samples_are_counted_and_the_clock_is_the_robots() -> None:
     at = setting(lost=0.05, seed=3)
     found, _ = drive(at)
     assert found.stop is None
-    missed = sum(sample.missed for sample in found.journal.samples)
-    lost = 251 - len(found.journal.samples)
+    missed = int(found.journal["missed"].sum())
+    lost = 251 - len(found.journal)
     assert missed == lost > 5
-    taken = np.round(np.array(found.journal.time) / 0.008).astype(int)
+    taken = np.round(found.journal["time"] / 0.008).astype(int)
     assert taken[-1] == 250
     assert np.max(np.abs(x_of(found) - run["arm.x"][taken])) < 5e-3  # a command was held for two samples here and there
 
@@ -259,11 +259,11 @@ def test_a_speed_slider_keeps_the_path() -> None:
 
     found, _ = drive(at, slow, tick=50)
     assert found.stop is None
-    assert found.journal.time[-1] == pytest.approx(50 * 0.008 + 2 * 200 * 0.008, abs=0.03)
-    x, t = x_of(found), np.array(found.journal.reference)
+    assert found.journal["time"][-1] == pytest.approx(50 * 0.008 + 2 * 200 * 0.008, abs=0.03)
+    x, t = x_of(found), found.journal["reference"]
     around = np.stack([-0.07 + 0.15 * np.sin(t), 0.67 + 0.15 * np.cos(t)], axis=1)
     ideal, _ = drive(setting())
-    at_full = np.stack([np.interp(t, ideal.journal.reference, x_of(ideal)[:, k]) for k in range(2)], axis=1)
+    at_full = np.stack([np.interp(t, ideal.journal["reference"], x_of(ideal)[:, k]) for k in range(2)], axis=1)
     apart = np.linalg.norm(x[:, :2] - around, axis=1).max()
     assert apart < np.linalg.norm(at_full - around, axis=1).max() + 2e-3
 
@@ -272,31 +272,31 @@ def test_a_second_client_is_refused_and_the_first_goes_on() -> None:
     at = setting()
 
     def another(at: Setting) -> None:
-        with pytest.raises(DriveError, match="found input_int_register_24 and 8 more in use; end the other client"):
+        with pytest.raises(DriveError, match="writes input_int_register_24 and 8 more of the registers"):
             driven(graph("ur10_fast"), driver(at.line), 5, engine="auto")
         assert len(at.line.others) == 1  # it has let go
 
     found, _ = drive(at, another)
     alone, _ = drive(setting())
     assert found.stop is None
-    assert np.array_equal(found.journal.sent, alone.journal.sent)
+    assert np.array_equal(found.journal["sent"], alone.journal["sent"])
 
 
 @pytest.mark.parametrize(
-    ("before", "told"),
+    ("before", "message"),
     [
         (power_off, "robot: it is not ready to move"),
         (press, "robot: emergency stop of the robot"),
         (protect, "robot: protective stop"),
     ],
 )
-def test_a_robot_that_is_not_ready_gets_no_script(before: Callable[[Setting], None], told: str) -> None:
+def test_a_robot_that_is_not_ready_gets_no_script(before: Callable[[Setting], None], message: str) -> None:
     at = setting()
     before(at)
     found, _ = drive(at)
-    assert str(found.stop) == told
+    assert str(found.stop) == message
     assert not any("dmframe" in text for text in at.held.messages)
-    assert max(at.trace.told) == 0
+    assert max(at.trace.commanded) == 0
 
 
 def test_a_graph_with_more_joints_than_the_arm_lets_move_is_stopped_by_the_arm() -> None:
@@ -304,7 +304,7 @@ def test_a_graph_with_more_joints_than_the_arm_lets_move_is_stopped_by_the_arm()
     own = graph("ur10_full")
     found = driven(own, at.driver, 50, held=limits(own, acceleration=np.full(6, 40.0)))
     assert str(found.stop) == "robot: protective stop"
-    assert at.held.safety.reason.endswith("is told to move, and the graph holds it")
+    assert at.held.safety.reason.endswith("is commanded to move, but the graph holds it")
 
 
 def test_a_graph_that_holds_joints_elsewhere_is_refused_before_it_moves() -> None:
@@ -312,7 +312,7 @@ def test_a_graph_that_holds_joints_elsewhere_is_refused_before_it_moves() -> Non
     at.driver = driver(at.line, **{"robot.hold": {}})  # which is 0 for each of them
     with pytest.raises(DriveError, match="expected wrist_2_joint at 0 rad, where the graph holds it, found"):
         drive(at)
-    assert max(at.trace.told) == 0
+    assert max(at.trace.commanded) == 0
 
 
 def test_an_arm_whose_cycle_does_not_divide_the_graphs_clock_is_refused() -> None:
@@ -336,7 +336,5 @@ def test_the_way_to_the_start_is_gone_before_the_first_command() -> None:
     held = limits(graph("ur10_fast"), acceleration=np.full(3, 40.0))
     found = driven(graph("ur10_fast"), at.driver, 20, engine="auto", held=held, start=start)
     assert found.stop is None
-    first = found.journal.samples[0]
-    assert first.q_c is not None
-    assert np.abs(first.q_c - start).max() < 1e-8
-    assert np.abs(first.q - start).max() < 5e-3  # its servo settles slowly
+    assert np.abs(found.journal["q_c"][0] - start).max() < 1e-8
+    assert np.abs(found.journal["q"][0] - start).max() < 5e-3  # its servo settles slowly

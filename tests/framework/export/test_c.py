@@ -97,7 +97,7 @@ def test_one_wrong_bit_is_found(array: str, tmp_path: Path) -> None:
     (folder / "samples.h").write_text(text[: number.start(1)] + turned + text[number.end(1) :], encoding="utf-8")
     done = said(compiled(folder, *STRICT, *PLAIN))
     assert done.returncode == 1
-    assert "other bits" in done.stdout
+    assert "different bits" in done.stdout
 
 
 @needs_gcc
@@ -182,8 +182,8 @@ def test_a_sample_that_is_not_finite_changes_nothing(ur10: Called) -> None:
             assert not ur10.reset(sample, 0.008)
     assert ur10.step(sound, np.nan) is None
     after = ur10.controller.raw
-    told = (exported("ur10_fast") / "ur10_fast.h").read_text(encoding="utf-8")
-    size = 8 * sum(int(count) for count in re.findall(r"double (?:parameters|constants|state)\[(\d+)\]", told))
+    message = (exported("ur10_fast") / "ur10_fast.h").read_text(encoding="utf-8")
+    size = 8 * sum(int(count) for count in re.findall(r"double (?:parameters|constants|state)\[(\d+)\]", message))
     assert after[:size] == before[:size]
     assert int.from_bytes(after[size : size + 8], "little") == 3 * sound.size + 1
     np.testing.assert_array_equal(ur10.commanded, commanded)
@@ -202,9 +202,9 @@ def test_no_number_of_the_servo_or_the_arm_is_in_it() -> None:
         graph = dm.load(name)
         plant = {label for label, block in graph.blocks.items() if block.side is Side.PLANT}
         text = (exported(name) / f"{name}.h").read_text(encoding="utf-8")
-        told = re.search(rf"typedef struct {{([^}}]*)}} {name}_parameters;", text)
-        assert told is not None
-        words = re.findall(r"double (\w+)\[", told.group(1))
+        message = re.search(rf"typedef struct {{([^}}]*)}} {name}_parameters;", text)
+        assert message is not None
+        words = re.findall(r"double (\w+)\[", message.group(1))
         assert words
         assert not [word for word in words if any(word.startswith(f"{label}_") for label in plant)]
         assert not [word for word in words if "inertia" in word]
@@ -226,7 +226,7 @@ def test_a_controller_that_starts_from_what_is_measured_starts_as_the_simulation
 
 def test_what_follows_the_pose_starts_at_the_pose_that_is_measured() -> None:
     controller = dm.load("ur10_fast").controller(engine="interpreted")
-    with pytest.raises(ValueFault, match=r"finite numbers to start from, not those of arm\.dq"):
+    with pytest.raises(ValueFault, match=r"finite measurements to start from, not arm\.dq"):
         controller.reset(measured=True)
     q = np.array([0.3, -1.2, 0.9])
     for label, values in controller.measured.items():
@@ -241,13 +241,13 @@ def test_what_follows_the_pose_starts_at_the_pose_that_is_measured() -> None:
     ("words", "text"),
     [
         (["pendulum_kinematic", "new", "--c"], "expected a clock such as 8 ms, found continuous"),
-        (["ur10_slow_probe", "new", "--c"], "is drawn anew at each sample, in simulations alone"),
-        (["ur10_payload", "new", "--fmi2"], "found one that reads load.a_load; export the controller alone, with --c"),
+        (["ur10_slow_probe", "new", "--c"], "is random at each sample, which only a simulation supports"),
+        (["ur10_payload", "new", "--fmi2"], "found one that reads load.a_load; export only the controller, with --c"),
         (["ur10_fast", "new"], "expected one of --c, --fmi2, --fmi3 and --ros2, found none"),
-        (["ur10_fast", ".", "--c"], "is there already; name a new folder"),
+        (["ur10_fast", ".", "--c"], "exists already; choose a new folder"),
     ],
 )
-def test_what_cannot_be_exported_is_said(
+def test_what_cannot_be_exported_is_reported(
     words: list[str], text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -292,7 +292,7 @@ def test_without_a_compiler_it_is_written_all_the_same(tmp_path: Path, monkeypat
     monkeypatch.setattr("dmframe.export.replay.find_compiler", lambda: None)
     dm.load("ur10_fast_kinematic").export(tmp_path / "out")
     assert "#define DM_EXACT 0" in (tmp_path / "out" / "samples.h").read_text(encoding="utf-8")
-    assert "to rounding: no compiler worked" in (tmp_path / "out" / "README.md").read_text(encoding="utf-8")
+    assert "to rounding, since no compiler worked" in (tmp_path / "out" / "README.md").read_text(encoding="utf-8")
     if GCC is not None:
         assert said(compiled(tmp_path / "out", *STRICT, *PLAIN)).returncode == 0
 

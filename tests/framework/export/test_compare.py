@@ -28,15 +28,15 @@ import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations
 from dmframe.parameter import Real, Scalar
-from dmframe.port import Access, Port, Side, State
+from dmframe.port import Access, Input, Output, Side, State
 
 
 class Law(AbstractBlock):
     """A law with a chaotic state, of which a switch reads the first digit."""
 
-    inputs: ClassVar = (Port("y"),)
-    outputs: ClassVar = (Port("v", access=Access.COMMANDED),)
-    states: ClassVar = (State("w", sampled=True),)
+    inputs = (Input("y"),)
+    outputs = (Output("v", access=Access.COMMANDED),)
+    states = (State("w", sampled=True),)
     w: Scalar = Real(default=0.3)
     edge: Scalar = Real(default=0.5)
 
@@ -49,9 +49,9 @@ class Cart(AbstractBlock):
     """dy = v."""
 
     side: ClassVar = Side.PLANT
-    inputs: ClassVar = (Port("v"),)
-    outputs: ClassVar = (Port("y", access=Access.MEASURED),)
-    states: ClassVar = (State("y"),)
+    inputs = (Input("v"),)
+    outputs = (Output("y", access=Access.MEASURED),)
+    states = (State("y"),)
     y: Scalar = Real(default=1.0)
 
     def equations(self, u, x, p):
@@ -150,7 +150,7 @@ def test_the_shipped_test_finds_another_law_without_its_own_bits(
     (folder / "own.c").write_text(text.replace("0.999", "0.99900001"), encoding="utf-8")
     done = replayed(folder, *PLAIN)
     assert done.returncode == 1
-    assert "sample 0, from the state of the reference: other numbers" in done.stdout
+    assert "sample 0, from the state of the reference: different numbers" in done.stdout
 
 
 @pytest.mark.skipif(CLANG is None, reason="needs clang")
@@ -189,11 +189,11 @@ def test_a_number_between_the_sides_of_a_switch_is_wrong() -> None:
     def step(inputs: compare.Numbers) -> np.ndarray:
         return np.where(inputs[0] >= 1.0, 5.0, 3.0)
 
-    at_edge, beside = [np.array([1.0])], [np.array([1.0 + 1e-9])]
+    at_edge, near = [np.array([1.0])], [np.array([1.0 + 1e-9])]
     assert compare.judged(step, at_edge, np.array([5.0]))[2]
     assert compare.judged(step, at_edge, np.array([3.0]))[2]
     assert not compare.judged(step, at_edge, np.array([4.0]))[2]
-    assert not compare.judged(step, beside, np.array([3.0]))[2]
+    assert not compare.judged(step, near, np.array([3.0]))[2]
 
 
 def test_digits_that_a_step_loses_without_a_switch_are_rounding() -> None:

@@ -92,19 +92,19 @@ def coupled(name: str, kind: Kind, ticks: int, start: dict[str, np.ndarray] | No
     assert np.isfinite(np.concatenate(shown)).all()
     for unit in (controller, robot):
         unit.fmu.exitInitializationMode()
-    told: dict[str, list[np.ndarray]] = {}
+    recorded: dict[str, list[np.ndarray]] = {}
     t = 0.0
     for _ in range(ticks):
         for label in robot.causality["output"]:
-            told.setdefault(label, []).append(robot.get(label))
-            controller.set(label, told[label][-1])
+            recorded.setdefault(label, []).append(robot.get(label))
+            controller.set(label, recorded[label][-1])
         controller.step(t, T)
         for label in controller.causality["output"]:
-            told.setdefault(label, []).append(controller.get(label))
-            robot.set(label, told[label][-1])
+            recorded.setdefault(label, []).append(controller.get(label))
+            robot.set(label, recorded[label][-1])
         robot.step(t, T)
         t += T  # as masters do: a unit counts samples, and is not led astray by the rounding of sums
-    return {label: np.array(rows) for label, rows in told.items()}
+    return {label: np.array(rows) for label, rows in recorded.items()}
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -133,11 +133,11 @@ def test_a_robot_that_starts_elsewhere_is_met_where_it_is(kind: Kind) -> None:
     q = np.array([1.4, -1.0, 1.0])
     graph = dm.load("ur10_fast").set({"start": {"arm.q": q.tolist(), "servo.q_c": q.tolist()}})
     run = graph.run("32 ms", progress=False)
-    told = coupled(
+    recorded = coupled(
         "ur10_fast", kind, 3, {"state.arm.q": q, "state.servo.q_c": q, "state.servo.i": run["servo.i"][0].to_numpy()}
     )
-    np.testing.assert_allclose(told["arm.q"], run["arm.q"][:3], atol=1e-12)
-    np.testing.assert_allclose(told["inverse.dq_c"], run["inverse.dq_c"][:3], atol=1e-10)
+    np.testing.assert_allclose(recorded["arm.q"], run["arm.q"][:3], atol=1e-12)
+    np.testing.assert_allclose(recorded["inverse.dq_c"], run["inverse.dq_c"][:3], atol=1e-10)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -189,13 +189,13 @@ def test_what_it_cannot_do_it_refuses(kind: Kind, change: str, value: float) -> 
     unit.initialise()
     unit.fmu.exitInitializationMode()
     label = unit.causality.get(change, [""])[0]
-    asked = {
+    changes = {
         "step": lambda: unit.step(0.0, value),
         "time": lambda: unit.step(value, 0.008),
         **dict.fromkeys(("input", "parameter", "output"), lambda: unit.set(label, np.full(unit.sizes[label], value))),
     }
     with pytest.raises(FMICallException):
-        asked[change]()
+        changes[change]()
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -249,7 +249,7 @@ def compiled(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(given, cwd=folder, capture_output=True, text=True, check=False)
 
 
-def test_units_are_told_in_those_of_si() -> None:
+def test_units_are_reported_in_those_of_si() -> None:
     with zipfile.ZipFile(exported("ur10_fast", "fmi3")[1]) as archive:
         root = ElementTree.fromstring(archive.read("modelDescription.xml"))
     units = {item.get("name"): item[0].attrib for item in root.iter("Unit")}
@@ -262,13 +262,13 @@ def test_units_are_told_in_those_of_si() -> None:
     [
         (
             lambda: dm.load("ur10_fast").set({"reality": {"transport_delay": {"samples": 1}}}),
-            "its robot has .*, which moves in samples",
+            "its robot has .*, which is sampled",
         ),
-        (lambda: dm.load("ur10_fast").set({"solver.method": "ros34pw2"}), "takes steps of rk4, found ros34pw2"),
+        (lambda: dm.load("ur10_fast").set({"solver.method": "ros34pw2"}), "rk4 for an exported robot, found ros34pw2"),
         (lambda: dm.load("pendulum"), "expected a clock such as 8 ms, found continuous"),
     ],
 )
-def test_a_robot_that_cannot_stand_alone_is_told(graph: Any, text: str, tmp_path: Path) -> None:
+def test_a_robot_that_cannot_stand_alone_is_reported(graph: Any, text: str, tmp_path: Path) -> None:
     with pytest.raises(DmframeError, match=text):
         graph().export(tmp_path / "out", "fmi3")
     assert not list(tmp_path.iterdir())
@@ -278,6 +278,6 @@ def test_a_folder_that_holds_them_is_left_as_it_is(tmp_path: Path) -> None:
     graph = dm.load("ur10_fast")
     files = graph.export(tmp_path, "fmi2")
     before = [file.read_bytes() for file in files]
-    with pytest.raises(DmframeError, match="is there already"):
+    with pytest.raises(DmframeError, match="exists already"):
         graph.export(tmp_path, "fmi3")
     assert [file.read_bytes() for file in files] == before

@@ -1,6 +1,6 @@
 """The exported controller of ros2_control under a manager in small, against stand-ins of ROS 2 that hold no code of it.
 
-``ROS2_CONTROL`` may name a checkout of ros2_control with fmt's headers beside it in ``fmt``: then the controller is
+``ROS2_CONTROL`` may name a checkout of ros2_control with fmt's headers next to it in ``fmt``: then the controller is
 compiled against its real headers and bases, and only what lies below them is a stand-in.
 """
 
@@ -13,6 +13,7 @@ import xml.etree.ElementTree as ET
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
+from xml.sax.saxutils import escape
 
 import numpy as np
 import pytest
@@ -21,8 +22,8 @@ from typer.testing import CliRunner
 
 import dmframe as dm
 from dmframe.cli.app import app
-from dmframe.errors import DmframeError
-from dmframe.export.ros2 import _quoted, _read_back, package_of
+from dmframe.errors import DmframeError, EngineError
+from dmframe.export.ros2 import _quoted, _read_as_xml, _read_back, package_of
 
 CC, CXX = shutil.which("gcc"), shutil.which("g++")
 needs_compilers = pytest.mark.skipif(CC is None or CXX is None, reason="needs gcc and g++")
@@ -97,12 +98,12 @@ class Answer:
         self.reference, self.states = lines[0], lines[1 : 1 + states]
         rows = [line.split() for line in lines[1 + states :]]
         self.results = [int(row[0]) for row in rows[:-1]]
-        self.asked = [int(row[1]) for row in rows[:-1]]
+        self.allocations = [int(row[1]) for row in rows[:-1]]
         self.commands = np.array([[float.fromhex(word) for word in row[2:]] for row in rows[:-1]])
         self.last = [float.fromhex(word) for word in rows[-1][1:]]
 
 
-def told(rows: np.ndarray, *words: str, rate: int = 125, real: str = "") -> Answer:
+def answered(rows: np.ndarray, *words: str, rate: int = 125, real: str = "") -> Answer:
     text = "\n".join(" ".join(map(float.hex, map(float, row))) for row in rows)
     done = subprocess.run(
         [str(manager(package(), real)), str(rate), *words], input=text, capture_output=True, text=True, check=False
@@ -113,7 +114,7 @@ def told(rows: np.ndarray, *words: str, rate: int = 125, real: str = "") -> Answ
 
 @cache
 def run() -> tuple[np.ndarray, np.ndarray]:
-    """What a robot showed in a simulation, and what it was commanded."""
+    """Measurements and commands of a robot in a simulation."""
     found = dm.load(NAME).run(SAMPLES * T, engine="interpreted", progress=False).recording
     measured = np.hstack([found[label][:SAMPLES] for label in ("arm.q", "arm.dq", "servo.q_c")])
     return measured, found["inverse.dq_c"][:SAMPLES]
@@ -125,13 +126,13 @@ def rows_of(measured: np.ndarray, pace: float = -1.0, periods: float = 1.0) -> n
 
 
 @needs_compilers
-def test_it_commands_what_a_simulation_does_over_1000_updates_and_asks_for_no_memory() -> None:
+def test_it_commands_what_a_simulation_does_over_1000_updates_and_allocates_no_memory() -> None:
     measured, commanded = run()
-    found = told(rows_of(measured), *FULL)
+    found = answered(rows_of(measured), *FULL)
     assert found.results == [0] * SAMPLES
     # only where the tool is comes from another expression: of the lengths, and not of the plant's parameters
     np.testing.assert_allclose(found.commands, commanded, rtol=0, atol=1e-12)
-    assert found.asked == [0] * SAMPLES
+    assert found.allocations == [0] * SAMPLES
     assert found.last == [0.0] * 3
     assert found.reference.split()[:3] == ["law/pace", "law/path.x_d.0", "law/path.x_d.1"]
     assert found.reference.split()[-1] == "law/path.ddx_d.2"
@@ -142,15 +143,15 @@ def test_it_commands_what_a_simulation_does_over_1000_updates_and_asks_for_no_me
 @needs_compilers
 def test_another_number_is_another_command() -> None:
     measured, commanded = run()
-    found = told(rows_of(measured[:50]), *FULL, "task.gamma=0.80001")
+    found = answered(rows_of(measured[:50]), *FULL, "task.gamma=0.80001")
     assert np.max(np.abs(found.commands - commanded[:50])) > 1e-9
 
 
 @needs_compilers
 def test_without_a_target_it_takes_what_it_has_commanded() -> None:
     measured, commanded = run()
-    found = told(rows_of(measured[:, :6]))
-    assert "the measured start plus all that is commanded" in found.said
+    found = answered(rows_of(measured[:, :6]))
+    assert "the measured start plus the integral of the commands" in found.said
     # this servo's target starts where the arm does
     np.testing.assert_allclose(found.commands, commanded, rtol=0, atol=1e-9)
 
@@ -162,12 +163,12 @@ def test_what_is_not_finite_is_an_error_and_zeros_until_it_is_activated_anew(bad
     measured, _ = run()
     rows = rows_of(measured[:10])
     rows[4, 2 + PATH + place] = bad
-    found = told(rows, *FULL)
+    found = answered(rows, *FULL)
     assert found.results == [0] * 4 + [1] * 6
     assert np.all(found.commands[4:] == 0)
     assert np.any(found.commands[3] != 0)
     assert "stopped: a state interface is not finite" in found.said
-    assert found.asked == [0] * 10
+    assert found.allocations == [0] * 10
 
 
 @needs_compilers
@@ -177,7 +178,7 @@ def test_what_is_not_finite_is_an_error_and_zeros_until_it_is_activated_anew(bad
 def test_a_wrong_pace_and_updates_that_stay_away_are_errors(pace: float, periods: float, text: str) -> None:
     rows = rows_of(run()[0][:10], pace=1.0)
     rows[5, 0], rows[5, 1] = periods * T, pace
-    found = told(rows, *FULL)
+    found = answered(rows, *FULL)
     assert found.results == [0] * 5 + [1] * 5
     assert text in found.said
 
@@ -192,7 +193,7 @@ def test_at_half_a_pace_and_over_lost_updates_it_does_what_a_drive_does() -> Non
     rows = rows_of(measured, pace=1.0)
     rows[:, 1] = paces
     rows[20, 0] = 3 * T
-    found = told(rows, *FULL)
+    found = answered(rows, *FULL)
     graph = dm.load(NAME)
     steered = Steered(graph.diagram, graph.controller(engine="interpreted"))
     time, behind, expected = 0.0, 0.0, []
@@ -218,13 +219,13 @@ def test_a_controller_before_it_may_give_the_path_as_a_whole() -> None:
     center = np.array([-0.07, 0.67, 0.55])
     circle = [center + 0.15 * np.array([s, c, o]).T, 0.15 * np.array([c, -s, o]).T, 0.15 * np.array([-s, -c, o]).T]
     rows[:, 2 : 2 + PATH] = np.hstack(circle)
-    found = told(rows, *FULL, "path.radius=0.01")  # which would be its own
+    found = answered(rows, *FULL, "path.radius=0.01")  # which would be its own
     np.testing.assert_allclose(found.commands, commanded, rtol=0, atol=1e-9)
-    assert found.asked == [0] * SAMPLES
+    assert found.allocations == [0] * SAMPLES
     rows[:, 2] += 0.01
-    assert np.max(np.abs(told(rows[:20], *FULL).commands - commanded[:20])) > 1e-3
+    assert np.max(np.abs(answered(rows[:20], *FULL).commands - commanded[:20])) > 1e-3
     rows[5, 4] = np.nan
-    partly = told(rows[:10], *FULL)
+    partly = answered(rows[:10], *FULL)
     assert partly.results == [0] * 5 + [1] * 5
     assert "path: expected all of its numbers, or none" in partly.said
 
@@ -245,7 +246,7 @@ def graph_x(graph: dm.Graph, q: np.ndarray) -> np.ndarray:
         ([], 500, "update_rate: expected 125 Hz, the clock of the law, found 500 Hz"),
     ],
 )
-def test_what_cannot_be_configured_is_said(words: list[str], rate: int, text: str) -> None:
+def test_what_cannot_be_configured_is_reported(words: list[str], rate: int, text: str) -> None:
     done = subprocess.run(
         [str(manager(package())), str(rate), *words], input="", capture_output=True, text=True, check=False
     )
@@ -259,13 +260,13 @@ def test_it_does_the_same_on_the_real_headers_and_bases() -> None:
     if not real:
         pytest.skip("ROS2_CONTROL names no checkout of ros2_control")
     measured, commanded = run()
-    found = told(rows_of(measured), *FULL, real=real)
+    found = answered(rows_of(measured), *FULL, real=real)
     assert found.results == [0] * SAMPLES
     np.testing.assert_allclose(found.commands, commanded, rtol=0, atol=1e-12)
-    assert found.asked == [0] * SAMPLES
+    assert found.allocations == [0] * SAMPLES
     rows = rows_of(measured[:10])
     rows[4, 2 + PATH] = np.nan
-    bad = told(rows, *FULL, real=real)
+    bad = answered(rows, *FULL, real=real)
     assert bad.results == [0] * 4 + [1] * 6
     assert np.all(bad.commands[4:] == 0)
 
@@ -296,10 +297,10 @@ def test_cmake_builds_the_package_and_its_own_test_passes(tmp_path: Path) -> Non
     for name, text in (found | {"ament_cmake": AMENT}).items():
         (tmp_path / name).mkdir()
         (tmp_path / name / f"{name}Config.cmake").write_text(text, encoding="utf-8")
-    told_where = [f"-D{name}_DIR={tmp_path / name}" for name in (*found, "ament_cmake")]
+    options = [f"-D{name}_DIR={tmp_path / name}" for name in (*found, "ament_cmake")]
     build = tmp_path / "build"
     for words in (
-        ["cmake", "-S", str(package()), "-B", str(build), *told_where],
+        ["cmake", "-S", str(package()), "-B", str(build), *options],
         ["cmake", "--build", str(build)],
         ["ctest", "--test-dir", str(build), "--no-tests=error"],
     ):
@@ -319,9 +320,9 @@ def test_its_files_name_one_another() -> None:
     own = settings[name]["ros__parameters"]
     assert own["task.gamma"] == [0.8]
     assert own["joints"] == ["shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"]
-    told_of = (folder / "README.md").read_text(encoding="utf-8")
-    assert "never run in ROS 2, nor on a robot" in told_of
-    assert "| `dynamics.Gamma` | 36 | 1 |" in told_of
+    readme = (folder / "README.md").read_text(encoding="utf-8")
+    assert "not tested in ROS 2, nor on a robot" in readme
+    assert "| `dynamics.Gamma` | 36 | 1 |" in readme
     for file in folder.rglob("*"):
         assert file.is_dir() or "DM_NAMES" not in file.read_text(encoding="utf-8")
     build = (folder / "CMakeLists.txt").read_text(encoding="utf-8")
@@ -334,11 +335,11 @@ def test_its_files_name_one_another() -> None:
     ("words", "text"),
     [
         (["pendulum_kinematic"], "expected a clock such as 8 ms, found continuous"),
-        (["ur10_fast_sampled", "--set", "clock=90 ms"], "a clock of a whole number of samples a second"),
-        (["ur10_fast_position"], "commands velocities of joints alone"),
+        (["ur10_fast_sampled", "--set", "clock=90 ms"], "a clock with a whole number of samples a second"),
+        (["ur10_fast_position"], "only command is the joint velocities"),
     ],
 )
-def test_what_cannot_be_exported_is_said(
+def test_what_cannot_be_exported_is_reported(
     words: list[str], text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -374,12 +375,26 @@ def test_names_of_joints_read_back_as_they_are_whatever_they_look_like() -> None
         assert parser.load(f"joints: {_quoted(names)}\n") == {"joints": names}
     text = f"own:\n  ros__parameters:\n    joints: {_quoted(names)}\n"
     assert _read_back("graph", text, "own", names, []) == text
-    with pytest.raises(DmframeError, match="reads back as something else"):
+    with pytest.raises(DmframeError, match="does not read back as written"):
         _read_back("graph", f"own:\n  ros__parameters:\n    joints: [{', '.join(names)}]\n", "own", names, [])
-    with pytest.raises(DmframeError, match="reads back as something else"):
+    with pytest.raises(DmframeError, match="does not read back as written"):
         _read_back("graph", "own:\n  ros__parameters:\n    joints: [true]\n", "own", ["true"], [])
 
 
 @pytest.mark.parametrize(("name", "package"), [("ur10_fast", "dmframe_ur10_fast"), ("_2__Arms_", "dmframe_2_arms")])
 def test_names_are_those_of_packages(name: str, package: str) -> None:
     assert package_of(name) == package
+
+
+@pytest.mark.parametrize("title", ["${a}", "true", "1e3", "a: b", '"', "<x>", "ünï &amp; ]]>", "", "long " * 2000])
+@pytest.mark.parametrize("file", ["package.xml", "controller.xml"])
+def test_a_title_reads_back_as_it_is_whatever_it_looks_like(file: str, title: str) -> None:
+    text = _read_as_xml("graph", file, {"DM_PACKAGE": "own", "DM_TITLE": escape(title)})
+    (found,) = (item.text or "" for item in ET.fromstring(text.encode()).iter("description"))
+    assert found.removesuffix(", as a controller of ros2_control") == title
+
+
+@pytest.mark.parametrize("title", ["<x>", "a & b", "bell\a"])
+def test_a_title_that_is_no_xml_is_refused(title: str) -> None:
+    with pytest.raises(EngineError, match=r"graph: package\.xml reads back as something else"):
+        _read_as_xml("graph", "package.xml", {"DM_PACKAGE": "own", "DM_TITLE": title})

@@ -40,7 +40,7 @@ from dmframe.block import AbstractBlock, Equations
 from dmframe.certificate import Certificate, Square
 from dmframe.naming import named
 from dmframe.parameter import Diagonal, Positive, Scalar
-from dmframe.port import Port, State
+from dmframe.port import Input, Output, State
 
 
 @final
@@ -52,13 +52,14 @@ LAW
     None.
     """
 
-    inputs: ClassVar = (
-        Port("q", "n"), Port("q_r", "n"), Port("dq", "n"), Port("dq_r", "n"), Port("tau_dc", "n"), Port("Y_d", "n p"),
-        Port("J_hat", "m n"), Port("x", "m"), Port("x_d", "m"),
+    inputs = (
+        Input("q", "n"), Input("q_r", "n"), Input("dq", "n"), Input("dq_r", "n"), Input("tau_dc", "n"),
+        Input("Y_d", "n p"),
+        Input("J_hat", "m n"), Input("x", "m"), Input("x_d", "m"),
     )
-    outputs: ClassVar = (Port("dq_ref", "n"), Port("sigma", "n"), Port("tau_d", "n"))
-    states: ClassVar = (State("w", "n"), State("a_d_hat", "p"))
-    truth: ClassVar = (Port("K", "n"), Port("K_D", "n"), Port("a_d", "p"))
+    outputs = (Output("dq_ref", "n"), Output("sigma", "n"), Output("tau_d", "n"))
+    states = (State("w", "n"), State("a_d_hat", "p"))
+    truth = (Input("K", "n"), Input("K_D", "n"), Input("a_d", "p"))
 
     K_c: Diagonal = Positive("n")
     Lambda: Diagonal = Positive("n")
@@ -208,9 +209,9 @@ class Delay(AbstractBlock):
     .. math:: u_{late} = x_{held}, \\quad x_{held}^+ = RIGHT
     """
     side: ClassVar = Side.PLANT
-    inputs: ClassVar = (Port("u", "n"),)
-    outputs: ClassVar = (Port("u_late", "n"),)
-    states: ClassVar = (State("x_held", "n", sampled=True),)
+    inputs = (Input("u", "n"),)
+    outputs = (Output("u_late", "n"),)
+    states = (State("x_held", "n", sampled=True),)
     def equations(self, u, x, p): return Equations(outputs={"u_late": x.x_held}, next={"x_held": 3 * u.u})
 '''
 
@@ -247,7 +248,7 @@ class Liar(AbstractBlock):
     """
 
     side: ClassVar = Side.PLANT
-    states: ClassVar = (State("x", ""),)
+    states = (State("x", ""),)
     k: Scalar = Positive()
     FIELD
 

@@ -26,7 +26,7 @@ from dmframe.formula.where import where
 from dmframe.names import unicode_name
 from dmframe.naming import named
 from dmframe.parameter import Diagonal, Positive
-from dmframe.port import Port, Side, State
+from dmframe.port import Output, Side, State
 from dmframe_blocks.adaptive_kinematics import links, tool
 from dmframe_blocks.regressor import heavy
 from dmframe_blocks.sampled_inverse import SampledInverse
@@ -183,9 +183,9 @@ def test_what_nobody_drives_does_not_print():
 class Spring(AbstractBlock):
     """A block of a user; what its methods do differs from test to test."""
 
-    side: ClassVar[Side] = Side.PLANT
-    outputs: ClassVar[tuple[Port, ...]] = (Port("f", "n", "N"),)
-    states: ClassVar[tuple[State, ...]] = (State("q", "n", "m"), State("v", "n", "m/s"))
+    side = Side.PLANT
+    outputs = (Output("f", "n", "N"),)
+    states = (State("q", "n", "m"), State("v", "n", "m/s"))
     how: ClassVar[list] = []
 
     k: Diagonal = Positive("n", "1/s^2")
@@ -259,7 +259,10 @@ def test_a_name_stands_for_its_part_and_is_defined_beside():
         (lambda x, p: named("k", x.q), "the name k is taken, by a parameter of the block"),
         (lambda x, p: named("q", x.q), "the name q is taken, by a state"),
         (lambda x, p: named("S", x.q), "the name S is taken, by the storage of the block"),
-        (lambda x, p: named("у", x.q), r"the name '\\u0443' holds '\\u0443', no Latin and no known Greek letter"),
+        (
+            lambda x, p: named("у", x.q),
+            r"the name '\\u0443' has '\\u0443', which is neither a Latin nor a known Greek letter",
+        ),
         (lambda x, p: named("a_1", x.q) + named("a1", x.v), "the names a_1 and a1 both print as a_1"),
         (lambda x, p: named("2a", x.q), "expected a name such as K_star, found '2a'"),
         (lambda x, p: named("a", x.q) + named("a", x.v), "a, named twice, is not the same"),
@@ -278,7 +281,7 @@ class Far(AbstractBlock):
     """Prints one law, and runs another where x is large."""
 
     side: ClassVar = Side.PLANT
-    states: ClassVar = (State("x", ""),)
+    states = (State("x", ""),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         r = 1 if isinstance(x.x, ca.MX) else ca.fmax(0, ca.fmin(1, 2 - x.x * x.x / 25))
@@ -289,7 +292,7 @@ class Far(AbstractBlock):
 class FarTwice(AbstractBlock):
     """Gives one name to two things that are the same where x is small."""
 
-    states: ClassVar = (State("x", ""),)
+    states = (State("x", ""),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(rates={"x": -x.x})

@@ -32,11 +32,11 @@ def test_variants_are_every_combination_also_of_other_things_than_numbers() -> N
     assert len(set(runs.labels)) == 4
 
 
-def test_values_that_cannot_be_are_told_before_anything_runs() -> None:
-    with pytest.raises(DmframeError) as told:
+def test_values_that_are_not_allowed_are_errors_before_anything_runs() -> None:
+    with pytest.raises(DmframeError) as caught:
         dm.load("pendulum").variants({"dynamics.Gamma": [1, -1, 0]})
-    assert "Gamma=-1" in str(told.value)
-    assert "Gamma=0" in str(told.value)
+    assert "Gamma=-1" in str(caught.value)
+    assert "Gamma=0" in str(caught.value)
     with pytest.raises(DmframeError, match=r"values dynamics\.Gamma: expected at least one value, found none"):
         dm.load("pendulum").variants({"dynamics.Gamma": []})
 
@@ -76,6 +76,6 @@ def test_runs_are_saved_side_by_side(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("labels", [["arm.qq"], ["arm.q", "nothing"]])
-def test_a_signal_that_nobody_recorded_is_not_drawn(labels: Any) -> None:
+def test_a_signal_that_was_not_recorded_is_not_drawn(labels: Any) -> None:
     with pytest.raises(DmframeError, match=f"plot {labels[-1]}: unknown signal"):
         dm.run("pendulum", 0.1).plot(*labels)

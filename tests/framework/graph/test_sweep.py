@@ -153,13 +153,13 @@ def test_limits_may_have_units_and_one_signal_may_stand_alone() -> None:
         ({"dynamics.Gamma": [1]}, {"limits": {"eror": "1 mm"}}, "limits: unknown measured signal"),
     ],
 )
-def test_what_cannot_be_swept_is_told(values: Any, options: Any, text: str) -> None:
-    with pytest.raises(DmframeError) as told:
+def test_a_sweep_that_is_not_possible_is_an_error(values: Any, options: Any, text: str) -> None:
+    with pytest.raises(DmframeError) as caught:
         dm.sweep("pendulum", values, until=0.1, **options)
-    assert text in str(told.value)
+    assert text in str(caught.value)
 
 
-def test_a_duration_that_is_swept_is_told_once() -> None:
+def test_a_swept_duration_is_a_coordinate_only() -> None:
     found = dm.sweep("pendulum", {"duration": ["0.02 s", "0.04 s"]})
     assert "duration" not in found.attrs
     assert list(found["duration"].values) == ["0.02 s", "0.04 s"]

@@ -97,11 +97,11 @@ def test_lessons_are_the_numbered_pages_with_title_question_and_minutes(course: 
         (HEADER + "no title\n", "01_bad.md: expected a title"),
     ],
 )
-def test_a_lesson_without_its_header_or_title_is_told(tmp_path: Path, text: str, fault: str) -> None:
+def test_a_lesson_without_its_header_or_title_is_reported(tmp_path: Path, text: str, fault: str) -> None:
     (tmp_path / "01_bad.md").write_text(text)
-    with pytest.raises(ValueFault) as told:
+    with pytest.raises(ValueFault) as message:
         lessons(tmp_path)
-    assert str(told.value).startswith(fault)
+    assert str(message.value).startswith(fault)
 
 
 def test_a_notebook_holds_the_text_and_the_cells_but_not_the_checks(lesson: Lesson) -> None:

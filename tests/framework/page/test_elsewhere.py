@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from fractions import Fraction
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import casadi as ca
 import numpy as np
@@ -23,7 +23,7 @@ from dmframe.exact.ends import enclosing
 from dmframe.exact.rational import Interval, evaluate
 from dmframe.page.sliders import sliders_of
 from dmframe.parameter import Positive, Scalar
-from dmframe.port import TIME, Port, Side, State
+from dmframe.port import TIME, Input, Output, Side, State
 from dmframe.terms import clip
 
 FILE = "The proof does not apply at these values"
@@ -60,7 +60,7 @@ def test_over_intervals_a_page_judges_as_verify_does(uncertain: Any) -> None:
         assert (page["state"] == "proved") == (verdict.outcome == "proved")
         for row, condition in zip(page["rows"], verdict.conditions, strict=True):
             assert row["holds"] is condition.holds, row["name"]
-            if "pays for the cascade" not in row["name"]:
+            if "dominates the cascade's cross term" not in row["name"]:
                 assert row["margin"] == pytest.approx(condition.value, rel=1e-9, abs=1e-12), row["name"]
         assert verdict.kappa is not None
         if page["state"] == "proved":
@@ -97,9 +97,9 @@ def test_ends_of_an_expression_are_those_of_interval_arithmetic() -> None:
 class Path(AbstractBlock):
     """A ramp up to where it is held, continuous only where the two agree."""
 
-    side: ClassVar[Side] = Side.SOURCE
-    inputs: ClassVar[tuple[Port, ...]] = (TIME,)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("r"),)
+    side = Side.SOURCE
+    inputs = (TIME,)
+    outputs = (Output("r"),)
     end: Scalar = Positive("", "", default=1.0)
 
     def equations(self, u: Any, x: Any, p: Any) -> Equations:
@@ -110,9 +110,9 @@ class Path(AbstractBlock):
 class Toy(AbstractBlock):
     """V holds x - r alone; the rest is what `verify` looks at beside its conditions."""
 
-    inputs: ClassVar[tuple[Port, ...]] = (Port("r"), Port("dr", "", "1/s", derivative_of="r"))
-    outputs: ClassVar[tuple[Port, ...]] = ()
-    states: ClassVar[tuple[State, ...]] = (State("x"), State("z"), State("y"))
+    inputs = (Input("r"), Input("dr", "", "1/s", derivative_of="r"))
+    outputs = ()
+    states = (State("x"), State("z"), State("y"))
     k: Scalar = Positive("", "", default=2.0)
     a: Scalar = Positive("", "", default=1.0)
     b: Scalar = Positive("", "", default=2.0)
@@ -164,7 +164,7 @@ def failing(verdict: Verdict, other: Diagram) -> list[str]:
 class Pushed(AbstractBlock):
     """y' = -y + clip(y, k - 1)."""
 
-    states: ClassVar[tuple[State, ...]] = (State("y"),)
+    states = (State("y"),)
     k: Scalar = Positive("", "", default=2.0)
 
     def equations(self, u: Any, x: Any, p: Any) -> Equations:
@@ -197,7 +197,7 @@ def test_that_a_path_does_not_jump_was_decided_for_its_own_numbers_alone() -> No
 class Reader(AbstractBlock):
     """x' = -x; its conditions read a number that its equations take as a symbol, and it refuses large ones."""
 
-    states: ClassVar[tuple[State, ...]] = (State("x"),)
+    states = (State("x"),)
     k: Scalar = Positive("", "", default=2.0)
     few: Scalar = Positive("", "", default=2.0)
     numeric: bool = False
@@ -259,9 +259,9 @@ def test_gravity_is_said_to_be_known_only_where_it_is() -> None:
         return {slider.label: slider.says for slider in sliders_of(dm.load(name).diagram, nothing)}
 
     assert says("pd_torque")["robot.gravity"] == "Gravity."
-    assert "the controller knows it" in says("pendulum")["robot.gravity"]
-    assert "knows" not in says("pendulum")["robot.inertia"]
-    assert "the controller knows it" in says("computed_torque")["robot.inertia"]
+    assert "the controller uses the changed value" in says("pendulum")["robot.gravity"]
+    assert "uses" not in says("pendulum")["robot.inertia"]
+    assert "the controller uses the changed value" in says("computed_torque")["robot.inertia"]
 
 
 def test_the_command_of_a_page_holds_the_changes_that_its_graph_has() -> None:
@@ -276,9 +276,9 @@ def test_over_intervals_no_text_says_that_a_condition_fails_at_the_numbers(uncer
     holds, fails = str(graph.explain()), str(graph.set({"inverse.K_c": 0.5}).explain())
     plain = [" ".join(text.split()) for text in (holds, fails)]
     intervals = "the intervals of servo.K_D, servo.K_P and servo.K_I"
-    assert f"conditions hold at the numbers of this graph and anywhere in {intervals}." in plain[0]
+    assert f"conditions hold at the parameter values of this graph and anywhere in {intervals}." in plain[0]
     assert f"conditions fail somewhere in {intervals}" in plain[1]
-    assert "at the numbers of this graph" not in plain[1]
+    assert "at the parameter values of this graph" not in plain[1]
     assert "anywhere in the intervals of servo.K_D" in " ".join(judged(data, {})["says"])
 
 

@@ -138,7 +138,7 @@ COMMAND = "document.getElementById('command').textContent"
 def test_an_address_keeps_what_was_moved(tab: Browser, tmp_path: Path) -> None:
     tab.opened(saved(tmp_path, assembled(content("arm2_joint"))), "#task.alpha_bar=1.5&clock=0.5")
     tab.until(f"{COMMAND}.includes('task.alpha_bar=3')")
-    assert tab.value(HEADLINE) == "Proved at these values"
+    assert tab.value(HEADLINE) == "Proved at these values in continuous time"
     tab.dragged("move-task.alpha_bar", 0.54, 0.6)
     tab.until("location.hash && !location.hash.includes('alpha_bar=1.5')")
     assert "clock=0.5" in tab.value("location.hash")

@@ -33,7 +33,7 @@ def test_a_licence_beside_a_urdf_is_carried_and_a_robot_without_one_is_said_to_h
     found = origin_of(graph.experiment)
     assert found is not None
     assert found["licences"] == []
-    assert "its origin and licence are not known here" in found["text"]
+    assert "are unknown: no SOURCE.md and no licence file found" in found["text"]
     (own.parents[1] / "LICENSE").write_text("Do as you like.\n")
     again = origin_of(graph.experiment)
     assert again is not None

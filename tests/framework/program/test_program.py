@@ -57,10 +57,10 @@ def test_reading_a_target_before_its_operands_is_caught(monkeypatch: pytest.Monk
     reused = [(line, read) for line, (_, read, written, _) in enumerate(instructions(f)) if written[0] in read[:1]]
     assert reused
     line, _ = reused[-1]
-    told = list(instructions(f))
-    code, arguments, targets, constant = told[line]
-    told[line] = (code, [told[0][2][0], *arguments[1:]], targets, constant)
-    monkeypatch.setattr(module, "instructions", lambda _: iter(told))
+    found_instructions = list(instructions(f))
+    code, arguments, targets, constant = found_instructions[line]
+    found_instructions[line] = (code, [found_instructions[0][2][0], *arguments[1:]], targets, constant)
+    monkeypatch.setattr(module, "instructions", lambda _: iter(found_instructions))
     assert number(read(f), [[0.3, -0.8, 1.1]]) != [[float(value)] for value in f([0.3, -0.8, 1.1])]
 
 
@@ -132,7 +132,7 @@ PLACES = (-1.0, 0.0, 0.365, 0.73, 1.0)
 
 
 @pytest.mark.parametrize("name", [operation.name for operation in OPERATIONS.values()])
-def test_what_is_said_of_an_operation_shows_in_its_values(name: str) -> None:
+def test_what_is_stated_of_an_operation_shows_in_its_values(name: str) -> None:
     operation = OPERATIONS[getattr(ca, f"OP_{name.upper()}")]
     f = computed(operation.code, operation.arity)
     lines = [(place, other, turned) for place in PLACES for other in (-0.73, 0.0, 0.73) for turned in (False, True)]
@@ -237,14 +237,14 @@ def test_the_example_of_a_new_target_runs() -> None:
 
 
 def test_instructions_are_read_in_one_place() -> None:
-    """Nothing else in the framework asks CasADi for an instruction, but for how many there are."""
+    """No other module reads instructions of CasADi, except their number."""
     root = Path(dmframe.program.__file__).parents[1]
-    asking = [
+    readers = [
         path.relative_to(root).as_posix()
         for path in sorted(root.rglob("*.py"))
         if re.search(r"instruction_(id|input|output|constant)\b", path.read_text(encoding="utf-8"))
     ]
-    assert asking == ["program/program.py"]
+    assert readers == ["program/program.py"]
 
 
 def test_a_rational_number_goes_through_the_same_rules() -> None:

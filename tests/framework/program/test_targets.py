@@ -1,4 +1,4 @@
-"""Each target's table of rules, held to CasADi's own evaluation for every operation that SX can hold."""
+"""Each target's table of rules, compared with CasADi's own evaluation for every operation that SX can hold."""
 
 from __future__ import annotations
 
@@ -201,7 +201,7 @@ def followed(code: int) -> Any:
     return ca.Function("f", [x, y], [FUNCTIONS[code](*conditions.get(code, (x, y)))])
 
 
-def differences_beside(code: int) -> Iterator[bool]:
+def differences_near(code: int) -> Iterator[bool]:
     """On the piece that begins at each point, from CasADi's value a little later."""
     f = followed(code)
     for x, y in POINTS:
@@ -215,8 +215,8 @@ def differences_beside(code: int) -> Iterator[bool]:
 
 
 @pytest.mark.parametrize("code", [code for code in CODES if code != ca.OP_ERFINV])
-def test_what_is_followed_in_time_has_casadis_value_beside_every_switch(code: int) -> None:
-    wrong = list(differences_beside(code))
+def test_what_is_followed_in_time_has_casadis_value_near_every_switch(code: int) -> None:
+    wrong = list(differences_near(code))
     assert len(wrong) >= 2
     assert not any(wrong)
 
@@ -224,9 +224,9 @@ def test_what_is_followed_in_time_has_casadis_value_beside_every_switch(code: in
 @pytest.mark.parametrize("code", sorted(pieces.SWITCHES))
 def test_a_switch_held_wrongly_is_caught(code: int, monkeypatch: pytest.MonkeyPatch) -> None:
     rules = dict(pieces.SWITCHES)
-    farther = another(rules, another(rules, code))  # beside a switch < and <= are one
+    farther = another(rules, another(rules, code))  # near a switch < and <= are one
     monkeypatch.setattr(pieces, "SWITCHES", rules | {code: rules[farther]})
-    assert any(differences_beside(code))
+    assert any(differences_near(code))
 
 
 def on_polynomials(code: int) -> bool:
@@ -288,10 +288,10 @@ IN_C: Final = [code for code in CODES if code != ca.OP_ERFINV]
 
 
 def test_each_rule_gives_in_c_what_casadi_gives() -> None:
-    assert sorted(c.ONE.rules) == sorted(c.LANES.rules) == IN_C
+    assert sorted(c.ONE.rules) == sorted(c.SIMD.rules) == IN_C
     expected = np.array([whole(IN_C)(x, y).full()[:, 0] for x, y in POINTS]).T
     np.testing.assert_allclose(in_c(IN_C), expected, rtol=4e-16, atol=0)
-    with pytest.raises(EngineError, match=f"f holds CasADi's instruction {ca.OP_ERFINV}, which cannot be written as C"):
+    with pytest.raises(EngineError, match=f"f has CasADi's instruction {ca.OP_ERFINV}, which cannot be translated"):
         c.written(FUNCTIONS[ca.OP_ERFINV])
 
 

@@ -100,7 +100,9 @@ def test_the_function_names_its_arguments() -> None:
 
 def test_a_file_that_cannot_be_written_leaves_what_was_there(tmp_path: Path) -> None:
     f = regressor_function(ur10())
-    with pytest.raises(OutputError, match=r"nowhere/regressor\.c: the folder .*nowhere does not exist; make it first"):
+    with pytest.raises(
+        OutputError, match=r"nowhere/regressor\.c: the folder .*nowhere does not exist; create it first"
+    ):
         write_c(f, tmp_path / "nowhere" / "regressor.c")
     (tmp_path / "taken.c").mkdir()
     with pytest.raises(OutputError, match="expected a file, found a folder"):

@@ -95,6 +95,6 @@ def test_c_of_the_kinematic_regressor_says_what_it_is(tmp_path: Path) -> None:
     assert "Y_k: 2 x 9 doubles, row-major" in text
 
 
-def test_a_folder_that_is_not_there_is_told(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match=r"arm\.py: the folder .*nowhere does not exist; make it first"):
+def test_a_folder_that_is_not_there_is_reported(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match=r"arm\.py: the folder .*nowhere does not exist; create it first"):
         write_python(load("arm2"), tmp_path / "nowhere" / "arm.py")

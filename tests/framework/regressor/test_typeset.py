@@ -61,7 +61,7 @@ def symbolic(matrix: Matrix, n: int) -> Any:
 
 
 def textbook() -> Any:
-    """The closed form that stands beside the arm's model, in symbols."""
+    """The closed form next to the arm's model, in symbols."""
     folder = find_robot("arm2").urdf.parent
     spec = importlib.util.spec_from_file_location("arm2_closed_form", folder / "closed_form.py")
     assert spec is not None
@@ -150,7 +150,7 @@ def test_a_difference_from_pinocchio_is_seen() -> None:
     assert largest_difference(written) > 1e-5
 
 
-def test_friction_and_base_columns_are_those_asked_for() -> None:
+def test_friction_and_base_columns_are_those_requested() -> None:
     chain = load("arm2")
     base = base_parameters(chain, ["viscous", "coulomb"])
     written = write_out(chain, ["viscous", "coulomb"], base.independent)
@@ -173,7 +173,7 @@ def test_the_latex_is_well_formed_and_says_what_is_left_out() -> None:
     assert r"\cos(2 q_{2} + q_{3})" in text
 
 
-def test_a_robot_too_large_to_print_is_told_with_its_size() -> None:
+def test_a_robot_too_large_to_print_is_reported_with_its_size() -> None:
     with pytest.raises(ValueFault, match=r"ur10: expected at most 3 joints to write out, found 6, whose Y_d takes \d+"):
         write_out(load("ur10"))
 

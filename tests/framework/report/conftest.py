@@ -20,17 +20,17 @@ import casadi as ca
 from dmframe.block import AbstractBlock, Equations
 from dmframe.certificate import Certificate, Square
 from dmframe.parameter import Diagonal, Positive
-from dmframe.port import Port, State
+from dmframe.port import Input, Output, State
 
 
 @final
 class Liar(AbstractBlock):
     """Adapts in the wrong direction, and claims otherwise: x < y & z."""
 
-    inputs: ClassVar = (Port("Y_d", "n p", "N m"), Port("sigma", "n", "rad/s"))
-    outputs: ClassVar = (Port("tau_dc", "n", "N m"),)
-    states: ClassVar = (State("a_d_hat", "p", ""),)
-    truth: ClassVar = (Port("a_d", "p", ""),)
+    inputs = (Input("Y_d", "n p", "N m"), Input("sigma", "n", "rad/s"))
+    outputs = (Output("tau_dc", "n", "N m"),)
+    states = (State("a_d_hat", "p", ""),)
+    truth = (Input("a_d", "p", ""),)
 
     Gamma: Diagonal = Positive("p")
 

@@ -29,7 +29,7 @@ def test_poles_margins_and_periods_are_those_of_the_analysis(proved, contents):
     ("stable", "unstable", "text"),
     [
         (0.0, 1e-5, "none; unstable at 10 µs"),
-        (10.0, math.inf, "above 10 s, the longest looked at"),
+        (10.0, math.inf, "above 10 s, the longest tested"),
         (0.004, 0.005, "4 ms to 5 ms"),
         (0.0038971, 0.0038972, "3.897 ms"),
     ],

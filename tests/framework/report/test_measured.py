@@ -37,7 +37,7 @@ def test_a_run_that_diverged_is_told_with_its_state(proved, monkeypatch):
 def test_in_continuous_time_the_report_blames_no_sampling(continuous):
     graph = continuous.experiment.with_duration(0.3)
     found = measure(graph, continuous.diagram, continuous.verdict)
-    assert "its simulation differs from the theorem's loop by the integrator's error alone" in found.sentence
+    assert "the simulation differs from the theorem's loop by the integration error only" in found.sentence
     assert "sampling" not in found.sentence
 
 

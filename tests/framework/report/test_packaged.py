@@ -32,7 +32,7 @@ def test_what_is_told_and_printed_of_a_packaged_graph_is_valid_and_whole(name):
         from page_checks import check_functions
 
         check_functions(found)
-    claim = found.verdict.claim
+    claim = found.verdict.flow_claim
     if claim is None:
         # it claims nothing, or moves in samples
         assert name.endswith(("_kinematic", "_eso")) or found.diagram.loop.clocked

@@ -11,8 +11,8 @@ import pytest
 
 from dmframe.errors import OutputError
 from dmframe.report import check_place, write_report
-from dmframe.report.data import as_data
 from dmframe.report.page import as_html, as_markdown
+from dmframe.report.write import as_data
 
 NAMES = ("proved", "refuted", "failing", "silent")
 SECTIONS = (
@@ -24,7 +24,7 @@ SECTIONS = (
     "What follows",
     "The loop as it runs",
     "Poles, margins and the sampling period",
-    "Negative controls",
+    "Fault injection",
     "Provenance",
 )
 
@@ -90,9 +90,9 @@ def test_no_formula_is_left_unset(pages, name):
     ("name", "headline"),
     [
         ("proved", "Proved: in continuous time this control loop is stable"),
-        ("refuted", "Refuted: the blocks' claim about"),
+        ("refuted", "Refuted: the certificate is false"),
         ("failing", "Not proved, and not refuted: the formula for"),
-        ("silent", "Not proved, and not refuted: this graph makes no claim that could be tested: inverse: a "),
+        ("silent", "Not proved, and not refuted: this graph has no certificate to test: inverse: a "),
     ],
 )
 def test_the_verdict_stands_first_in_one_sentence(pages, texts, name, headline):
@@ -124,7 +124,7 @@ def test_v_along_the_run_is_told_in_words_numbers_and_picture(contents, pages):
     seen = words(pages["proved"])
     assert f"{numbers['V_start']:.6g} and {numbers['V_end']:.6g}" in seen
     assert f"by at most {numbers['largest_increase']:.3g}" in seen
-    assert "For the sampled loop nothing is proved." in seen
+    assert "The sampled loop is not proved." in seen
     assert 'id="g1-run-plot"' in pages["proved"]
 
 
@@ -133,7 +133,7 @@ def test_v_is_not_shown_where_it_means_nothing(contents, pages, name):
     assert "V_start" not in contents[name].measured.numbers
     assert "g1-run-plot" not in pages[name]
     assert "is not shown" in words(pages[name]) or "there is no" in words(pages[name])
-    assert "Nothing follows from a claim that is not proved." in words(pages[name])
+    assert "No conclusions: the certificate is not proved." in words(pages[name])
 
 
 def test_a_refutation_names_the_block_the_signals_and_the_point(contents, pages, texts):
@@ -150,7 +150,7 @@ def test_a_refutation_names_the_block_the_signals_and_the_point(contents, pages,
 def test_a_failing_condition_is_marked_and_no_kappa_is_made_up(pages):
     fails = [row for row in parsed(pages["failing"]).iter("tr") if row.get("class") == "fails"]
     assert any("M" in "".join(row.itertext()) for row in fails)
-    assert "was chosen" not in words(pages["failing"])
+    assert "suffices" not in words(pages["failing"])
 
 
 def test_what_a_block_says_is_text_and_not_markup(pages):
@@ -221,8 +221,8 @@ def test_a_report_says_how_it_came_about(proved, silent, tmp_path, gathered):
     [
         ("r.pdf", "r.pdf: expected a name that ends in .html, .md, .json, found .pdf"),
         ("report", "report: expected a name that ends in .html, .md, .json, found no ending"),
-        ("folder.md", "folder.md: expected a file, found a folder; name a file in it"),
-        ("no/r.md", "no/r.md: the folder no does not exist; make it first, or name another"),
+        ("folder.md", "folder.md: expected a file, found a folder; choose a file in it"),
+        ("no/r.md", "no/r.md: the folder no does not exist; create it first, or choose another"),
     ],
 )
 def test_a_place_where_no_report_can_be_is_told_before_anything_is_computed(tmp_path, monkeypatch, name, text):

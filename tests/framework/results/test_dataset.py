@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from typing import ClassVar
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -11,7 +9,7 @@ from dmframe.catalogue import block_types
 from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import BlockError
-from dmframe.port import Element, Port
+from dmframe.port import Element, Output
 from dmframe.results.dataset import dataset, element_labels, elements
 from dmframe.robot.library import load
 from dmframe.units import sliding
@@ -81,7 +79,7 @@ def test_the_columns_of_a_bias_have_names_and_units_in_the_data(make_result):
 class Reduced(AbstractBlock):
     """A regressor of a set of its own."""
 
-    outputs: ClassVar = (Port("Y", "n p", "N m"),)
+    outputs = (Output("Y", "n p", "N m"),)
     names: tuple[str, ...] = ()
 
     def elements(self, robot):

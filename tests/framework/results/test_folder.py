@@ -12,6 +12,7 @@ import pytest
 import xarray
 
 import dmframe.results.folder as folder_module
+import dmframe.results.run as run_module
 from dmframe.config.experiment import load_experiment
 from dmframe.errors import OutputError
 from dmframe.files import hidden_name, write_bytes
@@ -138,7 +139,7 @@ def test_a_fault_in_the_middle_leaves_nothing(tmp_path, ur10, monkeypatch, fault
     def fail(*_):
         raise fault
 
-    monkeypatch.setattr(folder_module, "_write_signals", fail)
+    monkeypatch.setattr(folder_module, "netcdf", fail)
     with pytest.raises(type(fault)):
         write_run(tmp_path / "new" / "out", [ur10])
     assert list(tmp_path.iterdir()) == []
@@ -175,6 +176,15 @@ def test_figures_that_cannot_be_drawn_lose_no_data(tmp_path, ur10, monkeypatch):
             "provenance.json",
             "seal.json",
         }
+
+
+def test_v_is_computed_once_for_notices_data_and_its_figure(tmp_path, make_result, monkeypatch):
+    computed, storage_of = [], run_module.storage_of
+    monkeypatch.setattr(run_module, "storage_of", lambda *given: computed.append(given) or storage_of(*given))
+    (told,) = write_run(tmp_path / "out", [make_result("pendulum", 0.2)])
+    assert told["storage"]["start"] > 0
+    assert (tmp_path / "out" / "storage.svg").is_file()
+    assert len(computed) == 1
 
 
 def test_hdf5_never_meets_the_disk_itself(tmp_path, ur10, monkeypatch):

@@ -86,7 +86,7 @@ def test_a_rise_at_samples_is_told_with_its_size_its_time_and_what_differs_from_
     (notice,) = [text for text in sampled.notices if text.startswith("V rose")]
     assert f"V rose by {rise:.3g} " in notice
     assert f"{100 * rise / fall:.3g} % of its fall" in notice
-    assert "the claim is for continuous time, and this run samples every 2 ms" in notice
+    assert "the certificate is for continuous time, and this run samples every 2 ms" in notice
     assert notice in str(sampled)
 
 
@@ -110,9 +110,7 @@ def test_v_is_in_the_files_of_a_run(sampled: dm.Run, tmp_path: Path) -> None:
 )
 def test_a_graph_without_v_says_why(graph: str, reason: str, tmp_path: Path) -> None:
     run = dm.load(graph).run("1 s")
-    with pytest.raises(
-        DmframeError, match=r"run\['V'\]: expected a graph with a claim about V, found none: .*" + reason
-    ):
+    with pytest.raises(DmframeError, match=r"run\['V'\]: expected a graph with a certificate, found none: .*" + reason):
         run["V"]
     told = run.summary["storage"]
     assert reason in told["reason"]
@@ -146,7 +144,7 @@ def test_a_step_of_the_load_is_no_rise_of_the_loop_and_its_jump_is_what_the_load
     raw = np.asarray(run["V"])
     assert (raw - np.minimum.accumulate(raw)).max() > 0.1 * abs(first.change)  # V itself does rise
     assert climb.rise == 0
-    assert "a source that steps raised V by" in run.storage.notice
+    assert "steps of a source raised V by" in run.storage.notice
 
 
 def test_rounding_of_the_states_moves_v_by_less_than_its_bound(sampled: dm.Run) -> None:

@@ -113,7 +113,7 @@ def test_held_joints_are_merged_at_their_angle():
     assert float(sum(row[0] for row in chain.inertia)) == pytest.approx(float(sum(row[0] for row in whole.inertia)))
 
 
-def test_joints_behind_the_tool_and_beside_the_way_to_it_are_held():
+def test_joints_behind_the_tool_and_off_the_way_to_it_are_held():
     assert SerialChain.from_urdf(PANDA, tool="panda_link4").joint_names == tuple(f"panda_joint{i}" for i in range(1, 5))
 
 
@@ -195,8 +195,8 @@ def test_a_free_joint_without_inertia_behind_it_is_named(urdf):
     check(
         fault(file),
         RobotError,
-        "robot arm: the mass matrix is not positive definite: nothing behind joint j2 has enough mass or inertia; "
-        "give its link an inertia, or hold it",
+        "robot arm: the mass matrix is not positive definite: the links behind joint j2 have too little mass or "
+        "inertia; give its link an inertia, or hold it",
         "model",
     )
     assert SerialChain.from_urdf(file, hold={"j2": 0.0}).n == 1
@@ -211,7 +211,7 @@ def test_a_massless_link_is_allowed_where_the_next_one_has_mass(urdf):
     )
 
 
-# Faults in what is asked for
+# Faults in arguments
 
 
 def test_an_unknown_free_joint_gets_the_nearest_name():

@@ -45,7 +45,7 @@ def test_an_unknown_robot_gets_the_nearest_name():
     assert caught.value.path == ("robot", "model")
 
 
-def test_a_path_is_taken_beside_the_graph_before_the_current_folder(tmp_path, monkeypatch):
+def test_a_path_is_relative_to_the_graph_before_the_current_folder(tmp_path, monkeypatch):
     here, graphs = tmp_path / "here", tmp_path / "graphs"
     for folder in (here, graphs):
         folder.mkdir()

@@ -10,10 +10,13 @@ import pytest
 from typer.testing import CliRunner
 
 import dmframe as dm
+from dmframe.block.sizes import Sizes, parameter_arrays
+from dmframe.catalogue import block_types
 from dmframe.cli.app import app
+from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, RobotError, ValueFault
 from dmframe.robot.chain import SerialChain
-from dmframe.units import Stated, joint_place
+from dmframe.units import Stated, joint_place, joint_quantity, of_sliding
 
 
 def _link(name: str, mass: float) -> str:
@@ -82,16 +85,16 @@ def test_a_joint_may_follow_one_that_follows(tmp_path: Path) -> None:
     [
         (MIMIC, "", ["turn"], {"lead": 0.3, "follow": 0.3}, "follow follows lead: expected it held at -0.5, found 0.3"),
         (MIMIC, "", ["turn", "lead"], {}, "joint follow follows lead, which is free; hold lead, or follow"),
-        ('<mimic joint="nobody"/>', "", ["turn"], {}, "joint follow mimics nobody: expected the name of a joint"),
+        ('<mimic joint="unknown"/>', "", ["turn"], {}, "joint follow mimics unknown: expected the name of a joint"),
         ('<mimic joint="last"/>', '<mimic joint="follow"/>', ["turn"], {}, "follows itself through"),
     ],
 )
 def test_what_no_law_puts_anywhere_is_refused(
     mimic: str, second: str, free: list[str], hold: dict[str, float], text: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(RobotError) as told:
+    with pytest.raises(RobotError) as message:
         SerialChain.from_urdf(robot(tmp_path, mimic, second), free=free, hold=hold)
-    assert text in str(told.value)
+    assert text in str(message.value)
 
 
 def graph(folder: Path, hold: str, start: str = "[0.2]", free: str = "[turn]") -> str:
@@ -122,9 +125,9 @@ def test_a_joint_that_slides_is_held_at_a_length(hold: str, expected: float, tmp
 
 
 def test_a_unit_of_another_kind_of_joint_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(DmframeError, match=r"joint lead is prismatic: expected metres, 0\.1 m, say; found 0\.5235"):
+    with pytest.raises(DmframeError, match=r"joint lead is prismatic: expected a length, as 0\.1 m; found 0\.5235"):
         dm.load(graph(tmp_path, "{lead: 30 deg}"))
-    with pytest.raises(ValueFault, match=r"joint turn turns: expected an angle, 30 deg, say; found 0\.1 m"):
+    with pytest.raises(ValueFault, match=r"joint turn is revolute: expected an angle, as 30 deg; found 0\.1 m"):
         SerialChain.from_urdf(robot(tmp_path), free=["lead"], hold={"turn": Stated(0.1, "m"), "follow": 0.0})
     with pytest.raises(DmframeError, match="expected a quantity in rad"):
         dm.load(graph(tmp_path, "{lead: 3 kg}"))
@@ -147,8 +150,8 @@ def test_a_start_has_the_unit_of_its_joint(tmp_path: Path) -> None:
 def test_the_option_takes_lengths_too(tmp_path: Path) -> None:
     words = ["regressor", str(robot(tmp_path)), "--free", "turn", "--hold", "lead=30 cm"]
     assert CliRunner().invoke(app, words).exit_code == 0
-    told = CliRunner().invoke(app, [*words[:-1], "lead=30 deg"]).exception
-    assert "joint lead is prismatic: expected metres" in str(told)
+    message = CliRunner().invoke(app, [*words[:-1], "lead=30 deg"]).exception
+    assert "joint lead is prismatic: expected a length" in str(message)
 
 
 @pytest.mark.parametrize(
@@ -161,3 +164,35 @@ def test_a_place_keeps_the_unit_that_was_stated(value: str | float, expected: fl
     assert getattr(found, "unit", None) == unit
     again = pickle.loads(pickle.dumps(found))
     assert (again, getattr(again, "unit", None)) == (found, unit)
+
+
+@pytest.mark.parametrize(
+    ("posture", "fault"),
+    [
+        (["30 deg", "10 cm"], ""),
+        ([0.5, 0.1], ""),
+        (0.1, ""),
+        (["30 deg", "30 deg"], "expected a quantity in m for lead: it slides; found 0.523599 rad"),
+        (["10 cm", "10 cm"], "expected a quantity in rad for turn: it turns; found 0.1 m"),
+        ("30 deg", "expected a quantity in m for lead: it slides; found 0.523599 rad"),
+    ],
+)
+def test_a_posture_in_a_graph_has_the_unit_of_each_joint(posture: object, fault: str, tmp_path: Path) -> None:
+    chain = SerialChain.from_urdf(robot(tmp_path, mimic=""), free=["turn", "lead"], tool="left")
+    block = block_types()["null_space_posture"](K_null=1.0, q_0=posture)
+    sizes = Sizes()
+    sizes.bind("n", 2, "robot")
+    arrays, faults = parameter_arrays("posture", block, sizes, robot=chain)
+    assert [error.text for error in faults] == [f"posture.q_0: {fault}"] * bool(fault)
+    if isinstance(posture, list) and not fault:
+        np.testing.assert_allclose(arrays["q_0"], [np.pi / 6 if posture[0] == "30 deg" else 0.5, 0.1])
+
+
+def test_rates_of_joints_have_the_unit_of_each_joint_and_other_quantities_one() -> None:
+    assert of_sliding("rad/s^2") == "m/s^2"
+    assert not of_sliding("rad^2")
+    assert joint_quantity("3 cm/s", "rad/s") == pytest.approx(0.03)
+    with pytest.raises(DmframeError, match="expected a quantity in 1/s"):
+        block_types()["null_space_posture"](K_null="1 m", q_0=0.0)
+    with pytest.raises(DmframeError, match=r"q_d: expected a quantity in rad for a joint that turns; found 0\.1 m"):
+        Diagram.build({"posture": block_types()["setpoint"](q_d=["10 cm"])})

@@ -112,7 +112,7 @@ def test_parts_stand_one_after_another_and_each_name_once(chain: SerialChain) ->
     assert [a_d.link_of(place) for place in (0, 9, 10, 29)] == [0, 0, 1, 2]
 
 
-def test_a_part_that_is_not_asked_for_takes_no_place(chain: SerialChain) -> None:
+def test_a_disabled_part_has_no_place(chain: SerialChain) -> None:
     a_d = DynamicParameters(chain, ["coulomb"])
     assert a_d.parts == ("inertial", "coulomb")
     assert a_d.names[a_d.places("viscous")] == ()

@@ -81,7 +81,7 @@ def test_reset_puts_it_back_to_the_start() -> None:
         np.testing.assert_array_equal(values, first[label])
 
 
-def test_without_a_compiler_it_is_interpreted_unless_compiled_was_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_compiler_it_is_interpreted_unless_compiled_was_requested(monkeypatch: pytest.MonkeyPatch) -> None:
     graph, diagram = loaded("arm2_joint")
     monkeypatch.setattr(compilers, "NAMES", ())
     monkeypatch.setattr(compilers.importlib.util, "find_spec", lambda name: None)
@@ -93,7 +93,7 @@ def test_without_a_compiler_it_is_interpreted_unless_compiled_was_asked_for(monk
         Controller(diagram, 0.002, start=graph.start, engine="compiled")
 
 
-def test_wrong_calls_are_told() -> None:
+def test_wrong_calls_are_reported() -> None:
     graph, diagram = loaded("arm2_joint")
     with pytest.raises(ValueFault, match="clock: expected a positive number of seconds, found 0"):
         Controller(diagram, 0, start=graph.start)

@@ -1,4 +1,4 @@
-"""The loop: how a drive begins, how it ends, and what the robot is told then."""
+"""The loop: how a drive begins, how it ends, and the calls of the driver."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def graph() -> dm.Graph:
 
 
 def standing(ticks: int, **changed: Any) -> list[Any]:
-    """What a robot tells that does not move."""
+    """Samples of a robot that does not move."""
     return [replace(Sample(0.008 * k, Q, np.zeros(3), Q, X), **changed) for k in range(ticks)]
 
 
@@ -38,33 +38,33 @@ def ended(samples: list[Any], ticks: int = 20, **plan: Any) -> tuple[Driven, Scr
 def test_at_its_end_the_robot_is_stopped_and_let_go() -> None:
     found, robot = ended(standing(21))
     assert found.stop is None
-    assert robot.told[0] == "connect"
-    assert robot.told[-2:] == [("stop", 2.0), "close"]
-    assert len(robot.told) == 20 + 3  # a command a period
-    np.testing.assert_array_equal(robot.told[1:-2], found.journal.sent[:-1])
+    assert robot.calls[0] == "connect"
+    assert robot.calls[-2:] == [("stop", 2.0), "close"]
+    assert len(robot.calls) == 20 + 3  # a command a period
+    np.testing.assert_array_equal(robot.calls[1:-2], found.journal["sent"][:-1])
 
 
 @pytest.mark.parametrize(
-    ("fault", "told"),
+    ("fault", "message"),
     [
         (LostError("no sample for 40 ms"), "lost link: no sample for 40 ms"),
-        (KeyboardInterrupt(), "asked: Ctrl-C"),
-        (standing(1, time=0.04, dq=np.full(3, np.nan))[0], "not finite: the robot tells dq = [nan, nan, nan]"),
+        (KeyboardInterrupt(), "requested: Ctrl-C"),
+        (standing(1, time=0.04, dq=np.full(3, np.nan))[0], "not finite: invalid sample: dq = [nan, nan, nan]"),
         (standing(1, time=0.04, fault="protective stop")[0], "robot: protective stop"),
         (standing(1, time=0.04, ready=False)[0], "robot: it is not ready to move"),
-        (standing(1, time=0.04, missed=9)[0], "lost samples: 9 in a row, at most 5 may be"),
-        (standing(1, time=0.04, dq=np.full(3, 1e308))[0], "controller: from a sample followed what is not finite"),
+        (standing(1, time=0.04, missed=9)[0], "lost samples: 9 in a row, at most 5 are allowed"),
+        (standing(1, time=0.04, dq=np.full(3, 1e308))[0], "controller: a command or a state is not finite"),
     ],
 )
-def test_what_goes_wrong_is_named_and_the_robot_is_stopped(fault: Any, told: str) -> None:
+def test_what_goes_wrong_is_named_and_the_robot_is_stopped(fault: Any, message: str) -> None:
     found, robot = ended([*standing(5), fault, *standing(20)])
-    assert str(found.stop) == told
-    assert robot.told[-2:] == [("stop", 2.0 if told.startswith("asked") else 20.0), "close"]
-    assert len(found.journal.sent) == 5
-    assert all(np.isfinite(command).all() for command in robot.told[1:-2])
+    assert str(found.stop) == message
+    assert robot.calls[-2:] == [("stop", 2.0 if message.startswith("requested") else 20.0), "close"]
+    assert len(found.journal["sent"]) == 5
+    assert all(np.isfinite(command).all() for command in robot.calls[1:-2])
 
 
-def test_a_robot_that_can_not_be_told_to_stop_is_told_of_with_the_first_reason() -> None:
+def test_a_stop_that_cannot_be_sent_is_reported_with_the_first_reason() -> None:
     class Gone(Script):
         def stop(self, deceleration: float) -> None:
             raise LostError("the connection is closed")
@@ -72,55 +72,55 @@ def test_a_robot_that_can_not_be_told_to_stop_is_told_of_with_the_first_reason()
     robot = Gone([*standing(5), LostError("no sample for 40 ms")])
     found = driven(graph(), robot, 20)
     assert str(found.stop) == (
-        "lost link: lost link: no sample for 40 ms; it could not be told to stop: the connection is closed"
+        "lost link: lost link: no sample for 40 ms; the stop command was not sent: the connection is closed"
     )
-    assert robot.told[-1] == "close"
+    assert robot.calls[-1] == "close"
 
 
 def test_a_defect_stops_the_robot_too() -> None:
     robot = Script(standing(5))
     with pytest.raises(IndexError):  # of the list of samples
         driven(graph(), robot, 20)
-    assert robot.told[-2:] == [("stop", 20.0), "close"]
+    assert robot.calls[-2:] == [("stop", 20.0), "close"]
 
 
-def test_asked_to_stop_it_does_at_the_next_sample() -> None:
+def test_it_stops_at_the_next_sample_after_a_request() -> None:
     calls = []
 
-    def asked() -> str:
+    def stop_requested() -> str:
         calls.append(1)
         return "SIGTERM" if len(calls) > 7 else ""
 
-    found, robot = ended(standing(21), asked=asked)
-    assert str(found.stop) == "asked: SIGTERM"
-    assert len(robot.told) == 7 + 3
+    found, robot = ended(standing(21), stop_requested=stop_requested)
+    assert str(found.stop) == "requested: SIGTERM"
+    assert len(robot.calls) == 7 + 3
 
 
 def test_a_clock_that_stands_is_read_again_and_then_lost() -> None:
     samples = standing(21)
     found, robot = ended([*samples[:4], *[samples[3]] * 3, *samples[4:]])
     assert found.stop is None
-    assert len(robot.told) == 20 + 3  # no sample was used twice
+    assert len(robot.calls) == 20 + 3  # no sample was used twice
     found, _ = ended([*samples[:4], *[samples[3]] * 9])
-    assert str(found.stop) == "lost samples: its clock stands at 0.024 s"
+    assert str(found.stop) == "lost samples: the robot's clock does not advance beyond 0.024 s"
 
 
 def test_in_shadow_nothing_is_sent_and_the_commands_are_the_same() -> None:
     plain, _ = ended(standing(21))
     found, robot = ended(standing(21), shadow=True)
-    assert robot.told == ["connect", "close"]
-    np.testing.assert_array_equal(found.journal.commands, plain.journal.commands)
+    assert robot.calls == ["connect", "close"]
+    np.testing.assert_array_equal(found.journal["command"], plain.journal["command"])
 
 
 def test_it_is_moved_to_the_start_first_and_the_controller_begins_there() -> None:
     away = Q + np.array([0.1, 0, 0])
     found, robot = ended([Sample(0.0, away, np.zeros(3), away, X), *standing(21)], start=Q)
-    assert robot.told[1] == ("move", Q.tolist())
+    assert robot.calls[1] == ("move", Q.tolist())
     assert found.stop is None
-    np.testing.assert_array_equal(found.journal.states[0]["inverse.q_r"], Q)
+    np.testing.assert_array_equal(found.journal["state:inverse.q_r"][0], Q)
     found, robot = ended([Sample(0.0, away, np.zeros(3), away, X)], start=Q, shadow=True)
     assert (found.stop is not None and found.stop.rule) == "start"
-    assert robot.told == ["connect", "close"]
+    assert robot.calls == ["connect", "close"]
 
 
 def test_a_robot_that_starts_elsewhere_goes_to_the_start_and_then_runs_as_ever() -> None:
@@ -128,22 +128,22 @@ def test_a_robot_that_starts_elsewhere_goes_to_the_start_and_then_runs_as_ever()
     robot = simulated(graph(), start={"arm.q": q, "servo.q_c": q})
     found = driven(graph(), robot, 60, start=Q)
     assert found.stop is None
-    assert found.journal.time[0] == found.journal.reference[0] == 0
-    np.testing.assert_allclose(found.journal.samples[0].q, Q, atol=5e-3)  # friction holds its servo a little off
+    assert found.journal["time"][0] == found.journal["reference"][0] == 0
+    np.testing.assert_allclose(found.journal["q"][0], Q, atol=5e-3)  # friction holds its servo a little off
     run = graph().run("0.48 s", engine="interpreted", progress=False).recording
-    np.testing.assert_allclose(found.journal.commands, run["inverse.dq_c"], atol=0.01)
+    np.testing.assert_allclose(found.journal["command"], run["inverse.dq_c"], atol=0.01)
 
 
-def test_what_the_controller_needs_and_the_robot_does_not_tell_is_refused_before_it_moves() -> None:
-    for changed, told in (
-        ({"x": None}, "script: the controller needs x, which this robot does not tell"),
-        ({"q": np.zeros(6)}, "script: expected a robot with 3 joints, as the graph's, found 6"),
+def test_a_robot_that_lacks_what_the_controller_needs_is_refused_before_it_moves() -> None:
+    for changed, message in (
+        ({"x": None}, "script: the controller needs x, which this robot lacks"),
+        ({"q": np.zeros(6)}, "script: expected 3 joints as in the graph, found 6"),
     ):
         robot = Script(standing(3, **changed))
         with pytest.raises(DriveError) as raised:
             driven(graph(), robot, 3)
-        assert str(raised.value) == told
-        assert not any(isinstance(each, np.ndarray) for each in robot.told)
+        assert str(raised.value) == message
+        assert not any(isinstance(each, np.ndarray) for each in robot.calls)
     slow = Script(standing(3))
     slow.period = 0.002
     with pytest.raises(DriveError, match=r"expected a robot with the graph's clock of 0.008 s, found one with 0.002 s"):
@@ -156,14 +156,14 @@ def test_a_ramp_keeps_the_start_below_an_acceleration_that_it_would_else_pass() 
     assert steep.cuts["acceleration"] > 0
     soft = driven(graph(), simulated(graph()), 40, held=held, ramp=0.16)
     assert soft.cuts == {}
-    assert soft.journal.scale[0] == pytest.approx(0.05)
-    assert soft.journal.scale[-1] == 1
-    assert soft.journal.reference[-1] == pytest.approx(40 * 0.008, abs=0.009)
-    assert soft.journal.time[-1] == pytest.approx(40 * 0.008 + 0.08, abs=0.01)  # half of the ramp is spent
+    assert soft.journal["scale"][0] == pytest.approx(0.05)
+    assert soft.journal["scale"][-1] == 1
+    assert soft.journal["reference"][-1] == pytest.approx(40 * 0.008, abs=0.009)
+    assert soft.journal["time"][-1] == pytest.approx(40 * 0.008 + 0.08, abs=0.01)  # half of the ramp is spent
 
 
 class Hidden:
-    """A robot that does not tell how much it is slowed down."""
+    """A robot that does not report its speed scaling."""
 
     def __init__(self, robot: Any) -> None:
         self._robot = robot
@@ -177,18 +177,18 @@ class Hidden:
 
 def missed(found: Driven) -> float:
     """How far the tool is from its path, the circle of the graph, in the second half [m]."""
-    x = np.array([sample.x for sample in found.journal.samples])
-    beside = np.hypot(x[:, 0] + 0.07, x[:, 1] - 0.67) - 0.15
-    return float(np.sqrt(np.mean(beside[len(x) // 2 :] ** 2)))
+    x = found.journal["x"]
+    offset = np.hypot(x[:, 0] + 0.07, x[:, 1] - 0.67) - 0.15
+    return float(np.sqrt(np.mean(offset[len(x) // 2 :] ** 2)))
 
 
 def test_a_slowed_robot_goes_the_same_path_as_much_more_slowly() -> None:
     full = driven(graph(), simulated(graph()), 250)
     half = driven(graph(), simulated(graph(), scaling=0.5), 250)
     assert half.stop is None
-    assert half.journal.time[-1] == pytest.approx(4.0, abs=0.01)
-    assert half.journal.reference[-1] == pytest.approx(2.0, abs=0.01)
-    np.testing.assert_allclose(half.journal.samples[-1].x, full.journal.samples[-1].x, atol=0.01)
+    assert half.journal["time"][-1] == pytest.approx(4.0, abs=0.01)
+    assert half.journal["reference"][-1] == pytest.approx(2.0, abs=0.01)
+    np.testing.assert_allclose(half.journal["x"][-1], full.journal["x"][-1], atol=0.01)
     ignorant = driven(graph(), Hidden(simulated(graph(), scaling=0.5)), 500)
     assert missed(ignorant) > 2 * missed(half)
 
@@ -204,23 +204,23 @@ def test_its_controller_sees_velocities_and_periods_of_its_own_time() -> None:
     controller.reset(measured=True)
     controller.measured["arm.dq"][:] = 0.1
     controller.step(0.0, 0.004)
-    np.testing.assert_array_equal(found.journal.commands[0], controller.commanded["inverse.dq_c"])
+    np.testing.assert_array_equal(found.journal["command"][0], controller.commanded["inverse.dq_c"])
     for label, values in controller.states.items():
-        np.testing.assert_array_equal(found.journal.states[1][label], values)
+        np.testing.assert_array_equal(found.journal[f"state:{label}"][1], values)
 
 
 def test_a_robot_that_stands_still_is_waited_for() -> None:
     samples = [replace(sample, scaling=0.0 if 5 <= k < 15 else 1.0) for k, sample in enumerate(standing(40))]
     found, robot = ended(samples)
     assert found.stop is None
-    reference = np.array(found.journal.reference)
+    reference = found.journal["reference"]
     assert reference[15] == pytest.approx(reference[5])
-    assert not np.any(robot.told[6:16])
-    assert found.journal.scale[5:15] == [0.0] * 10
+    assert not np.any(robot.calls[6:16])
+    assert not found.journal["scale"][5:15].any()
 
 
 class Walker(Script):
-    """Goes to its start in ten samples of its own, and stops there where it is told to."""
+    """Goes to its start in ten samples of its own, and stops there on request."""
 
     def __init__(self, samples: list[Any], way: list[Sample]) -> None:
         super().__init__(samples)
@@ -228,7 +228,7 @@ class Walker(Script):
 
     def move(self, q: np.ndarray, speed: float, acceleration: float, watched: Callable[[Sample], bool]) -> None:
         for sample in self.way:
-            self.told.append("way")
+            self.calls.append("way")
             if watched(sample):
                 return
 
@@ -241,37 +241,37 @@ def walked(way: list[Sample], **plan: Any) -> tuple[Driven, Walker]:
     return driven(graph(), robot, 20, start=Q, **plan), robot
 
 
-def test_a_stop_that_is_asked_for_before_or_on_the_way_to_the_start_ends_the_way() -> None:
+def test_a_stop_that_is_requested_before_or_on_the_way_to_the_start_ends_the_way() -> None:
     for after in (0, 3):
         calls = []
 
-        def asked(calls: list[int] = calls, after: int = after) -> str:
+        def stop_requested(calls: list[int] = calls, after: int = after) -> str:
             calls.append(1)
             return "Ctrl-C" if len(calls) > after else ""
 
-        found, robot = walked(standing(10), asked=asked)
-        assert str(found.stop) == "asked: Ctrl-C"
-        assert robot.told == ["connect", *["way"] * after, ("stop", 2.0), "close"]
+        found, robot = walked(standing(10), stop_requested=stop_requested)
+        assert str(found.stop) == "requested: Ctrl-C"
+        assert robot.calls == ["connect", *["way"] * after, ("stop", 2.0), "close"]
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "message"),
     [
         ({"fault": "protective stop"}, "robot: protective stop"),
         (
             {"q_c": Q + np.array([1.0, 0, 0])},
-            "deviation: shoulder_pan_joint is 1 rad from its target, at most 200 mrad may be",
+            "deviation: shoulder_pan_joint is 1 rad from its target, at most 200 mrad is allowed",
         ),
         ({"x": X + 9.0}, "workspace: coordinate 1 of the tool is at 9.08 m, its box is -1 m to 1 m"),
-        ({"q": np.full(3, np.nan)}, "not finite: the robot tells q = [nan, nan, nan]"),
+        ({"q": np.full(3, np.nan)}, "not finite: invalid sample: q = [nan, nan, nan]"),
     ],
 )
-def test_the_gate_watches_the_way_to_the_start(changed: dict[str, Any], told: str) -> None:
+def test_the_gate_watches_the_way_to_the_start(changed: dict[str, Any], message: str) -> None:
     held = limits(graph(), box=np.array([[-1.0] * 3, [1.0] * 3]))
     way = [*standing(3), *standing(1, **changed), *standing(6)]
     found, robot = walked(way, held=held)
-    assert str(found.stop) == told
-    assert robot.told == ["connect", *["way"] * 4, ("stop", 20.0), "close"]
+    assert str(found.stop) == message
+    assert robot.calls == ["connect", *["way"] * 4, ("stop", 20.0), "close"]
     found, robot = walked(standing(10, missed=99), held=held)  # the robot goes by itself
     assert found.stop is None
 
@@ -283,7 +283,7 @@ def test_a_drive_does_not_begin_beyond_a_limit(start: np.ndarray | None) -> None
     robot = Script(standing(21))
     found = driven(graph(), robot, 20, start=start, held=held)
     assert str(found.stop) == ("joint limit: elbow_joint would start at 978 mrad, its limits are -3.14 rad to 500 mrad")
-    assert robot.told == ["connect", ("stop", 20.0), "close"]
+    assert robot.calls == ["connect", ("stop", 20.0), "close"]
 
 
 def test_a_clock_that_goes_on_after_it_stood_has_lost_nothing() -> None:
@@ -291,6 +291,6 @@ def test_a_clock_that_goes_on_after_it_stood_has_lost_nothing() -> None:
     twice = [sample for sample in samples[:20] for _ in range(2)]
     found, robot = ended([*twice, samples[20]])  # each sample twice
     assert found.stop is None
-    assert len(robot.told) == 20 + 3
+    assert len(robot.calls) == 20 + 3
     found, _ = ended([*samples[:4], *[samples[3]] * 5, *samples[4:]])  # as often as may be
     assert found.stop is None

@@ -30,33 +30,33 @@ def admitted(**changed: Any) -> str:
 
 
 @pytest.mark.parametrize(
-    ("fault", "told"),
+    ("fault", "message"),
     [
         ({}, ""),
         ({"ready": False}, "robot: it is not ready to move"),
         ({"fault": "protective stop"}, "robot: protective stop"),
-        ({"q": np.array([np.nan, 0])}, "not finite: the robot tells q = [nan, 0.0]"),
-        ({"dq": np.array([0, np.inf])}, "not finite: the robot tells dq"),
-        ({"q_c": np.array([np.nan, 0])}, "not finite: the robot tells q_c"),
-        ({"x": np.array([np.nan, 0])}, "not finite: the robot tells x"),
-        ({"time": np.nan}, "not finite: the robot tells a time of nan s"),
-        ({"scaling": -1.0}, "not finite: the robot tells a time of 0.0 s and a scaling of -1.0"),
+        ({"q": np.array([np.nan, 0])}, "not finite: invalid sample: q = [nan, 0.0]"),
+        ({"dq": np.array([0, np.inf])}, "not finite: invalid sample: dq"),
+        ({"q_c": np.array([np.nan, 0])}, "not finite: invalid sample: q_c"),
+        ({"x": np.array([np.nan, 0])}, "not finite: invalid sample: x"),
+        ({"time": np.nan}, "not finite: invalid sample: time = nan s"),
+        ({"scaling": -1.0}, "not finite: invalid sample: time = 0.0 s, speed scaling = -1.0"),
         ({"missed": 5}, ""),
-        ({"missed": 6}, "lost samples: 6 in a row, at most 5 may be"),
+        ({"missed": 6}, "lost samples: 6 in a row, at most 5 are allowed"),
         ({"q_c": np.array([0, 0.19])}, ""),
-        ({"q_c": np.array([0, -0.21])}, "deviation: b is 210 mrad from its target, at most 200 mrad may be"),
+        ({"q_c": np.array([0, -0.21])}, "deviation: b is 210 mrad from its target, at most 200 mrad is allowed"),
         ({"q_c": None}, ""),
         ({"x": np.array([0.5, 1.01])}, "workspace: coordinate 2 of the tool is at 1.01 m, its box is 0 m to 1 m"),
         ({"x": None}, ""),
     ],
 )
-def test_a_sample_is_admitted_or_the_rule_is_named(fault: dict[str, Any], told: str) -> None:
+def test_a_sample_is_admitted_or_the_rule_is_named(fault: dict[str, Any], message: str) -> None:
     found = admitted(**fault)
-    assert found.startswith(told)
-    assert bool(found) == bool(told)
+    assert found.startswith(message)
+    assert bool(found) == bool(message)
 
 
-def test_of_several_faults_the_first_rule_is_told() -> None:
+def test_of_several_faults_the_first_rule_is_reported() -> None:
     worst: dict[str, Any] = {
         "fault": "protective stop",
         "q": np.array([np.nan, 0]),
@@ -101,7 +101,7 @@ def test_a_command_far_above_a_speed_limit_stops_and_one_above_is_scaled_in_its_
     np.testing.assert_allclose(out, [1.0, -0.5])
     assert (stop, dict(gate.cuts)) == ("", {"speed": 1})
     _, stop = sent([3.01, 0.0])
-    assert stop == "command too fast: a is told to move at 3.01 rad/s, above 3 times its limit of 1 rad/s"
+    assert stop == "command too fast: a is commanded 3.01 rad/s, above 3 times its limit of 1 rad/s"
 
 
 def test_commands_change_as_fast_as_the_acceleration_allows() -> None:
@@ -152,7 +152,7 @@ def test_too_many_cuts_in_a_row_stop_and_one_that_passes_begins_anew() -> None:
     assert sent([0.5, 0], gate)[1] == ""
     stops = [sent([1.5, 0], gate)[1] for _ in range(MOST_CUTS)]
     assert stops[:-1] == [""] * (MOST_CUTS - 1)
-    assert stops[-1] == f"cuts: {MOST_CUTS} commands in a row were cut, last by speed"
+    assert stops[-1] == f"cuts: {MOST_CUTS} commands in a row were limited, the last one by speed"
 
 
 def test_the_gate_says_of_itself_that_it_is_no_safety_function() -> None:

@@ -25,7 +25,7 @@ Q = np.array([1.455411, -1.016031, 0.978316, 0.0, -np.pi / 2, 0.0])
 
 
 class Arm:
-    """Moves as it is told, on a clock that goes on by a sample when one is waited for."""
+    """Executes commands, with a clock that advances by a sample when one is awaited."""
 
     def __init__(self) -> None:
         self.values: dict[str, Any] = {
@@ -140,14 +140,14 @@ def test_a_drive_follows_stops_and_lets_go() -> None:
     assert [script.split("(")[0] for script in arm.scripts] == ["def dmframe_follow"]
     beats = [row[0] for row in arm.written]
     assert beats == list(range(1, 1 + len(beats)))  # none that could be an echo of what was there
-    assert arm.written[-1][1:] == (0, 0, 0, 0, 0, 0, 0, 2.0)  # asked to end, at rest, and how hard
-    np.testing.assert_array_equal([row[2:5] for row in arm.written[2:-1]], found.journal.sent[:-1])
+    assert arm.written[-1][1:] == (0, 0, 0, 0, 0, 0, 0, 2.0)  # end at rest, with this deceleration
+    np.testing.assert_array_equal([row[2:5] for row in arm.written[2:-1]], found.journal["sent"][:-1])
     assert all(row[5:8] == (0, 0, 0) for row in arm.written)  # the joints that the graph holds
     assert arm.values["runtime_state"] == 1
     assert arm.closed == 1
-    x = np.array([sample.x for sample in found.journal.samples])
+    x = found.journal["x"]
     np.testing.assert_allclose(x[0], [-0.07, 0.82, 0.55], atol=1e-5)
-    assert all(sample.age is not None for sample in found.journal.samples[1:])
+    assert np.isfinite(found.journal["age"][1:]).all()
 
 
 def test_the_slider_and_what_the_trajectory_limiter_does_are_multiplied() -> None:
@@ -159,7 +159,7 @@ def test_the_slider_and_what_the_trajectory_limiter_does_are_multiplied() -> Non
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "message"),
     [
         ({"safety_mode": 3}, "robot: protective stop"),
         ({"safety_mode": 7}, "robot: emergency stop of the robot"),
@@ -167,7 +167,7 @@ def test_the_slider_and_what_the_trajectory_limiter_does_are_multiplied() -> Non
         ({"runtime_state": 1}, "robot: its script has ended"),
     ],
 )
-def test_what_the_arm_tells_is_named(changed: dict[str, Any], told: str) -> None:
+def test_what_the_arm_reports_is_named(changed: dict[str, Any], message: str) -> None:
     arm, graph = Arm(), dm.load("ur10_fast")
     calls = []
 
@@ -177,8 +177,8 @@ def test_what_the_arm_tells_is_named(changed: dict[str, Any], told: str) -> None
             arm.values |= changed
         return ""
 
-    found = driven(graph, driver(arm), 50, ramp=0.1, asked=after)
-    assert str(found.stop) == told
+    found = driven(graph, driver(arm), 50, ramp=0.1, stop_requested=after)
+    assert str(found.stop) == message
 
 
 def test_a_silent_arm_is_lost_and_a_stop_is_sent_by_the_other_port() -> None:
@@ -190,7 +190,7 @@ def test_a_silent_arm_is_lost_and_a_stop_is_sent_by_the_other_port() -> None:
         arm.silent = len(calls) >= 10
         return ""
 
-    found = driven(graph, driver(arm), 50, ramp=0.1, asked=after)
+    found = driven(graph, driver(arm), 50, ramp=0.1, stop_requested=after)
     assert str(found.stop) == "lost link: no sample for 40 ms"
     assert arm.scripts[-1] == "def dmframe_stop():\n  stopj(20.0)\nend\n"
     assert arm.closed == 1
@@ -239,16 +239,20 @@ def test_samples_that_wait_are_skipped_for_the_newest_and_counted() -> None:
     assert (found.missed, found.time) == (3, pytest.approx(100.0 + 7 * 0.008))
 
 
-def test_an_unknown_name_another_version_and_no_answer_are_told() -> None:
-    for kind, answer, told in (
-        ("V", b"\x00", "expected a robot that speaks version 2"),
+def test_an_unknown_name_another_version_and_no_answer_are_reported() -> None:
+    for kind, answer, message in (
+        ("V", b"\x00", "expected version 2 of the protocol"),
         ("O", b"\x01" + b"NOT_FOUND," * (len(OUTPUTS) - 1) + b"DOUBLE", "found timestamp: NOT_FOUND"),
-        ("I", b"\x00" + b"IN_USE," * (len(INPUTS) - 1) + b"DOUBLE", "found input_int_register_24 and 7 more in use"),
-        ("S", b"\x00", "expected samples, and the robot does not begin"),
+        (
+            "I",
+            b"\x00" + b"IN_USE," * (len(INPUTS) - 1) + b"DOUBLE",
+            "writes input_int_register_24 and 7 more",
+        ),
+        ("S", b"\x00", "the robot does not start to send samples"),
     ):
         arm = Arm()
         arm.answers[kind] = answer
-        with pytest.raises(DriveError, match=told):
+        with pytest.raises(DriveError, match=message):
             driver(arm).connect()
 
     class Mute(Main):
@@ -298,15 +302,15 @@ def test_what_comes_without_a_sample_is_not_read_for_ever(kind: str, monkeypatch
 
 
 @pytest.mark.parametrize("kind", ["O", "I"])
-def test_another_type_and_too_few_of_them_are_told(kind: str) -> None:
+def test_another_type_and_too_few_of_them_are_reported(kind: str) -> None:
     names = OUTPUTS if kind == "O" else INPUTS
-    for kinds, told in (
+    for kinds, message in (
         ([*["DOUBLE"] * 2, *list(names.values())[2:]], "types of the maker's guide, found "),
-        (["DOUBLE"], f"expected a robot that knows {len(names)} names, found 1"),
+        (["DOUBLE"], f"expected an answer for {len(names)} names, found 1"),
     ):
         arm = Arm()
         arm.answers[kind] = b"\x01" + ",".join(kinds).encode()
-        with pytest.raises(DriveError, match=told):
+        with pytest.raises(DriveError, match=message):
             driver(arm).connect()
     arm = Arm()
     arm.answers[kind] = b""
@@ -317,11 +321,11 @@ def test_another_type_and_too_few_of_them_are_told(kind: str) -> None:
 def test_samples_out_of_order_count_none_as_lost_that_came() -> None:
     robot = driver(Arm())
     robot.connect()
-    told = robot._newest(1.0)
+    message = robot._newest(1.0)
     missed = []
     for tick in (0, 2, 1, 3, 4):
-        at = {**told, "timestamp": 200 + 0.008 * tick}
-        missed.append(robot._told(at).missed)
+        at = {**message, "timestamp": 200 + 0.008 * tick}
+        missed.append(robot._sample(at).missed)
     assert missed == [0, 1, 0, 0, 0]
 
 

@@ -1,6 +1,6 @@
 """The driver for arms of UFACTORY against a stand-in with the calls of the maker's package, and its reports.
 
-Where the package is installed, the stand-in's calls are held to its signatures and the reports to its own reader.
+Where the package is installed, the stand-in's calls are compared with its signatures and the reports to its own reader.
 """
 
 from __future__ import annotations
@@ -59,27 +59,27 @@ def report(time: float, state: int, mode: int, q_c: Any, q: Any, dq: Any, more: 
 
 
 class Arm:
-    """Moves as it is told, on a clock that goes on by a report when one is waited for; the calls are the package's."""
+    """Executes the calls of the package, with a clock that advances by a report when one is awaited."""
 
     def __init__(self, port: Any = None, is_radian: bool = False) -> None:
         self.version_number, self.axis, self.error_code = (2, 4, 0), 7, 0
         self.time, self.state, self.mode = 50.0, 2, 0
         self.q, self.dq = HELD.copy(), np.zeros(7)
         self.until = np.inf
-        self.told, self.code, self.silent, self.closed, self.pending = list[Any](), 0, False, 0, b""
+        self.calls, self.code, self.silent, self.closed, self.pending = list[Any](), 0, False, 0, b""
         self.goal: np.ndarray | None = None
 
     def motion_enable(self, enable: bool = True, servo_id: Any = None) -> int:
-        self.told.append(("motion_enable", enable))
+        self.calls.append(("motion_enable", enable))
         return 0
 
     def set_mode(self, mode: int = 0, detection_param: int = 0) -> int:
         self.mode = mode
-        self.told.append(("set_mode", mode))
+        self.calls.append(("set_mode", mode))
         return 0
 
     def set_state(self, state: int = 0) -> int:
-        self.told.append(("set_state", state))
+        self.calls.append(("set_state", state))
         self.state = 2 if state == 0 else state
         if state == 4:
             self.dq = np.zeros(7)
@@ -92,7 +92,7 @@ class Arm:
     ) -> int:  # fmt: skip
         assert is_radian
         assert not wait
-        self.told.append(("set_servo_angle", angle, speed, mvacc))
+        self.calls.append(("set_servo_angle", angle, speed, mvacc))
         self.goal = np.array(angle)
         return self.code
 
@@ -101,7 +101,7 @@ class Arm:
     ) -> int:
         assert is_radian
         assert not is_sync
-        self.told.append(("velocity", list(speeds), duration))
+        self.calls.append(("velocity", list(speeds), duration))
         if self.code == 0:
             self.dq, self.until = np.array(speeds), self.time + duration
         return self.code
@@ -142,27 +142,25 @@ def driver(graph: dm.Graph, arm: Arm) -> XArm:
 
 
 def velocities(arm: Arm) -> list[Any]:
-    return [row for row in arm.told if row[0] == "velocity"]
+    return [row for row in arm.calls if row[0] == "velocity"]
 
 
 def test_a_drive_follows_stops_and_lets_go(graph: dm.Graph) -> None:
     arm = Arm()
     found = driven(graph, driver(graph, arm), 100, ramp=0.1)
     assert found.stop is None
-    assert arm.told[:3] == [("motion_enable", True), ("set_mode", 4), ("set_state", 0)]
-    assert arm.told[-1] == ("set_state", 4)
+    assert arm.calls[:3] == [("motion_enable", True), ("set_mode", 4), ("set_state", 0)]
+    assert arm.calls[-1] == ("set_state", 4)
     sent = np.array([row[1] for row in velocities(arm)])
-    np.testing.assert_array_equal(sent[:100][:, [0, 1, 3]], found.journal.sent[:100])
+    np.testing.assert_array_equal(sent[:100][:, [0, 1, 3]], found.journal["sent"][:100])
     assert not sent[:, [2, 4, 5, 6]].any()  # the joints that the graph holds
     assert {row[2] for row in velocities(arm)} == {0.025}  # it comes to rest by itself
     assert np.max(np.abs(np.diff(sent[100:], axis=0))) <= 2.0 * 0.005 + 1e-12
     assert not sent[-1].any()
     assert arm.closed == 2
-    sample = found.journal.samples[-1]
-    assert sample.q_c is not None
-    np.testing.assert_allclose(sample.q_c, arm.q[[0, 1, 3]], atol=1e-2)
-    assert sample.missed == 0
-    assert sample.age is None
+    np.testing.assert_allclose(found.journal["q_c"][-1], arm.q[[0, 1, 3]], atol=1e-2)
+    assert found.journal["missed"][-1] == 0
+    assert np.isnan(found.journal["age"][-1])
 
 
 def test_a_slower_clock_takes_every_second_report_and_counts_what_is_lost(tmp_path: Path) -> None:
@@ -179,16 +177,16 @@ def test_a_slower_clock_takes_every_second_report_and_counts_what_is_lost(tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "message"),
     [
         ({"state": 4}, "robot: it is stopped"),
         ({"state": 3}, "robot: it is paused"),
         ({"error_code": 31}, "robot: error 31 of its controller"),
-        ({"mode": 0}, "robot: it does not take velocities any more, mode 0"),
-        ({"code": 9}, "lost link: xarm:arm: vc_set_joint_velocity was not taken, with code 9 of its package"),
+        ({"mode": 0}, "robot: it does not accept velocities any more, mode 0"),
+        ({"code": 9}, "lost link: xarm:arm: vc_set_joint_velocity failed with code 9"),
     ],
 )
-def test_what_the_arm_tells_is_named_and_it_is_stopped(graph: dm.Graph, changed: dict[str, Any], told: str) -> None:
+def test_a_fault_of_the_arm_is_named_and_it_is_stopped(graph: dm.Graph, changed: dict[str, Any], message: str) -> None:
     arm = Arm()
     calls = []
 
@@ -198,9 +196,9 @@ def test_what_the_arm_tells_is_named_and_it_is_stopped(graph: dm.Graph, changed:
             vars(arm).update(changed)
         return ""
 
-    found = driven(graph, driver(graph, arm), 50, ramp=0.1, asked=after)
-    assert str(found.stop) == told
-    assert arm.told[-1] == ("set_state", 4)
+    found = driven(graph, driver(graph, arm), 50, ramp=0.1, stop_requested=after)
+    assert str(found.stop) == message
+    assert arm.calls[-1] == ("set_state", 4)
     assert arm.closed == 2
 
 
@@ -213,9 +211,9 @@ def test_a_silent_arm_is_lost_and_is_at_rest_within_its_own_patience(graph: dm.G
         arm.silent = len(calls) >= 10
         return ""
 
-    found = driven(graph, driver(graph, arm), 50, ramp=0.05, asked=after)
+    found = driven(graph, driver(graph, arm), 50, ramp=0.05, stop_requested=after)
     assert str(found.stop) == "lost link: xarm:arm: no report for 25 ms"
-    assert arm.told[-1] == ("set_state", 4)
+    assert arm.calls[-1] == ("set_state", 4)
     arm = Arm()
     robot = driver(graph, arm)
     robot.connect()
@@ -234,10 +232,10 @@ def test_it_is_moved_to_the_start_with_the_joints_that_are_held(graph: dm.Graph)
     arm.q = HELD + 0.1
     found = driven(graph, driver(graph, arm), 3, ramp=0.1, start=HELD[[0, 1, 3]])
     assert found.stop is None
-    _, angle, speed, _ = next(row for row in arm.told if row[0] == "set_servo_angle")
+    _, angle, speed, _ = next(row for row in arm.calls if row[0] == "set_servo_angle")
     np.testing.assert_allclose(angle, HELD, atol=1e-7)
     assert speed == 0.25
-    assert arm.told.index(("set_mode", 0)) < [row[0] for row in arm.told].index("set_servo_angle")
+    assert arm.calls.index(("set_mode", 0)) < [row[0] for row in arm.calls].index("set_servo_angle")
     arm = Arm()
     arm.q[5] = 0.0
     with pytest.raises(DriveError, match=r"expected joint6 at 0.8 rad, where the graph holds it, found it at 0 rad"):
@@ -245,32 +243,34 @@ def test_it_is_moved_to_the_start_with_the_joints_that_are_held(graph: dm.Graph)
     assert not velocities(arm)
 
 
-def test_what_is_asked_on_the_way_to_the_start_ends_it(graph: dm.Graph) -> None:
+def test_a_request_on_the_way_to_the_start_ends_it(graph: dm.Graph) -> None:
     arm = Arm()
     arm.q = HELD + 0.5
     texts = iter(["", "", "Ctrl-C"])
-    found = driven(graph, driver(graph, arm), 3, ramp=0.1, start=HELD[[0, 1, 3]], asked=lambda: next(texts, "Ctrl-C"))
+    found = driven(
+        graph, driver(graph, arm), 3, ramp=0.1, start=HELD[[0, 1, 3]], stop_requested=lambda: next(texts, "Ctrl-C")
+    )
     assert found.stop is not None
     assert "Ctrl-C" in str(found.stop)
-    assert arm.told[-1] == ("set_state", 4)
+    assert arm.calls[-1] == ("set_state", 4)
     assert arm.q[0] > HELD[0] + 0.4
     assert not velocities(arm)
 
 
-def test_in_shadow_nothing_is_told_to_it(graph: dm.Graph) -> None:
+def test_in_shadow_nothing_is_reported_to_it(graph: dm.Graph) -> None:
     arm = Arm()
     found = driven(graph, driver(graph, arm), 20, shadow=True)
     assert found.stop is None
-    assert arm.told == []
+    assert arm.calls == []
     assert arm.closed == 2
 
 
-def test_what_is_no_report_is_said(graph: dm.Graph) -> None:
+def test_what_is_no_report_is_reported(graph: dm.Graph) -> None:
     arm = Arm()
     robot = driver(graph, arm)
     robot.connect()
     arm.pending = b"HTTP/1.1 400 Bad Request"
-    with pytest.raises(LostError, match="what comes from port 30000 is no report"):
+    with pytest.raises(LostError, match="received bytes from port 30000 are not a report"):
         robot.read()
 
 
@@ -280,7 +280,7 @@ def test_versions_joints_clocks_and_addresses_are_checked(graph: dm.Graph, tmp_p
     with pytest.raises(DriveError, match=r"expected firmware 2\.1\.0 or later, .*, found 1\.12\.10"):
         driver(graph, arm).connect()
     assert arm.closed == 1
-    assert arm.told == []
+    assert arm.calls == []
     small = Arm()
     small.axis = 3
     with pytest.raises(DriveError, match="expected an arm with joint4, found one of 3 joints"):
@@ -289,7 +289,7 @@ def test_versions_joints_clocks_and_addresses_are_checked(graph: dm.Graph, tmp_p
     with pytest.raises(ValueFault, match="expected the address of an arm, xarm:192"):
         kind.make("", graph.experiment, graph.diagram, Options(1.0))
     late = graph_of(tmp_path, "8 ms")
-    with pytest.raises(DriveError, match="a clock of whole reports of the arm, 5 ms or a multiple, found 8 ms"):
+    with pytest.raises(DriveError, match="a clock of 5 ms or a multiple, the period of the arm's reports, found 8 ms"):
         kind.make("x", late.experiment, late.diagram, Options(1.0))
     ur = dm.load("ur10_fast")
     with pytest.raises(DriveError, match="the joints of an xArm, joint1 to joint7, in their order, found shoulder"):
@@ -303,7 +303,7 @@ def test_without_the_package_it_is_named(monkeypatch: pytest.MonkeyPatch) -> Non
         xarm.opened("192.0.2.1")
 
 
-def test_the_stand_in_has_the_calls_of_the_makers_package() -> None:
+def test_the_test_double_has_the_calls_of_the_makers_package() -> None:
     wrapper = pytest.importorskip("xarm.wrapper", reason="xarm-python-sdk is not installed")
     for name in ("motion_enable", "set_mode", "set_state", "set_servo_angle", "vc_set_joint_velocity"):
         theirs, mine = (inspect.signature(getattr(owner, name)).parameters for owner in (wrapper.XArmAPI, Arm))

@@ -121,7 +121,7 @@ def test_an_hour_at_8_ms_keeps_at_most_160_megabytes() -> None:
     numbers = prepared.keeping.rows(prepared.ticks) * prepared.keeping.kept.size
     assert numbers * 8 < 165e6
     assert prepared.keeping.notices == (
-        "a long run: of 3 instants one is kept, 0.024 s apart; log.every says otherwise",
+        "a long run: one of 3 instants is recorded, every 0.024 s; set log.every to change it",
     )
 
 
@@ -255,5 +255,5 @@ def test_an_operation_without_a_word_in_c_leaves_the_interpreter() -> None:
         outputs=ca.Function("outputs", [state, t, none, period, p], [ca.SX(0, 1)]),
         clip=ca.Function("clip", [state, p], [state]),
     )
-    with pytest.raises(EngineError, match=r"engine: rate holds CasADi's instruction \d+, which cannot be written as C"):
+    with pytest.raises(EngineError, match=r"engine: rate has CasADi's instruction \d+, which cannot be translated"):
         loop_source(parts)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -16,7 +16,7 @@ from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
 from dmframe.errors import DmframeError, UnknownNameError, ValueFault
 from dmframe.parameter import Diagonal, Gain, Positive, PositiveDefinite, Real, Scalar
-from dmframe.port import Port, Side, State
+from dmframe.port import Output, Side, State
 from dmframe.results.metrics import tracking_error
 from dmframe.simulate import Recording, simulate, simulate_many
 
@@ -103,7 +103,7 @@ def test_a_batch_compiles_once(cache: Path) -> None:
     assert len(list(cache.iterdir())) == 1
 
 
-def test_numbers_are_changed_beside_the_diagram_not_in_it() -> None:
+def test_other_numbers_do_not_change_the_diagram() -> None:
     diagram = load_experiment("arm2_joint").diagram()
     before = diagram.loop.p_values.copy()
     changed = with_values(diagram, {"dynamics.Gamma": 7.0})
@@ -125,7 +125,7 @@ def test_numbers_are_changed_beside_the_diagram_not_in_it() -> None:
         ({"servo.K_P": "5 kg"}, "K_P"),
     ],
 )
-def test_numbers_that_cannot_be_are_told(values: dict[str, Any], text: str) -> None:
+def test_numbers_that_are_not_allowed_are_errors(values: dict[str, Any], text: str) -> None:
     with pytest.raises(DmframeError) as fault:
         with_values(load_experiment("arm2_joint").diagram(), values)
     assert text in str(fault.value)
@@ -139,9 +139,9 @@ def test_no_threads_are_too_few() -> None:
 class Plain(AbstractBlock):
     """dx = -k x from x = c, with k or c read as a number where `numeric` names it."""
 
-    side: ClassVar[Side] = Side.PLANT
-    outputs: ClassVar[tuple[Port, ...]] = (Port("x", "n"),)
-    states: ClassVar[tuple[State, ...]] = (State("x", "n"),)
+    side = Side.PLANT
+    outputs = (Output("x", "n"),)
+    states = (State("x", "n"),)
     k: Scalar = Real(default=1.0)
     c: Scalar = Real(default=1.0)
     honest: Scalar = Real(default=1.0)
@@ -178,8 +178,8 @@ def test_a_gain_that_follows_from_another_block_follows_it() -> None:
     class Model(AbstractBlock):
         """Says how large errors may be."""
 
-        side: ClassVar[Side] = Side.PLANT
-        outputs: ClassVar[tuple[Port, ...]] = (Port("y", "n"),)
+        side = Side.PLANT
+        outputs = (Output("y", "n"),)
         spread: Scalar = Positive(default=1.0)
 
         def prior(self, robot: Any, others: Fraction) -> list[list[Fraction]]:
@@ -192,9 +192,9 @@ def test_a_gain_that_follows_from_another_block_follows_it() -> None:
     class Learner(AbstractBlock):
         """dw = Gamma (1 - w)."""
 
-        side: ClassVar[Side] = Side.PLANT
-        outputs: ClassVar[tuple[Port, ...]] = (Port("w", "n"),)
-        states: ClassVar[tuple[State, ...]] = (State("w", "n"),)
+        side = Side.PLANT
+        outputs = (Output("w", "n"),)
+        states = (State("w", "n"),)
         Gamma: Gain = PositiveDefinite("n")
         size: Diagonal = Real("n", default=(1.0, 1.0))
 

@@ -62,7 +62,7 @@ def test_near_rank_loss_is_told_from_its_first_moment_with_value_and_time() -> N
     assert rank.since == 0.5
     assert rank.notice == (
         "geometry.J_hat is near rank loss from t = 0.5 s: its smallest singular value falls to 0.001 m/rad at t = 1 s, "
-        "0.0005 of its largest; a reference that inverts it asks for joint velocities as large as that is small"
+        "0.0005 of its largest; a reference that inverts it commands correspondingly large joint velocities"
     )
 
 

@@ -17,12 +17,11 @@ from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
 from dmframe.parameter import Box, Interval, Real, Scalar
-from dmframe.port import PERIOD, Access, Port, Side, State
+from dmframe.port import PERIOD, Access, Input, Output, Side, State
 from dmframe.runtime import Controller
 from dmframe.simulate import Solver, simulate, simulate_many
 from dmframe.simulate.instants import DRAWN, LENGTH, TIME, Instants
 
-Ports = ClassVar[tuple[Port, ...]]
 States = ClassVar[tuple[State, ...]]
 
 T = 0.05
@@ -31,9 +30,9 @@ T = 0.05
 class SampledPi(AbstractBlock):
     """v = -2 y - i, i+ = i + T y: in sampled time."""
 
-    inputs: Ports = (Port("y_m"), PERIOD)
-    outputs: Ports = (Port("v", access=Access.COMMANDED),)
-    states: States = (State("i", sampled=True, box="i_box"),)
+    inputs = (Input("y_m"), PERIOD)
+    outputs = (Output("v", access=Access.COMMANDED),)
+    states = (State("i", sampled=True, box="i_box"),)
     i: Scalar = Real(default=0.3)
     i_box: Box = Interval()
 
@@ -44,9 +43,9 @@ class SampledPi(AbstractBlock):
 class Emulated(AbstractBlock):
     """The same law, with its integral in continuous time."""
 
-    inputs: Ports = (Port("y_m"),)
-    outputs: Ports = (Port("v", access=Access.COMMANDED),)
-    states: States = (State("i"),)
+    inputs = (Input("y_m"),)
+    outputs = (Output("v", access=Access.COMMANDED),)
+    states = (State("i"),)
     i: Scalar = Real(default=0.3)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -56,10 +55,10 @@ class Emulated(AbstractBlock):
 class Delay(AbstractBlock):
     """Hands on the command of one sample ago."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: Ports = (Port("v"),)
-    outputs: Ports = (Port("v_late"),)
-    states: States = (State("late", sampled=True),)
+    side = Side.PLANT
+    inputs = (Input("v"),)
+    outputs = (Output("v_late"),)
+    states = (State("late", sampled=True),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"v_late": x.late}, next={"late": u.v})
@@ -68,10 +67,10 @@ class Delay(AbstractBlock):
 class Cart(AbstractBlock):
     """dy = v_late - y/2."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: Ports = (Port("v_late"),)
-    outputs: Ports = (Port("y", access=Access.MEASURED),)
-    states: States = (State("y"),)
+    side = Side.PLANT
+    inputs = (Input("v_late"),)
+    outputs = (Output("y", access=Access.MEASURED),)
+    states = (State("y"),)
     y: Scalar = Real(default=1.0)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -81,9 +80,9 @@ class Cart(AbstractBlock):
 class Sensor(AbstractBlock):
     """y_m = y + noise n + 0.1 r."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: Ports = (Port("y"), Port("n", drawn="normal"), Port("r", drawn="uniform"))
-    outputs: Ports = (Port("y_m", access=Access.MEASURED),)
+    side = Side.PLANT
+    inputs = (Input("y"), Input("n", drawn="normal"), Input("r", drawn="uniform"))
+    outputs = (Output("y_m", access=Access.MEASURED),)
     noise: Scalar = Real(default=0.0)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -198,18 +197,18 @@ class WrongToo(Emulated):
 
 
 class Drawing(Emulated):
-    """Draws an output, and an input from what is no distribution."""
+    """Draws an input from what is no distribution; an `Output` has no such field."""
 
-    inputs: Ports = (Port("y_m"), Port("n", drawn="norml"))
-    outputs: Ports = (Port("v", access=Access.COMMANDED, drawn="normal"),)
+    inputs = (Input("y_m"), Input("n", drawn="norml"))
+    outputs = (Output("v", access=Access.COMMANDED),)
 
 
 class Restless(AbstractBlock):
     """Moves with no memory, differently whenever it is asked."""
 
-    inputs: Ports = (Port("y_m"),)
-    outputs: Ports = (Port("v", access=Access.COMMANDED),)
-    states: States = (State("z", sampled=True),)
+    inputs = (Input("y_m"),)
+    outputs = (Output("v", access=Access.COMMANDED),)
+    states = (State("z", sampled=True),)
     asked: ClassVar[list[int]] = []
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -220,9 +219,9 @@ class Restless(AbstractBlock):
 class Differentiating(AbstractBlock):
     """Wants the derivative of what is measured with noise, and of a sampled state."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: Ports = (Port("v_late"), Port("dv_late", derivative_of="v_late"))
-    outputs: Ports = (Port("y", access=Access.MEASURED),)
+    side = Side.PLANT
+    inputs = (Input("v_late"), Input("dv_late", derivative_of="v_late"))
+    outputs = (Output("y", access=Access.MEASURED),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"y": u.dv_late})
@@ -233,9 +232,8 @@ class Differentiating(AbstractBlock):
     [
         (Wrong, "law: equations state the rate of i, a sampled state; state its next value, or declare it without"),
         (WrongToo, "law: equations state the next value of i, a state in continuous time; state its rate, or"),
-        (Drawing, "law: the output v is drawn; an input is, from which outputs may follow"),
         (Drawing, "law: the input n is drawn from norml, unknown; did you mean normal?"),
-        (Restless, "law: equations() state another next value of z when they are asked again"),
+        (Restless, "law: equations() state another next value of z when evaluated again"),
     ],
 )
 def test_what_a_block_states_of_time_is_held_to_what_it_declares(law: Any, text: str) -> None:
@@ -278,9 +276,9 @@ def test_jitter_asks_for_a_clock() -> None:
 class Straight(AbstractBlock):
     """No delay."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: Ports = (Port("v"),)
-    outputs: Ports = (Port("v_late"),)
+    side = Side.PLANT
+    inputs = (Input("v"),)
+    outputs = (Output("v_late"),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"v_late": u.v})
@@ -289,9 +287,9 @@ class Straight(AbstractBlock):
 class Exact(AbstractBlock):
     """No noise."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: Ports = (Port("y"),)
-    outputs: Ports = (Port("y_m", access=Access.MEASURED),)
+    side = Side.PLANT
+    inputs = (Input("y"),)
+    outputs = (Output("y_m", access=Access.MEASURED),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"y_m": u.y})
@@ -308,10 +306,10 @@ def test_proofs_and_analyses_in_continuous_time_say_that_they_do_not_reach_it() 
 class LateCommand(AbstractBlock):
     """The velocity command of one sample ago; it claims to store nothing."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: Ports = (Port("dq_c", "n", "rad/s"),)
-    outputs: Ports = (Port("dq_late", "n", "rad/s"),)
-    states: States = (State("held", "n", "rad/s", sampled=True),)
+    side = Side.PLANT
+    inputs = (Input("dq_c", "n", "rad/s"),)
+    outputs = (Output("dq_late", "n", "rad/s"),)
+    states = (State("held", "n", "rad/s", sampled=True),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"dq_late": x.held}, next={"held": u.dq_c})
@@ -333,20 +331,20 @@ def test_a_proved_loop_with_a_delay_in_it_is_neither_proved_nor_drawn_with_v() -
 
 def test_a_controller_that_draws_is_refused() -> None:
     class Probing(SampledPi):
-        inputs: Ports = (Port("y_m"), PERIOD, Port("n", drawn="normal"))
+        inputs = (Input("y_m"), PERIOD, Input("n", drawn="normal"))
 
         def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
             return Equations(outputs={"v": u.n}, next={"i": x.i})
 
-    with pytest.raises(DmframeError, match=r"controller: law\.n is drawn anew at each sample, in simulations alone"):
+    with pytest.raises(DmframeError, match=r"controller: law\.n is random at each sample"):
         Controller(loop(Probing()), T)
 
 
 def test_the_fingerprint_knows_a_sampled_state_from_one_in_continuous_time() -> None:
     class Holding(AbstractBlock):
-        inputs: Ports = (Port("y_m"),)
-        outputs: Ports = (Port("v", access=Access.COMMANDED),)
-        states: States = (State("i", sampled=True),)
+        inputs = (Input("y_m"),)
+        outputs = (Output("v", access=Access.COMMANDED),)
+        states = (State("i", sampled=True),)
 
         def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
             return Equations(outputs={"v": -2 * u.y_m - x.i}, next={"i": u.y_m})
@@ -356,9 +354,9 @@ def test_the_fingerprint_knows_a_sampled_state_from_one_in_continuous_time() -> 
 
 def test_a_block_may_start_at_what_it_measures_with_noise_and_reads_nowhere_else() -> None:
     class Filter(AbstractBlock):
-        inputs: Ports = (Port("y_m"), PERIOD)
-        outputs: Ports = (Port("v", access=Access.COMMANDED),)
-        states: States = (State("z", sampled=True), State("T_0"))
+        inputs = (Input("y_m"), PERIOD)
+        outputs = (Output("v", access=Access.COMMANDED),)
+        states = (State("z", sampled=True), State("T_0"))
 
         def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
             return Equations(outputs={"v": -x.z}, rates={"T_0": 0 * x.z}, next={"z": x.z})

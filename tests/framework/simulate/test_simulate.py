@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -14,18 +14,16 @@ from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, EngineError, ValueFault
 from dmframe.parameter import Box, Interval, Real, Scalar
-from dmframe.port import TIME, Access, Port, Side, State
+from dmframe.port import TIME, Access, Input, Output, Side, State
 from dmframe.simulate import Recording, Solver, simulate
-
-Ports = ClassVar[tuple[Port, ...]]
 
 
 class Push(AbstractBlock):
     """r = sin 2 t."""
 
-    side: ClassVar[Side] = Side.SOURCE
-    inputs: Ports = (TIME,)
-    outputs: Ports = (Port("r", "", ""),)
+    side = Side.SOURCE
+    inputs = (TIME,)
+    outputs = (Output("r", "", ""),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"r": ca.sin(2 * u.t)})
@@ -34,9 +32,9 @@ class Push(AbstractBlock):
 class Adapter(AbstractBlock):
     """v = z + r - y, dz = r - 2 y, z kept in a box."""
 
-    inputs: Ports = (Port("r", "", ""), Port("y", "", ""))
-    outputs: Ports = (Port("v", "", "", Access.COMMANDED),)
-    states: ClassVar[tuple[State, ...]] = (State("z", "", "", box="z_box"),)
+    inputs = (Input("r", "", ""), Input("y", "", ""))
+    outputs = (Output("v", "", "", Access.COMMANDED),)
+    states = (State("z", "", "", box="z_box"),)
     z: Scalar = Real(default=0.5)
     z_box: Box = Interval()
 
@@ -47,10 +45,10 @@ class Adapter(AbstractBlock):
 class Integrator(AbstractBlock):
     """dy = v: exact for any Runge-Kutta method while v is held."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: Ports = (Port("v", "", ""),)
-    outputs: Ports = (Port("y", "", "", Access.MEASURED),)
-    states: ClassVar[tuple[State, ...]] = (State("y"),)
+    side = Side.PLANT
+    inputs = (Input("v", "", ""),)
+    outputs = (Output("y", "", "", Access.MEASURED),)
+    states = (State("y"),)
     y: Scalar = Real(default=1.0)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -60,10 +58,10 @@ class Integrator(AbstractBlock):
 class Alone(AbstractBlock):
     """A plant by itself, dy = rate(t, y)."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: Ports = (TIME,)
-    outputs: Ports = (Port("y", "2", "", Access.MEASURED),)
-    states: ClassVar[tuple[State, ...]] = (State("y", "2"),)
+    side = Side.PLANT
+    inputs = (TIME,)
+    outputs = (Output("y", "2", "", Access.MEASURED),)
+    states = (State("y", "2"),)
 
 
 class Pendulum(Alone):
@@ -98,7 +96,7 @@ class Stiff(Alone):
 class Boxed(Alone):
     """A plant's own state in a box: dy = cos t."""
 
-    states: ClassVar[tuple[State, ...]] = (State("y", "2", box="y_box"),)
+    states = (State("y", "2", box="y_box"),)
     y_box: Box = Interval("2")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:

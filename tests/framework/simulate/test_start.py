@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -14,8 +16,9 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.config.experiment import Experiment, load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import StartError, ValueFault
-from dmframe.port import Port, Side, State
+from dmframe.port import Input, Output, Side, State
 from dmframe.simulate import simulate, start_state
+from dmframe.simulate.start import goal_and_place, joint_goal, on_path
 from dmframe_plants.arm2 import closed_form
 
 GRAPH = """\
@@ -121,10 +124,10 @@ def test_a_pose_out_of_reach_or_of_the_limits_is_refused(tmp_path: Path) -> None
 class Follower(AbstractBlock):
     """Starts where what drives it starts."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (Port("a"),)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("b"),)
-    states: ClassVar[tuple[State, ...]] = (State("z", sampled=True),)
+    side = Side.PLANT
+    inputs = (Input("a"),)
+    outputs = (Output("b"),)
+    states = (State("z", sampled=True),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations({"b": x.z}, next={"z": 0.5 * u.a})
@@ -136,9 +139,9 @@ class Follower(AbstractBlock):
 class Leader(AbstractBlock):
     """Starts at three."""
 
-    side: ClassVar[Side] = Side.PLANT
-    outputs: ClassVar[tuple[Port, ...]] = (Port("b"),)
-    states: ClassVar[tuple[State, ...]] = (State("y"),)
+    side = Side.PLANT
+    outputs = (Output("b"),)
+    states = (State("y"),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations({"b": x.y}, {"y": 0 * x.y})
@@ -158,5 +161,44 @@ def test_starts_that_wait_for_one_another_are_told() -> None:
     diagram = Diagram.build({"one": Follower(), "two": Follower()}, {"one.a": "two.b", "two.a": "one.b"})
     with pytest.raises(StartError) as caught:
         start_state(diagram, {})
-    assert str(caught.value) == ("start: one.z and two.z each wait for another's start; give one of them under start")
+    assert str(caught.value) == ("start: one.z and two.z depend on each other's start; give one of them under start")
     np.testing.assert_array_equal(start_state(diagram, {"two.z": 4}), [9, 4])
+
+
+def test_a_goal_of_the_joints_needs_no_search_and_is_what_scipy_finds(tmp_path: Path) -> None:
+    """A search in which SciPy's least squares look for the pose, as they do for a goal of a task."""
+    from scipy.optimize import least_squares
+
+    diagram, made = graph(tmp_path).diagram(), dict[Any, Any]()
+    ((followed, unknown),) = on_path(diagram, [], made)
+    goal_now, residual = goal_and_place(diagram.loop, followed, unknown, made)
+    p, goal = diagram.loop.p_values, np.array([0.6, 0.9])
+    np.testing.assert_array_equal(goal_now(0, p).full().ravel(), goal)
+    found = joint_goal(residual, residual.jacobian(), goal, p)
+    sought = least_squares(
+        lambda q: residual(q, p).full().ravel() - goal, [0.3, 0.3], xtol=1e-15, ftol=1e-15, gtol=1e-15
+    )
+    np.testing.assert_allclose(found, sought.x, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "place",
+    [lambda q: ca.cos(q), lambda q: q[0] + q[1], lambda q: ca.vertcat(q[0] + q[1], 2 * q[0] + 2 * q[1])],
+    ids=["not affine", "fewer than joints", "singular"],
+)
+def test_of_a_goal_with_no_or_with_several_poses_none_is_said(place: Any) -> None:
+    q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 1)
+    residual = ca.Function("residual", [q, p], [place(q)])
+    goal = np.zeros(residual.numel_out(0))
+    assert joint_goal(residual, residual.jacobian(), goal, np.zeros(1)) is None
+
+
+def test_a_pose_of_the_joints_beyond_their_limits_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(StartError, match=r"arm\.q cannot reach goal\.q_d\(0\) = \[0\.6, 9\]"):
+        begin(tmp_path, ("q_d: [0.6, 0.9]", "q_d: [0.6, 9]"))
+
+
+def test_a_run_to_a_goal_of_the_joints_does_not_import_the_search() -> None:
+    code = "import sys, dmframe as dm; dm.load('pendulum').run(1); print('scipy' in sys.modules)"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == "False"

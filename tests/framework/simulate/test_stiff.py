@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -15,7 +15,7 @@ from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import ValueFault
 from dmframe.parameter import Real, Scalar
-from dmframe.port import TIME, Access, Port, Side, State
+from dmframe.port import TIME, Access, Output, Side, State
 from dmframe.simulate import Log, Recording, Solver, simulate, simulate_many
 from dmframe.simulate.engine import _work
 from dmframe.simulate.run import Prepared, prepare
@@ -27,10 +27,10 @@ PANDA = ["arm.coulomb=[6, 6, 6, 6, 1.3, 1.3, 1.34]"]
 class Plant(AbstractBlock):
     """A plant by itself, dy = rate(t, y)."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (TIME,)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("y", "2", "", Access.MEASURED),)
-    states: ClassVar[tuple[State, ...]] = (State("y", "2"),)
+    side = Side.PLANT
+    inputs = (TIME,)
+    outputs = (Output("y", "2", "", Access.MEASURED),)
+    states = (State("y", "2"),)
     speed: Scalar = Real(default=1.0)
 
 
@@ -78,9 +78,9 @@ class Singular(Plant):
 class Square(AbstractBlock):
     """dx = -k |x|^2 x, of which a Jacobian is dear: it is left out of what ros34pw2 solves for."""
 
-    side: ClassVar[Side] = Side.PLANT
-    outputs: ClassVar[tuple[Port, ...]] = (Port("x", "40", "", Access.MEASURED),)
-    states: ClassVar[tuple[State, ...]] = (State("x", "40"),)
+    side = Side.PLANT
+    outputs = (Output("x", "40", "", Access.MEASURED),)
+    states = (State("x", "40"),)
     k: Scalar = Real(default=1.0)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -90,9 +90,9 @@ class Square(AbstractBlock):
 class Spring(AbstractBlock):
     """x'' = -k |x|^2 x: steep in the positions alone, by a product, with a Jacobian that is dear."""
 
-    side: ClassVar[Side] = Side.PLANT
-    outputs: ClassVar[tuple[Port, ...]] = (Port("y", "40", "", Access.MEASURED),)
-    states: ClassVar[tuple[State, ...]] = (State("x", "40"), State("y", "40"))
+    side = Side.PLANT
+    outputs = (Output("y", "40", "", Access.MEASURED),)
+    states = (State("x", "40"), State("y", "40"))
     k: Scalar = Real(default=1.0)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -210,7 +210,7 @@ def test_a_library_that_computes_it_wrongly_is_not_loaded(
     monkeypatch.setenv("CC", str(compiler))
     run = ran(Driven(), 0.1, [0.5, 0], 1e-3, 0.01, engine="compiled")
     assert run.engine == "interpreted"
-    assert "made a library that does not work" in run.notices[0]
+    assert "built a library that does not work" in run.notices[0]
 
 
 def test_a_panda_of_h_lambda_46_is_run_compiled_where_rk4_cannot_and_cvodes_is_interpreted() -> None:

@@ -11,8 +11,8 @@ import pytest
 from dmframe import plotting
 from dmframe.study import execute, report, tune_page
 from dmframe.study.chunks import Chunk
-from dmframe.study.computed import Computable, Computed, Failed, compute
 from dmframe.study.execute import State, run_study
+from dmframe.study.executor import Computed, Failed, compute
 from dmframe.study.plan import Study, load_study
 
 ARM = """\
@@ -49,7 +49,7 @@ class Here:
 
     count = 1
 
-    def __init__(self, study: Computable, workers: int | None) -> None:
+    def __init__(self, study: Any, workers: int | None) -> None:
         self._study = study
         self._ended = list[tuple[Chunk, Computed | Failed]]()
 
@@ -76,7 +76,7 @@ def here(monkeypatch: pytest.MonkeyPatch) -> None:
 def finish(monkeypatch: pytest.MonkeyPatch) -> Callable[..., State]:
     """Go on with a study in this process, whichever processes it began in."""
 
-    def finished(study: Computable, out: Path) -> State:
+    def finished(study: Any, out: Path) -> State:
         with monkeypatch.context() as patch:
             patch.setattr(execute, "Pool", Here)
             return run_study(study, out)

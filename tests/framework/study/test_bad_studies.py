@@ -25,5 +25,5 @@ def test_a_bad_study_is_refused_with_the_place_and_the_remedy_of_each_fault(
     text = "\n".join(line[2:] for line in lines if line.startswith("|"))
     with pytest.raises(DmframeError) as caught:
         study(text + "\n").check()
-    told = str(caught.value).replace(f"{arm.parent}/", "")
-    assert told.split("\n") == [line for line in lines if line and not line.startswith("|")], name
+    found = str(caught.value).replace(f"{arm.parent}/", "")
+    assert found.split("\n") == [line for line in lines if line and not line.startswith("|")], name

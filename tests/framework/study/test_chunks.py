@@ -83,7 +83,7 @@ def test_a_process_that_ends_while_chunks_are_timed_loses_none_of_them(after: in
     assert runs(chunks(again)) == {(p, s): 1 for p in range(points) for s in range(300)}
 
 
-def test_a_chunks_name_tells_it_from_all_others() -> None:
+def test_chunk_names_are_unique() -> None:
     found = chunks(cut(Sizes(50, 40), of(1e-3)))
     assert len({chunk.name("ab" * 32) for chunk in found}) == len(found)
     assert Chunk(3, 4, 8, 16).name("ab" * 32) != Chunk(3, 4, 8, 16).name("cd" * 32)

@@ -12,14 +12,14 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
-from stand_in_study import StandIn
+from fake_study import FakeStudy
 from study_processes import check, client, close, environment, files, gate, kill, said, wait_for_end
 
 from dmframe.study import cluster
-from dmframe.study.beside import packed
 from dmframe.study.chunks import Chunk
-from dmframe.study.computed import Computed, Failed, versions
 from dmframe.study.execute import State, run_study
+from dmframe.study.executor import Computed, Failed, versions
+from dmframe.study.packing import packed
 
 QUIET = {"DASK_DISTRIBUTED__DASHBOARD__LINK": "", "DASK_DISTRIBUTED__WORKER__DAEMON": "False"}
 
@@ -44,7 +44,7 @@ def started(*words: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
 
 
 def free() -> str:
-    """A port that nobody has."""
+    """A free port."""
     with socket.socket() as found:
         found.bind(("127.0.0.1", 0))
         return str(found.getsockname()[1])
@@ -79,27 +79,27 @@ def test_workers_client_and_scheduler_are_killed_one_after_another(
             kept, computed, lost = said(second).split("|")
         assert lost == f"--scheduler {place}: the scheduler has gone"
     assert int(computed) + 8 * len(before) == int(kept) < 120
-    last = finish(StandIn(), out)  # without a scheduler: the folder is the same
+    last = finish(FakeStudy(), out)  # without a scheduler: the folder is the same
     assert last.computed == 120 - int(kept)
     check(out)
 
 
 def test_where_no_scheduler_is_one_sentence_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "_CONNECT", 0.2)
-    state = run_study(StandIn(), tmp_path / "out", scheduler="tcp://127.0.0.1:9")
+    state = run_study(FakeStudy(), tmp_path / "out", scheduler="tcp://127.0.0.1:9")
     assert state.lost.startswith("--scheduler tcp://127.0.0.1:9: no scheduler answers there")
     assert len(state.lost.splitlines()) == 1
     assert state.kept == 0
 
 
 def test_a_worker_of_other_versions_or_another_study_is_refused() -> None:
-    study, chunk = StandIn(), Chunk(0, 1, 0, 8)
+    study, chunk = FakeStudy(), Chunk(0, 1, 0, 8)
     parcel = packed(study)
     assert isinstance(cluster.work(parcel, study.key, versions(), chunk), Computed)
     other = cluster.work(parcel, study.key, {**versions(), "numpy": "1.0"}, chunk)
     assert isinstance(other, cluster.Refused)
     assert "where the client has 1.0; install the same versions there" in other.text
-    strange = cluster.work(packed(StandIn(meaning="two")), study.key, versions(), chunk)
+    strange = cluster.work(packed(FakeStudy(meaning="two")), study.key, versions(), chunk)
     assert isinstance(strange, cluster.Refused)
     unread = cluster.work(b"none", study.key, versions(), chunk)
     assert isinstance(unread, Failed)
@@ -107,7 +107,7 @@ def test_a_worker_of_other_versions_or_another_study_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("address", "told"),
+    ("address", "warns"),
     [
         ("tcp://127.0.0.1:8786", False),
         ("localhost:8786", False),
@@ -117,5 +117,5 @@ def test_a_worker_of_other_versions_or_another_study_is_refused() -> None:
         ("node7:8786", True),
     ],
 )
-def test_a_scheduler_that_anybody_reaches_is_told_of(address: str, told: bool) -> None:
-    assert bool(cluster.exposed(address)) is told
+def test_a_scheduler_that_other_machines_can_reach_gives_a_warning(address: str, warns: bool) -> None:
+    assert bool(cluster.exposed(address)) is warns

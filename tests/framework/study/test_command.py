@@ -22,8 +22,8 @@ from study_processes import PATIENCE, environment
 from dmframe.cli import main
 from dmframe.graph import load
 from dmframe.results.metrics import tracking_error
-from dmframe.study.beside import packed, unpacked
 from dmframe.study.execute import State
+from dmframe.study.packing import packed, unpacked
 from dmframe.study.plan import load_study
 
 STUDY = """\
@@ -61,7 +61,7 @@ Dmframe = Callable[..., Any]
 
 @pytest.fixture
 def mine(tmp_path: Path) -> Path:
-    """A study, its graph in a folder below, and a block of its own beside that."""
+    """A study, its graph in a folder below, and a block of its own next to that."""
     folder = tmp_path / "there"
     (folder / "mine").mkdir(parents=True)
     (folder / "study.yaml").write_text(STUDY, encoding="utf-8")
@@ -101,10 +101,10 @@ def test_a_study_runs_grows_reruns_and_moves(mine: Path, tmp_path: Path, dmframe
     """One study through all that the command does, since each loop takes seconds to build."""
     status, out, err = dmframe("there/study.yaml", "--dry-run", "--json", "--workers", "1")
     assert status == 0, err
-    told = json.loads(out)
-    assert (told["points"], told["samples"], told["runs"], told["kept"]) == (2, 9, 18, 0)
-    assert told["chunks"] >= 2
-    assert told["seconds"] > 0
+    found = json.loads(out)
+    assert (found["points"], found["samples"], found["runs"], found["kept"]) == (2, 9, 18, 0)
+    assert found["chunks"] >= 2
+    assert found["seconds"] > 0
     assert not (tmp_path / "studies").exists()
 
     status, out, err = dmframe("there/study.yaml", "--workers", "1")
@@ -142,10 +142,10 @@ def test_a_study_runs_grows_reruns_and_moves(mine: Path, tmp_path: Path, dmframe
 
     status, out, err = dmframe("moved", "--rerun", "7", "--json")
     assert status == 0, err
-    told = json.loads(out)
-    assert (told["point"], told["sample"], told["alike"]) == (1, 3, True)
+    found = json.loads(out)
+    assert (found["point"], found["sample"], found["alike"]) == (1, 3, True)
     row = polars.read_parquet(moved / "runs" / "*.parquet").filter(polars.col("run") == 7).row(0, named=True)
-    error = tracking_error(load(tmp_path / told["graph"]).run().recording)
+    error = tracking_error(load(tmp_path / found["graph"]).run().recording)
     assert error is not None
     assert row["rms_final"] == pytest.approx(error.rms_final, rel=1e-9)
 
@@ -189,7 +189,7 @@ def test_a_worker_elsewhere_has_the_study_and_all_its_files(mine: Path) -> None:
     expected = study.rows(1, 4, 6)
     shutil.rmtree(mine.parent)
     script = (
-        "import sys, pickle; from dmframe.study.beside import unpacked; study = unpacked(sys.stdin.buffer.read()); "
+        "import sys, pickle; from dmframe.study.packing import unpacked; study = unpacked(sys.stdin.buffer.read()); "
         "sys.stdout.buffer.write(pickle.dumps((study.key, study.rows(1, 4, 6))))"
     )
     done = subprocess.run(
@@ -217,24 +217,26 @@ def test_ctrl_c_ends_with_130_and_the_same_command_continues(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "text"),
     [
         (("nosuch.yaml",), "expected a study file, found none"),
         ((".",), "expected a study's file, or the folder of its results, found neither"),
         (("small.yaml", "--workers", "0"), "workers: expected at least 1, found 0"),
         (("small.yaml", "--workers", "two"), "--workers two: expected a whole number"),
-        (("small.yaml", "--workers", "1", "--scheduler", "x"), "leave one of the two out"),
+        (("small.yaml", "--workers", "1", "--scheduler", "x"), "not with a scheduler"),
         (("small.yaml", "--rerun", "3"), "run: expected one from 0 to 2, found 3"),
-        (("small.yaml", "--rerun", "1", "--dry-run"), "--rerun: it does nothing with --dry-run"),
-        (("small.yaml", "--scheduler", "x", "--dry-run"), "--scheduler: it does nothing with --dry-run"),
+        (("small.yaml", "--rerun", "1", "--dry-run"), "--rerun: it has no effect with --dry-run"),
+        (("small.yaml", "--scheduler", "x", "--dry-run"), "--scheduler: it has no effect with --dry-run"),
         (("small.yaml", "other.yaml"), "study: expected one file, found 2"),
     ],
 )
-def test_a_wrong_call_is_told_in_one_line(words: tuple[str, ...], told: str, tmp_path: Path, dmframe: Dmframe) -> None:
+def test_a_wrong_call_is_an_error_of_one_line(
+    words: tuple[str, ...], text: str, tmp_path: Path, dmframe: Dmframe
+) -> None:
     (tmp_path / "small.yaml").write_text(SMALL, encoding="utf-8")
     status, out, err = dmframe(*words)
     assert (status, out) == (2, "")
-    assert told in err
+    assert text in err
     assert len(err.splitlines()) == 1
 
 
@@ -261,7 +263,7 @@ def test_what_is_packed_is_what_is_unpacked(tmp_path: Path) -> None:
     ("words", "said"),
     [
         (["report", "nowhere"], "nowhere: expected the folder of a study; run it first"),
-        (["report", "nowhere", "--out", "x"], "--out: it does nothing with report; leave one out"),
+        (["report", "nowhere", "--out", "x"], "--out: it has no effect with report; leave one out"),
         (["report", "one", "two"], "expected one file, found 2"),
     ],
 )

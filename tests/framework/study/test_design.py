@@ -1,4 +1,4 @@
-"""Designs: the same numbers for a sample, however it is asked for, of the distribution that the file names."""
+"""Designs: the same numbers for a sample, however it is requested, of the distribution that the file names."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_a_sample_does_not_depend_on_the_chunk(method: Method) -> None:
 
 
 @pytest.mark.parametrize("method", ["random", "sobol"])
-def test_more_samples_leave_those_that_there_are(method: Method) -> None:
+def test_more_samples_do_not_change_the_existing_ones(method: Method) -> None:
     few, many = Design(method, 5, NAMES, 10), Design(method, 5, NAMES, 1000)
     assert few.extends
     assert many.points(0, 10).tolist() == few.points(0, 10).tolist()
@@ -70,7 +70,7 @@ def test_the_quantiles_are_those_of_scipy(spread: Spread, reference: stats.rv_co
     assert [float(f"{value:.11e}") for value in drawn] == drawn.tolist()
 
 
-def test_samples_that_there_are_not_are_refused() -> None:
+def test_samples_outside_of_the_design_are_refused() -> None:
     with pytest.raises(ValueFault, match="from 0 to 10, found 5 to 11"):
         Design("random", 0, NAMES, 10).points(5, 11)
 

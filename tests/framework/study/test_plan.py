@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
+from dmframe.batch.columns import joined
 from dmframe.errors import DmframeError
 from dmframe.graph import load
 from dmframe.results.metrics import tracking_error
 from dmframe.study.grammar import study_schema
 from dmframe.study.plan import Study
-from dmframe.study.table import joined
 
 Make = Callable[..., Study]
 
@@ -159,7 +159,7 @@ sample:
         assert rows["rms_final"][run] == pytest.approx(alone.rms_final, rel=1e-12)
 
 
-def test_a_run_that_cannot_be_made_is_a_row_with_its_fault(study: Make) -> None:
+def test_a_run_that_cannot_be_prepared_is_a_row_with_its_fault(study: Make) -> None:
     text = """\
 set: {duration: 0.1 s, start: {near: [0.5, 0.5]}}
 sample: {runs: 4, path.radius: {uniform: [100 mm, 700 mm]}}
@@ -222,12 +222,12 @@ grid:
     assert len(steps) > 2
 
 
-def test_a_signal_that_no_closed_loop_has_is_told_with_a_grid_too(study: Make) -> None:
-    asked = "measure: {signals: [servo.nope, error], limits: {servo.u: 1 V, servo.v: 1}}"
+def test_a_signal_that_no_closed_loop_has_is_refused_with_a_grid_too(study: Make) -> None:
+    measure = "measure: {signals: [servo.nope, error], limits: {servo.u: 1 V, servo.v: 1}}"
     for grid in ("", "grid: {dynamics.Gamma: [1, 10]}\n"):
-        with pytest.raises(DmframeError) as told:
-            study(f"{grid}{asked}\n").check()
-        faults = [str(fault) for fault in told.value.faults]
+        with pytest.raises(DmframeError) as caught:
+            study(f"{grid}{measure}\n").check()
+        faults = [str(fault) for fault in caught.value.faults]
         places = ["servo.nope", "error", "servo.v"]
         assert len(faults) == len(places)
         assert all("unknown signal" in fault and "study.yaml:" in fault for fault in faults)

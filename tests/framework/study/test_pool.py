@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import final
 
 import pytest
-from stand_in_study import StandIn
+from fake_study import FakeStudy
 from study_processes import check, client, close, files, gate, kill, said, wait_for_end
 
 from dmframe.study import execute
 from dmframe.study.chunks import Chunk
-from dmframe.study.computed import Computed, Failed, compute
 from dmframe.study.execute import AHEAD, State, run_study
+from dmframe.study.executor import Computed, Failed, compute
 from dmframe.study.pool import Pool
 
 
@@ -29,11 +29,11 @@ def test_a_study_has_each_run_once_and_computes_nothing_a_second_time(
     tmp_path: Path, finish: Callable[..., State]
 ) -> None:
     out = tmp_path / "out"
-    assert run_study(StandIn(), out, workers=2, chunk=8).computed == 120
+    assert run_study(FakeStudy(), out, workers=2, chunk=8).computed == 120
     check(out)
-    again = run_study(StandIn(), out, workers=2)
+    again = run_study(FakeStudy(), out, workers=2)
     assert (again.computed, again.kept, again.complete) == (0, 120, True)
-    assert finish(StandIn(samples=60), out).computed == 60
+    assert finish(FakeStudy(samples=60), out).computed == 60
     check(out, samples=60)
 
 
@@ -59,7 +59,7 @@ def test_workers_end_with_a_client_that_is_killed_and_the_next_goes_on(
         running.communicate()
     before = files(out)
     assert len(before) > 6 - AHEAD  # six came before the gate
-    assert finish(StandIn(), out).computed == 120 - 8 * len(before)
+    assert finish(FakeStudy(), out).computed == 120 - 8 * len(before)
     check(out)
 
 
@@ -71,9 +71,9 @@ def test_at_ctrl_c_no_process_stays_and_rows_do(tmp_path: Path, gates: Path, fin
         running.send_signal(signal.SIGINT)
         wait_for_end(first)
         wait_for_end(second)
-    _, told = running.communicate(timeout=60)
-    assert "KeyboardInterrupt" in told
-    assert finish(StandIn(), out).kept == 120
+    _, errors = running.communicate(timeout=60)
+    assert "KeyboardInterrupt" in errors
+    assert finish(FakeStudy(), out).kept == 120
     check(out)
 
 
@@ -83,7 +83,7 @@ def test_a_chunk_that_fails_three_times_is_named_and_the_rest_goes_on(
     out = tmp_path / "out"
     (gates / "poison-0-8").touch()
     (gates / "fault-2-32").touch()
-    state = run_study(StandIn(gates=gates), out, workers=2, chunk=8)
+    state = run_study(FakeStudy(gates=gates), out, workers=2, chunk=8)
     assert state.kept == 120 - 16
     assert {str(chunk): why for chunk, why in state.failed.items()} == {
         "point 0, samples 8 to 15": "its process was ended: killed, as by a system that runs out of memory",
@@ -91,7 +91,7 @@ def test_a_chunk_that_fails_three_times_is_named_and_the_rest_goes_on(
     }
     (gates / "poison-0-8").unlink()
     (gates / "fault-2-32").unlink()
-    assert finish(StandIn(gates=gates), out).computed == 16
+    assert finish(FakeStudy(gates=gates), out).computed == 16
     check(out)
 
 
@@ -102,7 +102,7 @@ def test_a_study_that_no_worker_can_read_ends_in_one_sentence(tmp_path: Path) ->
         run_study(Unreadable(), tmp_path / "out", workers=1)
 
 
-class Unreadable(StandIn):
+class Unreadable(FakeStudy):
     def __reduce__(self) -> tuple[object, tuple[str]]:
         return int, ("no study",)
 
@@ -124,17 +124,17 @@ def test_chunks_wait_in_a_short_queue_however_many_there_are(tmp_path: Path, mon
 
     monkeypatch.setattr(Pool, "submit", counted)
     monkeypatch.setattr(Pool, "ended", counting)
-    run_study(StandIn(samples=200), tmp_path / "out", workers=1, chunk=8)
+    run_study(FakeStudy(samples=200), tmp_path / "out", workers=1, chunk=8)
     assert 1 < most <= AHEAD
 
 
 @final
 class Blaming:
-    """Workers that end with all chunks that wait there, as a scheduler's do, who cannot tell which of them did it."""
+    """Workers that end with all chunks that wait there, as a scheduler's do, which does not know the cause."""
 
     count = 1
 
-    def __init__(self, study: StandIn, poison: Chunk) -> None:
+    def __init__(self, study: FakeStudy, poison: Chunk) -> None:
         self._study, self._poison = study, poison
         self._waiting = list[Chunk]()
         self._ended = list[tuple[Chunk, Computed | Failed]]()
@@ -157,9 +157,11 @@ class Blaming:
         pass
 
 
-def test_a_chunk_that_waited_beside_a_deadly_one_is_not_blamed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_chunk_that_waited_next_to_a_deadly_one_is_not_blamed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     poison = Chunk(0, 1, 8, 16)
     monkeypatch.setattr(execute, "Pool", lambda study, _: Blaming(study, poison))
-    state = run_study(StandIn(), tmp_path / "out", chunk=8)
+    state = run_study(FakeStudy(), tmp_path / "out", chunk=8)
     assert state.failed == {poison: "ended"}
     assert state.kept == 120 - 8

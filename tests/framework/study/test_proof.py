@@ -14,14 +14,15 @@ import pytest
 from dmframe.certify import verify
 from dmframe.certify.checked import Checked
 from dmframe.certify.elsewhere import Elsewhere
-from dmframe.study import basis
 from dmframe.study import proof as module
-from dmframe.study.answer import Told, _proof_in_short
+from dmframe.study import sections
+from dmframe.study.answer import ReportData, proof_in_short
+from dmframe.study.box import COVERAGE, box_of
 from dmframe.study.design import Spread
 from dmframe.study.drawn import HOLDS, OPEN, _Samples, held_at
 from dmframe.study.findings import Findings
 from dmframe.study.plan import Study, load_study
-from dmframe.study.proof import HELD, box_of, proofs_of
+from dmframe.study.proof import proofs_of
 from dmframe.study.report import reported
 from dmframe.study.varied import Factor
 
@@ -47,7 +48,7 @@ def of(found: Study, point: int = 0) -> Any:
 def test_no_run_lies_outside_of_the_box_not_by_a_rounding(sample: str) -> None:
     found = study(sample, runs=3000)
     box = box_of(of(found), found.factors)
-    assert box.held == 1
+    assert box.probability == 1
     for label, values in found.values(0, 0, 3000).items():
         low, high = box.ends[label]
         assert (low <= values.reshape(3000, -1)).all()
@@ -62,22 +63,22 @@ def test_a_factor_at_its_ends_is_in_the_box_exactly() -> None:
     assert [float(end[0]) for end in ends["servo.K_I"]] == [20 + 0.1, 20 + 0.3]
 
 
-def test_of_what_has_no_ends_the_box_holds_what_it_says() -> None:
+def test_the_box_of_unbounded_distributions_has_the_stated_probability() -> None:
     found = study("servo.K_D: {scale: [0.9, 1.1]}", runs=1)
     endless = Factor("P", ("servo.K_P",), "shift", Spread("normal", 0, 1, -math.inf, math.inf), None, "")
     half = Factor("I", ("servo.K_I",), "shift", Spread("normal", 0, 1, 0, math.inf), None, "")
     box = box_of(of(found), [*found.factors, endless, half])
-    assert box.held == HELD
+    assert box.probability == COVERAGE
     inside = np.ones(20000, dtype=bool)
     for seed, (label, own, factor) in enumerate((("servo.K_P", 60, endless), ("servo.K_I", 20, half))):
         assert factor.spread is not None
         drawn = own + factor.spread.at(np.random.default_rng(seed).uniform(size=20000))
         inside &= (box.ends[label][0] <= drawn) & (drawn <= box.ends[label][1])
-    assert np.mean(inside) == pytest.approx(HELD, abs=0.003)
+    assert np.mean(inside) == pytest.approx(COVERAGE, abs=0.003)
     assert [float(end[0]) for end in box.ends["servo.K_D"]] == [18, 22]
 
 
-def test_starts_are_in_the_box_and_what_no_proof_reads_is_named() -> None:
+def test_initial_states_are_in_the_box_and_quantities_outside_of_every_proof_are_named() -> None:
     drawn = "start.q: {uniform: [-10 deg, 10 deg]}\nservo.K_D: {scale: [0.9, 1.1]}"
     found = study(f"{drawn}\nclock: {{uniform: [4 ms, 8 ms]}}")
     box = box_of(of(found), found.factors)
@@ -93,8 +94,8 @@ def test_a_start_that_a_parameter_states_is_a_start_and_the_graph_goes_before_it
     own = diagram.models["inverse"].values["w_I"]
     low, high = box.ends["start.inverse.w_I"]
     np.testing.assert_allclose([low, high], [own, 2 * own])
-    told = box_of(diagram, found.factors, {"w_I": 1.0})
-    assert told.unknown == ("inverse.w_I",)  # whose numbers nothing reads; that costs a word, and says nothing false
+    box = box_of(diagram, found.factors, {"w_I": 1.0})
+    assert box.unknown == ("inverse.w_I",)  # not used by any equation: a needless remark, but true
 
 
 def test_a_narrow_box_is_proved_and_a_wide_one_is_not() -> None:
@@ -110,10 +111,10 @@ def test_a_narrow_box_is_proved_and_a_wide_one_is_not() -> None:
 
 def test_each_draw_is_judged_as_its_own_proof_judges_it() -> None:
     found = study("servo.K_I: {scale: [0.9, 8]}\nservo.K_D: {scale: [0.5, 1]}", runs=40)
-    (told,) = proofs_of(found, [""])
-    assert told.drawn is not None
-    assert not told.drawn.unknown.any()
-    drawn = told.drawn.fulfil
+    (proof,) = proofs_of(found, [""])
+    assert proof.drawn is not None
+    assert not proof.drawn.unknown.any()
+    drawn = proof.drawn.fulfil
     values = found.values(0, 0, 40)
     by_hand = 1.0 * values["servo.K_D"] + 60 - values["servo.K_I"] / 1.0 >= 0  # with K_c = 1 1/s, without friction
     assert 0 < drawn.sum() < 40
@@ -142,7 +143,7 @@ def test_margins_are_of_the_point_and_not_of_the_graph() -> None:
     assert not soft[1].drawn.unknown.any()
 
 
-def test_a_loop_without_a_claim_says_nothing_of_draws() -> None:
+def test_samples_of_a_loop_without_a_claim_are_undecided() -> None:
     found = study("servo.K_D: {scale: [0.9, 1.1]}", graph="pendulum_kinematic")
     assert held_at(of(found), {}, found.values(0, 0, 5), 5, verify(of(found))) is None
 
@@ -163,7 +164,7 @@ def test_only_the_first_points_are_decided(monkeypatch: pytest.MonkeyPatch) -> N
 )
 def test_the_answer_says_what_the_box_does_not_hold(sample: str, says: str, apart: bool) -> None:
     found = study(sample, "arm2_joint")
-    told = Told(
+    data = ReportData(
         cast(Findings, SimpleNamespace(points=found.points, results=SimpleNamespace(study=found))),
         (),
         tuple(proofs_of(found, [""])),
@@ -171,10 +172,10 @@ def test_the_answer_says_what_the_box_does_not_hold(sample: str, says: str, apar
         (),
         (),
     )
-    assert says in _proof_in_short(told)
-    assert ("Not in the box, since no proof reads it: `clock`" in _proof_in_short(told)) == apart
-    parts = repr(list(basis.proof(told)))
-    assert ("no proof reads it" in parts) == apart
+    assert says in proof_in_short(data)
+    assert ("Not in the box, since no proof depends on it: `clock`" in proof_in_short(data)) == apart
+    parts = repr(list(sections.proof_section(data)))
+    assert ("no proof depends on it" in parts) == apart
 
 
 LEAKY = '''"""A tank with one number."""
@@ -184,7 +185,7 @@ from typing import Any, ClassVar, final
 from dmframe.block import AbstractBlock, Equations
 from dmframe.certificate import Certificate, Square
 from dmframe.parameter import Positive, Scalar
-from dmframe.port import Port, Side, State
+from dmframe.port import Output, Side, State
 
 
 @final
@@ -197,9 +198,9 @@ class Leaky(AbstractBlock):
         How fast.
     """
 
-    side: ClassVar[Side] = Side.PLANT
-    outputs: ClassVar[tuple[Port, ...]] = (Port("y"),)
-    states: ClassVar[tuple[State, ...]] = (State("x"),)
+    side = Side.PLANT
+    outputs = (Output("y"),)
+    states = (State("x"),)
     rate: Scalar = Positive("", "1/s", default=1.0)
 
     def equations(self, u: Any, x: Any, p: Any) -> Equations:
@@ -212,7 +213,7 @@ class Leaky(AbstractBlock):
 
 @pytest.fixture
 def tank(tmp_path: Path) -> Callable[[str], Study]:
-    """A study of a graph of one block with one scalar state, from what V spends."""
+    """A study of a graph of one block with one scalar state, with a given dissipation."""
 
     def made(dissipated: str) -> Study:
         name = f"tank_{len(list(tmp_path.iterdir()))}"
@@ -266,15 +267,15 @@ def test_the_first_line_of_a_study_is_the_verdict(
 )
 def test_whatever_a_box_and_a_count_say_single_proofs_say(graph: str, sample: str) -> None:
     found = study(sample, graph, runs=6)
-    (told,) = proofs_of(found, [""])
+    (proof,) = proofs_of(found, [""])
     proved = [found.graph_of(sample).experiment.verify().outcome == "proved" for sample in range(3)]
-    if told.drawn is None:
-        assert told.proved
+    if proof.drawn is None:
+        assert proof.proved
         assert all(proved)
         return
-    assert not told.proved
+    assert not proof.proved
     for sample, own in enumerate(proved):
-        assert told.drawn.unknown[sample] or told.drawn.fulfil[sample] == own
+        assert proof.drawn.unknown[sample] or proof.drawn.fulfil[sample] == own
 
 
 def test_a_divisor_that_is_zero_in_a_sample_is_no_large_margin() -> None:

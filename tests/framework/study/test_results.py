@@ -19,7 +19,7 @@ import dmframe as dm
 from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault
 from dmframe.report.parts import Lead
 from dmframe.study import results as results_module
-from dmframe.study.answer import WORTH, Told, lead, summary
+from dmframe.study.answer import WORTH, ReportData, lead, summary
 from dmframe.study.figures import figures_of, plain_marks
 from dmframe.study.findings import event_of, findings_of
 from dmframe.study.numbers import between, percent
@@ -211,7 +211,7 @@ def test_of_one_point_the_answer_is_the_one_sided_limit(folder: Callable[..., Pa
     assert "Of 299 robots none diverged : the probability of divergence is at most 1 %, at 95 % confidence." in said
 
 
-def test_the_page_says_of_which_graph_and_how_long_it_speaks(page: Callable[..., tuple[Path, str]]) -> None:
+def test_the_page_names_its_graph_and_duration(page: Callable[..., tuple[Path, str]]) -> None:
     place, said = page()
     study = Results(place).study
     (graph,) = {point.graph.name for point in study.points}
@@ -241,7 +241,7 @@ def test_a_map_of_a_setting_where_none_diverged_says_so(page: Callable[..., tupl
 def test_the_page_names_what_diverged_and_what_decides_it(page: Callable[..., tuple[Path, str]]) -> None:
     place, said = page(breaking)
     assert "None of 200 robots diverged at 1 of 2 settings" in said
-    assert "What decides whether a run diverges most at Gamma = 10 : servo.K_D" in said
+    assert "Largest influence on whether a run diverges at Gamma = 10 : servo.K_D" in said
     worst = Results(place).worst_runs()[0]
     assert f"The worst run is number {worst} at Gamma = 10 : diverged after" in said
     found = Results(place)
@@ -273,27 +273,27 @@ def test_a_page_of_single_runs_speaks_of_no_probability(folder: Callable[..., Pa
     place = folder(lambda *_: {"rms_final": [1e-3]}, text)
     said = words(write_report(place, proofs=False))
     assert "2 settings ran, each once; none of them diverged" in said
-    assert "that is no probability" in said
+    assert "which gives no probability" in said
     assert "confidence" not in said
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_runs_that_are_missing_and_runs_that_failed_are_told(folder: Callable[..., Path]) -> None:
+def test_missing_and_failed_runs_are_reported(folder: Callable[..., Path]) -> None:
     def figures(study: Study, point: int, drawn: Mapping[str, np.ndarray]) -> dict[str, Any]:
-        told = steady(study, point, drawn)["rms_final"]
-        bad = np.arange(len(told)) == 0
-        return {"rms_final": np.where(bad, np.nan, told), "fault": ["no pose" if each else None for each in bad]}
+        values = steady(study, point, drawn)["rms_final"]
+        bad = np.arange(len(values)) == 0
+        return {"rms_final": np.where(bad, np.nan, values), "fault": ["no pose" if each else None for each in bad]}
 
     place = folder(figures, drop=40, chunk=200)
     found = findings_of(Results(place))
     assert [(each.runs, each.failed, each.missing) for each in found.points] == [(159, 1, 40)] * 2
     said = words(write_report(place, proofs=False))
-    assert "80 runs are not there yet" in said
-    assert "2 runs could not be made" in said
+    assert "80 runs are missing" in said
+    assert "2 runs could not be prepared" in said
     assert lead_of(place).outcome == "open"
 
 
-def test_of_few_runs_no_influence_is_told(folder: Callable[..., Path]) -> None:
+def test_few_runs_have_no_influences(folder: Callable[..., Path]) -> None:
     found = findings_of(Results(folder(steady, text_of(runs=15))))
     assert all(not each.influences for each in found.points)
 
@@ -308,34 +308,32 @@ def test_what_decides_is_named_only_where_chance_does_not_explain_it(tmp_path: P
 
         (tmp_path / str(seed)).mkdir()
         results = Results(write(tmp_path / str(seed), figures, text_of(runs=20, method=method, grid="\n")))
-        told = Told(findings_of(results), (), (), True, (), ())
-        shares = [item.share for item in told.found.points[0].influences["rms_final"]]
-        said = "What decides" in repr(list(summary(told)))
+        data = ReportData(findings_of(results), (), (), True, (), ())
+        shares = [item.share for item in data.found.points[0].influences["rms_final"]]
+        said = "Largest influence" in repr(list(summary(data)))
         named += said
         assert not said or max(shares) >= WORTH
     assert named <= 2  # of ten, where each is to be wrong one time in twenty
 
 
-def test_a_setting_that_could_not_be_made_is_not_forgotten_in_the_answer(folder: Callable[..., Path]) -> None:
+def test_the_answer_counts_settings_that_could_not_be_prepared(folder: Callable[..., Path]) -> None:
     def figures(study: Study, point: int, drawn: Mapping[str, np.ndarray]) -> dict[str, Any]:
         return steady(study, point, drawn) | ({"fault": ["no pose"] * len(drawn["servo.K_D"])} if point else {})
 
-    told = lead_of(folder(figures))
-    assert told.outcome == "open"
-    assert told.headline == "None of 200 robots diverged at 1 of 2 settings"
-    assert "for all 2 settings together. 200 runs could not be made" in str(told.sentence)
+    found = lead_of(folder(figures))
+    assert found.outcome == "open"
+    assert found.headline == "None of 200 robots diverged at 1 of 2 settings"
+    assert "for all 2 settings together. 200 runs could not be prepared" in str(found.sentence)
 
 
 @pytest.mark.parametrize(("jitter", "noisy"), [("", False), (", jitter: 0.1 ms", True)])
-def test_the_answer_says_where_all_samples_meet_one_noise(
-    folder: Callable[..., Path], jitter: str, noisy: bool
-) -> None:
+def test_the_answer_warns_of_a_single_noise_realisation(folder: Callable[..., Path], jitter: str, noisy: bool) -> None:
     place = folder(steady, text_of().replace("2 s}", "2 s, clock: 2 ms" + jitter + "}"))
-    assert ("nothing is said of other noise" in str(lead_of(place).sentence)) == noisy
+    assert ("other noise is not covered" in str(lead_of(place).sentence)) == noisy
 
 
 def lead_of(place: Path) -> Lead:
-    return lead(Told(findings_of(Results(place)), (), (), True, (), ()))
+    return lead(ReportData(findings_of(Results(place)), (), (), True, (), ()))
 
 
 def test_events_are_figures_with_limits_in_any_unit(folder: Callable[..., Path]) -> None:
@@ -350,8 +348,8 @@ def test_events_are_figures_with_limits_in_any_unit(folder: Callable[..., Path])
 def test_a_time_of_a_run_that_diverged_is_its_own_and_one_that_never_came_is_infinite(
     folder: Callable[..., Path],
 ) -> None:
-    asked = "diverged_at < 0.6 s, diverged_at > 0.6 s"
-    found = findings_of(Results(folder(breaking, text_of(report=f"report: {{probability: [{asked}]}}"))))
+    events = "diverged_at < 0.6 s, diverged_at > 0.6 s"
+    found = findings_of(Results(folder(breaking, text_of(report=f"report: {{probability: [{events}]}}"))))
     early = int((found.results.study.drawn(0, 200)["servo.K_D"] < 0.6).sum())
     assert 0 < early < found.points[1].alone[0].count
     assert [each.count for each in found.points[1].alone[1:]] == [early, 200 - early]
@@ -368,7 +366,7 @@ def test_a_run_without_the_figure_is_no_case_of_its_event(folder: Callable[..., 
     assert [(each.alone[1].count, each.alone[1].runs) for each in found.points] == [(there, there)] * 2
 
 
-def test_what_varies_is_no_event(folder: Callable[..., Path]) -> None:
+def test_a_varied_quantity_is_not_an_event(folder: Callable[..., Path]) -> None:
     with pytest.raises(DmframeError, match="unknown figure"):
         findings_of(Results(folder(steady, text_of(report="report: {probability: [servo.K_D > 1]}"))))
 
@@ -386,12 +384,12 @@ def test_an_event_that_means_nothing_is_refused(text: str, said: str) -> None:
         event_of(text, {"rms_final": "rad"})
 
 
-def test_all_that_a_report_asks_and_the_table_has_not_is_told_at_once(folder: Callable[..., Path]) -> None:
+def test_all_figures_and_quantities_that_the_table_lacks_are_reported_at_once(folder: Callable[..., Path]) -> None:
     report = "report: {probability: [rms_finl > 1], map: [servo.K_D, servo.K_P]}"
-    with pytest.raises(DmframeError) as told:
+    with pytest.raises(DmframeError) as caught:
         write_report(folder(text=text_of(report=report)), proofs=False)
-    assert len(told.value.faults) == 2
-    assert "servo.K_P" in str(told.value)
+    assert len(caught.value.faults) == 2
+    assert "servo.K_P" in str(caught.value)
 
 
 def test_comparisons_are_on_the_same_samples(folder: Callable[..., Path]) -> None:
@@ -407,7 +405,7 @@ def test_a_run_that_stands_twice_is_noticed(folder: Callable[..., Path]) -> None
     place = folder()
     first = sorted((place / "runs").iterdir())[0]
     (place / "runs" / "again.parquet").write_bytes(first.read_bytes())
-    with pytest.raises(ValueFault, match="stands 2 times"):
+    with pytest.raises(ValueFault, match="is 2 times"):
         Results(place).table  # noqa: B018
 
 
@@ -418,7 +416,7 @@ def test_a_table_of_another_study_is_noticed(folder: Callable[..., Path]) -> Non
         Results(place).table  # noqa: B018
 
 
-def test_what_is_not_there_is_told_with_the_remedy(
+def test_missing_folders_figures_and_packages_are_errors_with_a_remedy(
     folder: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(MissingError, match="run it first: dmframe study"):
@@ -430,7 +428,7 @@ def test_what_is_not_there_is_told_with_the_remedy(
         Results(place).worst("rms_final", 0)
     monkeypatch.setitem(__import__("sys").modules, "polars", None)
     with pytest.raises(MissingError, match=re.escape('pip install "dmframe[study]"')):
-        results_module.need_polars()
+        results_module.polars()
 
 
 def test_an_older_reports_worst_runs_and_figures_go(page: Callable[..., tuple[Path, str]]) -> None:

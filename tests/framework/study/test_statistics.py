@@ -46,8 +46,8 @@ def test_shares_that_hold_together_are_wider() -> None:
 
 def test_a_design_that_spreads_its_points_gets_no_interval() -> None:
     happened, values = np.zeros(64, dtype=bool), np.arange(64.0)
-    told = share(happened, independent=False)
-    assert (told.low, told.high, told.most) == (None, None, None)
+    found = share(happened, independent=False)
+    assert (found.low, found.high, found.most) == (None, None, None)
     assert (quantile(values, 0.9, independent=False).low, quantile(values, 0.9, independent=False).high) == (None, None)
     assert paired(values, values + 1, independent=False).p is None
     assert paired(values, values + 1, independent=False).difference.low is None

@@ -11,14 +11,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from stand_in_study import StandIn
+from fake_study import FakeStudy
 from study_processes import environment, frame, written
 
 from dmframe.errors import OutputError, ValueFault
-from dmframe.study import computed, lock
+from dmframe.study import executor, journal
 from dmframe.study.chunks import Chunk
-from dmframe.study.computed import Computed, compute
 from dmframe.study.execute import run_study
+from dmframe.study.executor import Computed, compute
 from dmframe.study.store import opened
 
 
@@ -26,11 +26,11 @@ from dmframe.study.store import opened
 def out(tmp_path: Path) -> Path:
     """A folder of a whole study, written in this process."""
     folder = tmp_path / "out"
-    fill(folder, StandIn())
+    fill(folder, FakeStudy())
     return folder
 
 
-def fill(folder: Path, study: StandIn) -> None:
+def fill(folder: Path, study: FakeStudy) -> None:
     from dmframe.study.chunks import Extent
 
     with opened(folder, study, {"study.yaml": study.text.encode()}) as kept:
@@ -68,17 +68,17 @@ def one_bit(file: Path) -> None:
 def test_a_damaged_file_is_noticed_and_computed_again(out: Path, harm: Callable[[Path], None]) -> None:
     before = frame(out)
     harm(first(out))
-    state = run_study(StandIn(), out, workers=1)
+    state = run_study(FakeStudy(), out, workers=1)
     assert state.computed == 8
     (notice,) = state.notices
     assert "not what this study has written" in notice
     assert frame(out).rows() == before.rows()
 
 
-def test_a_file_that_nobody_knows_is_set_aside_and_what_was_half_written_goes(out: Path) -> None:
+def test_an_unknown_file_is_renamed_and_a_partial_one_is_deleted(out: Path) -> None:
     shutil.copyfile(first(out), out / "runs" / "mine.parquet")
     (out / "runs" / "x.parquet.tmp").write_bytes(b"half")
-    with opened(out, StandIn(), {}) as kept:
+    with opened(out, FakeStudy(), {}) as kept:
         assert kept.runs_done == 120
         assert len(kept.notices) == 1
     assert not list((out / "runs").glob("*.tmp"))
@@ -89,7 +89,7 @@ def test_a_file_that_nobody_knows_is_set_aside_and_what_was_half_written_goes(ou
 def test_a_folder_whose_first_process_was_ended_as_it_began_can_be_used(tmp_path: Path) -> None:
     for name in ("study.yaml", "study.lock.json.tmp", "study.yaml.tmp"):
         (tmp_path / name).write_text("half")
-    fill(tmp_path, StandIn())
+    fill(tmp_path, FakeStudy())
     assert len(frame(tmp_path)) == 120
 
 
@@ -97,21 +97,21 @@ def test_a_folder_whose_first_process_was_ended_as_it_began_can_be_used(tmp_path
 def test_a_line_that_was_cut_off_loses_its_chunk_alone(out: Path) -> None:
     lines = (out / "chunks.jsonl").read_text()
     (out / "chunks.jsonl").write_text(lines[:-30])
-    assert run_study(StandIn(), out, workers=1).computed == 8
+    assert run_study(FakeStudy(), out, workers=1).computed == 8
     assert len(written(out)) == 15
 
 
 def test_a_changed_study_is_refused_with_what_has_changed(out: Path) -> None:
     with (
         pytest.raises(ValueFault, match='study: meaning was "one", now "two"; name another folder, or take --force'),
-        opened(out, StandIn(meaning="two"), {}),
+        opened(out, FakeStudy(meaning="two"), {}),
     ):
         pass
     assert len(frame(out)) == 120
 
 
 def test_with_force_a_changed_study_begins_anew(out: Path) -> None:
-    changed = StandIn(meaning="two")
+    changed = FakeStudy(meaning="two")
     with opened(out, changed, {"study.yaml": changed.text.encode()}, force=True) as kept:
         assert kept.runs_done == 0
     assert (out / "study.yaml").read_text() == changed.text
@@ -119,8 +119,8 @@ def test_with_force_a_changed_study_begins_anew(out: Path) -> None:
 
 
 def test_another_version_is_named(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lock, "versions", lambda: {**computed.versions(), "numpy": "1.0"})
-    changed = StandIn()
+    monkeypatch.setattr(journal, "versions", lambda: {**executor.versions(), "numpy": "1.0"})
+    changed = FakeStudy()
     with pytest.raises(ValueFault, match=r'versions.numpy was "[\d.]+", now "1.0"'), opened(out, changed, {}):
         pass
 
@@ -128,26 +128,29 @@ def test_another_version_is_named(out: Path, monkeypatch: pytest.MonkeyPatch) ->
 def test_a_study_of_fewer_runs_is_refused(out: Path) -> None:
     with (
         pytest.raises(ValueFault, match="40 runs a point, found 39; it can grow, not shrink"),
-        opened(out, StandIn(samples=39), {}),
+        opened(out, FakeStudy(samples=39), {}),
     ):
         pass
 
 
 def test_the_second_of_two_clients_is_refused(out: Path) -> None:
     with (
-        opened(out, StandIn(), {}),
+        opened(out, FakeStudy(), {}),
         pytest.raises(OutputError, match="another study runs there; wait until it has ended"),
-        opened(out, StandIn(), {}),
+        opened(out, FakeStudy(), {}),
     ):
         pass
-    with opened(out, StandIn(), {}):  # the first has ended
+    with opened(out, FakeStudy(), {}):  # the first has ended
         pass
 
 
 @pytest.mark.parametrize(("name", "content"), [("thesis.tex", ""), ("study.lock.json", "{"), ("study.lock.json", "[]")])
 def test_a_folder_of_something_else_is_refused(tmp_path: Path, name: str, content: str) -> None:
     (tmp_path / name).write_text(content)
-    with pytest.raises(OutputError, match=f"{name}|expected what a study has written"), opened(tmp_path, StandIn(), {}):
+    with (
+        pytest.raises(OutputError, match=f"{name}|expected what a study has written"),
+        opened(tmp_path, FakeStudy(), {}),
+    ):
         pass
     assert [item.name for item in tmp_path.iterdir() if not item.name.startswith(".")] == [name]
 
@@ -162,7 +165,7 @@ def test_a_folder_of_something_else_is_refused(tmp_path: Path, name: str, conten
     ],
 )
 def test_rows_that_are_not_those_of_their_chunk_are_refused(out: Path, wrong: dict[str, list[float]]) -> None:
-    study, chunk = StandIn(samples=42), Chunk(0, 1, 40, 42)
+    study, chunk = FakeStudy(samples=42), Chunk(0, 1, 40, 42)
     with opened(out, study, {}) as kept, pytest.raises(ValueFault, match="point 0, samples 40 to 41: expected"):
         kept.write(chunk, Computed({**study.rows(0, 40, 42), **wrong}, 0.0, {}))
     assert len(frame(out)) == 120
@@ -170,13 +173,13 @@ def test_rows_that_are_not_those_of_their_chunk_are_refused(out: Path, wrong: di
 
 FULL = """
 import resource, signal, sys
-from stand_in_study import StandIn
+from fake_study import FakeStudy
 from dmframe.errors import OutputError
 from dmframe.study.execute import run_study
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (12000, resource.RLIM_INFINITY))
 try:
-    run_study(StandIn(samples=3000), sys.argv[1], workers=1, chunk=8)
+    run_study(FakeStudy(samples=3000), sys.argv[1], workers=1, chunk=8)
 except OutputError as error:
     print(error)
 """
@@ -187,11 +190,11 @@ def test_a_full_disk_is_one_sentence_and_costs_nothing_that_was_written(tmp_path
     done = subprocess.run(
         [sys.executable, "-c", FULL, str(out)], capture_output=True, text=True, env=environment(), check=True
     )
-    assert done.stdout.strip().endswith("free some space, or name a folder on another disk")
+    assert done.stdout.strip().endswith("free some space, or choose a folder on another disk")
     assert len(done.stdout.splitlines()) == 1
     before = len(written(out))
     assert before > 5
-    with opened(out, StandIn(samples=3000), {}) as kept:
+    with opened(out, FakeStudy(samples=3000), {}) as kept:
         assert before - 1 <= len(kept.done) <= before
         assert kept.notices == []
 
@@ -207,8 +210,8 @@ def test_a_full_disk_is_one_sentence_and_costs_nothing_that_was_written(tmp_path
         ("types", []),
     ],
 )
-def test_a_lock_with_a_part_that_no_study_writes_is_told(out: Path, part: str, value: object) -> None:
-    held = json.loads((out / lock.LOCK).read_text())
-    (out / lock.LOCK).write_text(json.dumps(held | {part: value}))
-    with pytest.raises(OutputError, match="expected what a study has written"), opened(out, StandIn(), {}):
+def test_a_lock_with_an_invalid_part_is_refused(out: Path, part: str, value: object) -> None:
+    held = json.loads((out / journal.LOCK).read_text())
+    (out / journal.LOCK).write_text(json.dumps(held | {part: value}))
+    with pytest.raises(OutputError, match="expected what a study has written"), opened(out, FakeStudy(), {}):
         pass

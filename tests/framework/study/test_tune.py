@@ -23,14 +23,16 @@ from dmframe.errors import DmframeError, OutputError
 from dmframe.graph import load
 from dmframe.report import Verification
 from dmframe.study import candidate as candidates
+from dmframe.study import tune as tuning_module
+from dmframe.study.cautions import near_end
 from dmframe.study.design import Spread
-from dmframe.study.front import Trial, dominates, front_of
 from dmframe.study.objective import Statistic
 from dmframe.study.plan import Study, load_study
-from dmframe.study.tune import JOURNAL, Tuning, load_tuning
+from dmframe.study.trials import JOURNAL, Trial, dominates, front_of
+from dmframe.study.tune import Tuning, load_tuning
 from dmframe.study.tune_figures import figures_of
 from dmframe.study.tune_page import as_html
-from dmframe.study.tuned import Tuned, near_end, tuned_of
+from dmframe.study.tuned import Tuned, tuned_of
 
 pytest.importorskip("optuna")
 
@@ -55,7 +57,7 @@ def tuning(study: Make, text: str, **options: Any) -> Tuning:
     return load_tuning(study(text, **options), threads=1)
 
 
-def told(found: Tuning, folder: Path) -> list[tuple[Any, ...]]:
+def history(found: Tuning, folder: Path) -> list[tuple[Any, ...]]:
     return [(each.number, dict(each.values), each.figures, each.state) for each in found.trials(folder)]
 
 
@@ -105,26 +107,26 @@ def test_the_figures_of_a_trial_are_those_of_its_graphs_run_one_by_one(study: Ma
             assert trial.figures[0] == pytest.approx(max(error.rms_final for error in errors if error), rel=1e-9)
 
 
-def test_a_search_that_goes_on_is_the_one_that_never_stopped(study: Make, tmp_path: Path) -> None:
+def test_a_continued_search_equals_an_uninterrupted_one(study: Make, tmp_path: Path) -> None:
     found = tuning(study, PLANTS + GAINS)
     found.search(tmp_path / "whole", 11)
     found.search(tmp_path / "parts", 4)
     again = tuning(study, PLANTS + GAINS)
     assert again.search(tmp_path / "parts", 11) == 11
-    assert told(found, tmp_path / "whole") == told(again, tmp_path / "parts")
+    assert history(found, tmp_path / "whole") == history(again, tmp_path / "parts")
     other = tuning(study, PLANTS + GAINS + "  seed: 1\n")
     other.search(tmp_path / "other", 2)
-    assert told(other, tmp_path / "other") != told(found, tmp_path / "whole")[:2]
+    assert history(other, tmp_path / "other") != history(found, tmp_path / "whole")[:2]
 
 
-def test_what_is_stopped_early_could_not_have_been_on_the_front(study: Make, tmp_path: Path) -> None:
+def test_a_trial_that_was_stopped_early_is_not_on_the_front(study: Make, tmp_path: Path) -> None:
     gains = GAINS.replace("minimise: worst rms_final", "minimise: [worst rms_final, worst error_most]")
     early, whole = tuning(study, PLANTS + gains), tuning(study, PLANTS + gains + "  screen: null\n")
     for found, name in ((early, "early"), (whole, "whole")):
         found.search(tmp_path / name, 10)  # the first ten are drawn at random, whatever the others were
     stopped = [each for each in early.trials(tmp_path / "early") if each.state == "stopped"]
     ran = {each.number: each for each in whole.trials(tmp_path / "whole")}
-    assert stopped, "no trial was stopped, so that this test says nothing"
+    assert stopped, "no trial was stopped, so that this test checks nothing"
     for each in stopped:
         assert all(a <= b * (1 + 1e-12) for a, b in zip(each.figures, ran[each.number].figures, strict=True))
     assert [each.number for each in front_of(early.trials(tmp_path / "early"))] == [
@@ -137,13 +139,13 @@ def test_values_whose_conditions_fail_are_refused_before_any_run(
 ) -> None:
     text = "tune: {arm.maker_viscous: {uniform: [0, 60]}, minimise: worst rms_final, subject_to: conditions}\n"
     found, ran = tuning(study, PLANTS + text), list[float]()
-    rows = candidates.Family.rows
+    rows = tuning_module.rows_of_runs
 
-    def counted(family: Any, candidate: Study, *rest: Any) -> Any:
+    def counted(candidate: Study, *rest: Any) -> Any:
         ran.append(candidate.bases[""].blocks["arm"].maker_viscous)  # type: ignore[attr-defined]
-        return rows(family, candidate, *rest)
+        return rows(candidate, *rest)
 
-    monkeypatch.setattr(candidates.Family, "rows", counted)
+    monkeypatch.setattr(tuning_module, "rows_of_runs", counted)
     found.search(tmp_path, 6)
     trials = found.trials(tmp_path)
     most = 30.5  # K_P + B of the second joint: the friction that the maker may compensate, or dV/dt may be positive
@@ -164,7 +166,7 @@ def test_conditions_everywhere_are_those_over_all_that_is_sampled(
     assert (not found.proofs.failing(candidate, 0, everywhere=True)) == bool(everywhere)  # half of K_P, and B
 
 
-def test_a_limit_parts_the_trials_by_what_their_graphs_do(study: Make, tmp_path: Path) -> None:
+def test_a_constraint_separates_the_trials_as_their_graphs_do(study: Make, tmp_path: Path) -> None:
     few = PLANTS.replace("runs: 8", "runs: 2")
     limited = tuning(study, few + GAINS + "  subject_to: worst rms_final <= 0.93 mm\n")
     limited.search(tmp_path, 4)
@@ -189,14 +191,14 @@ def test_a_clock_is_refused_from_the_largest_stable_period_on() -> None:
 
 def test_after_ctrl_c_the_same_call_goes_on(study: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found, calls = tuning(study, PLANTS + GAINS), itertools.count()
-    rows = candidates.Family.rows
+    rows = tuning_module.rows_of_runs
 
     def stopped(*given: Any) -> Any:
         if next(calls) == 3:
             raise KeyboardInterrupt
         return rows(*given)
 
-    monkeypatch.setattr(candidates.Family, "rows", stopped)
+    monkeypatch.setattr(tuning_module, "rows_of_runs", stopped)
     with pytest.raises(KeyboardInterrupt):
         found.search(tmp_path, 5)
     assert found.search(tmp_path, 5) == 5
@@ -242,20 +244,22 @@ def test_the_command_checks_proves_and_writes_what_it_found(
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_limit_that_fresh_plants_break_is_told(study: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_constraint_that_fresh_plants_violate_is_reported(
+    study: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("dmframe.report.write.write_report", written)
     limit = "  subject_to: worst servo.u.peak <= 1 kV\n"
     found = tuning(study, PLANTS.replace("runs: 8", "runs: 2") + GAINS + limit + "  fresh: 20\n")
     found.search(tmp_path, 1)
     kept = tuned_of(found, tmp_path)
     assert kept.best.broken == ()
-    _, rows = found.figures_of(found.candidate(kept.best.values), found.family)
+    _, rows = found.figures_of(found.candidate(kept.best.values))
     peak = found.bounds[0].statistic.of(found.bounds[0].statistic.figures(rows))
     # the search's own plants keep to it
     result = tuned_of(replace(found, bounds=(replace(found.bounds[0], limit=peak),)), tmp_path)
     assert any(text.startswith("on fresh plants worst servo.u.peak <=") for text in result.best.broken)
     assert any("does not hold: it is" in notice for notice in result.notices)
-    assert "not to be used as it is" in result.save().read_text(encoding="utf-8")
+    assert "do not use" in result.save().read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(("jitter", "alike"), [("0.5 ms", False), ("0 ms", True)])
@@ -281,12 +285,12 @@ def test_what_was_tuned_with_noise_is_checked_with_other_noise(
         (Spread("uniform", 0, 10, 0, 10), 9.9, 10),
     ],
 )
-def test_a_best_value_beside_an_end_is_told(spread: Spread, value: float, end: float | None) -> None:
+def test_a_best_value_at_a_bound_gives_a_warning(spread: Spread, value: float, end: float | None) -> None:
     assert near_end(value, spread) == end
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_values_that_are_worse_over_longer_runs_are_told(study: Make, tmp_path: Path) -> None:
+def test_values_that_are_worse_over_longer_runs_give_a_warning(study: Make, tmp_path: Path) -> None:
     found = tuning(study, PLANTS + GAINS.replace("worst rms_final", "[worst rms_final, median effort]"))
     found.search(tmp_path, 3)
     result = tuned_of(found, tmp_path)
@@ -298,19 +302,19 @@ def test_values_that_are_worse_over_longer_runs_are_told(study: Make, tmp_path: 
         return replace(result, front=(replace(result.best, longer=(first, 1.0), radius=radius),))
 
     for first, words in (
-        (own.longer[0] * 2, "the horizon misleads: over 2 s"),
-        (math.inf, "runs diverge that did not over"),
+        (own.longer[0] * 2, "the runs are too short: over 2 s"),
+        (math.inf, "diverge that did not diverge within"),
     ):
         worse = with_longer(first)
         assert worse.misled
         assert any(words in notice for notice in worse.notices)
-        assert "not to be used as it is" in as_html(worse, {})
+        assert "do not use" in as_html(worse, {})
     better = with_longer(own.longer[0] / 2)
     assert not better.misled
-    assert "not to be used" not in as_html(better, {})
+    assert "do not use" not in as_html(better, {})
     shaky = with_longer(own.longer[0] / 2, radius=1.01)
     assert any("unstable near its set-point" in notice for notice in shaky.notices)
-    assert "with a doubt" in as_html(shaky, {})
+    assert "unstable near its set-point" in as_html(shaky, {})
 
 
 def test_the_front_is_what_nothing_dominates() -> None:
@@ -336,13 +340,13 @@ RMS = "minimise: worst rms_final"
             f"dynamics.Gama: {{log: [1, 10]}}, {RMS}",
             "tune.dynamics.Gama: unknown parameter; did you mean dynamics.Gamma?",
         ),
-        (f"dynamics.Gamma: {{normal: [1, 10], clip: [1, 2]}}, {RMS}", "expected two ends, uniform or log"),
+        (f"dynamics.Gamma: {{normal: [1, 10], clip: [1, 2]}}, {RMS}", "expected two bounds, uniform or log"),
         (f"{GAMMA}, minimise: best rms_final", "tune.minimise: expected worst, median, mean or quantile 0.95"),
         (f"{GAMMA}, minimise: worst rms_fnal", "unknown figure; did you mean rms_final?"),
         (f"{GAMMA}, minimise: quantile 2 rms_final", "expected a quantile between 0 and 1, found 2"),
         (f"{GAMMA}, {RMS}, subject_to: condition", "tune.subject_to: expected conditions"),
         (f"{GAMMA}, {RMS}, subject_to: worst rms_final <= 3 V", "tune.subject_to: expected a quantity in m"),
-        (f"servo.K_P: {{scale: [1, 2]}}, {RMS}", "servo.K_P varies over the plants, too"),
+        (f"servo.K_P: {{scale: [1, 2]}}, {RMS}", "servo.K_P is sampled, too"),
     ],
 )
 def test_a_wrong_section_is_refused_with_its_place(study: Make, section: str, expected: str) -> None:
@@ -363,8 +367,8 @@ def test_two_processes_share_one_search(study: Make, arm: Path) -> None:
         with contextlib.suppress(subprocess.TimeoutExpired):
             other.wait(0.05)
     found.search(out, 6)
-    _, told = other.communicate(timeout=120)
-    assert other.returncode == 0, told
+    _, errors = other.communicate(timeout=120)
+    assert other.returncode == 0, errors
     trials = found.trials(out)
     assert sorted(each.number for each in trials) == list(range(len(trials)))
     assert 6 <= len(trials) <= 7, "each looks before it tries"

@@ -13,7 +13,7 @@ from script_attacks import ATTACKS
 from virtual_robots import FOLLOW, Client, message, robot, runs
 
 from dmframe.virtual import ScriptError, VirtualRobot
-from dmframe.virtual.budget import BURST, MOST_BESIDE
+from dmframe.virtual.budget import BURST, MOST_SECONDARY
 from dmframe.virtual.server import MOST_CLIENTS, Ports
 from dmframe.virtual.words import MOST_WORDS, Arriving
 
@@ -71,7 +71,7 @@ def test_an_attack_ends_by_itself_and_another_client_gets_each_sample(name: str)
         begin = message("V", b"\0\2") + message("O", struct.pack(">d", 500.0) + b"timestamp") + message("S")
         watcher.sendall(begin)
         samples(held, watcher, 3)
-        told = held.told
+        before_attack = held.message_count
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         attacker.sendall(script.encode())
         assert samples(held, watcher, CYCLES) == CYCLES
@@ -80,14 +80,14 @@ def test_an_attack_ends_by_itself_and_another_client_gets_each_sample(name: str)
                 break
             assert samples(held, watcher, CYCLES) == CYCLES
         grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before  # [kB]
-        messages = list(held.messages)[-(held.told - told) :]
+        messages = list(held.messages)[-(held.message_count - before_attack) :]
     assert any(why in text for text in messages), messages
     assert grown < 100_000
 
 
 def test_a_fault_of_one_script_leaves_the_others_running() -> None:
     held = served()
-    held.load_script("sec beside():\n  sleep(0.6)\n  set_digital_out(2, True)\nend\n")
+    held.load_script("sec other():\n  sleep(0.6)\n  set_digital_out(2, True)\nend\n")
     held.load_script("sec attack():\n  x = [1]\n  while True:\n    x = [x, x]\n  end\nend\n")
     held.load_script(FOLLOW)
     held.advance(2)
@@ -98,12 +98,12 @@ def test_a_fault_of_one_script_leaves_the_others_running() -> None:
     held.set_outputs(4, 0)
 
 
-def test_scripts_beside_are_few() -> None:
+def test_secondary_scripts_are_limited() -> None:
     held = robot()
-    for _ in range(MOST_BESIDE + 3):
-        held.load_script("sec beside():\n  sleep(1)\nend\n")
-    assert len(held.beside) == MOST_BESIDE
-    assert f"not started, for {MOST_BESIDE} secondary programs run" in held.messages[-1]
+    for _ in range(MOST_SECONDARY + 3):
+        held.load_script("sec other():\n  sleep(1)\nend\n")
+    assert len(held.secondary) == MOST_SECONDARY
+    assert f"not started: {MOST_SECONDARY} secondary programs are running" in held.messages[-1]
 
 
 def test_what_a_script_may_do_it_does() -> None:
@@ -143,7 +143,7 @@ end
 
 def test_an_inverse_that_there_is_not_is_no_number_and_the_script_goes_on() -> None:
     held = robot("ur10_fast")  # three of its joints are held
-    script = """def asks():
+    script = """def inverse():
   q = get_inverse_kin(p[0.1, 0.6, 0.5, 0, 0, 0])
   write_output_float_register(0, q[0])
   write_output_boolean_register(1, get_inverse_kin_has_solution(p[0.1, 0.6, 0.5, 0, 0, 0]))
@@ -157,14 +157,14 @@ end
     assert ended.registers.values["output_bit_register_1"] is False
     assert ended.registers.values["output_int_register_0"] == 7
     said = " ".join(ended.messages)
-    assert "asks: inverse kinematics: ur10 of this graph has only 3 free joints; the answer is not a number" in said
+    assert "inverse: inverse kinematics: ur10 has only 3 free joints in this graph; the result is NaN" in said
 
 
 def test_torques_are_k_u_at_every_place_where_a_client_reads_them() -> None:
     held = robot("ur10_fast")
     client = Client(held)
     client.begin(["target_moment", "actual_current_as_torque"])
-    script = "def asks():\n  t = get_joint_torques()\n  write_output_float_register(3, t[1])\nend\n"
+    script = "def inverse():\n  t = get_joint_torques()\n  write_output_float_register(3, t[1])\nend\n"
     held.advance(3)
     runs(held, script)
     *_, last = client.samples("6d6d")
@@ -218,7 +218,7 @@ def test_a_text_without_end_is_cut_off() -> None:
         for _ in range(6):
             client.sendall(b"def a():\n" + b"  x = 1\n" * 8000)
             held.advance(3)
-        assert "a client is disconnected" in held.messages[-1]
+        assert "client disconnected" in held.messages[-1]
 
 
 def test_connections_are_few_enough_for_this_process() -> None:
@@ -281,5 +281,5 @@ end
 def test_a_pose_has_six_numbers() -> None:
     held = served()
     assert "p[...]: expected six numbers" in runs(held, "def a():\n  x = p[1, 2, 3]\nend\n").messages[-1]
-    with pytest.raises(ScriptError, match="more than can be read"):
+    with pytest.raises(ScriptError, match="nested too deeply"):
         held.load_script("x = " + "[" * 100 + "1" + "]" * 100 + "\n")

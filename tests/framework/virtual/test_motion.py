@@ -1,4 +1,4 @@
-"""What the controller makes of commands: the laws that the page tells, and their times."""
+"""What the controller makes of commands: the documented laws, and their times."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ def test_speedj_without_a_time_returns_when_the_speed_is_reached() -> None:
 def test_stopj_ends_at_rest_in_its_time() -> None:
     script = 'def p():\n speedj([0.2, 0, 0, 0, 0, 0], 10, 0.1)\n stopj(2)\n textmsg("at rest")\nend\n'
     held = runs(robot(), script)
-    told = next(text for text in held.messages if "at rest" in text)
-    assert float(told.split()[0]) == pytest.approx(0.1 + 0.2 / 2, abs=2 * held.dt)
+    resting = next(text for text in held.messages if "at rest" in text)
+    assert float(resting.split()[0]) == pytest.approx(0.1 + 0.2 / 2, abs=2 * held.dt)
     assert held.target.still
 
 
@@ -89,7 +89,7 @@ def test_servoj_closes_what_is_left_as_an_exponential() -> None:
     assert (goal[0] - held.target.q[0]) / (goal[0] - start) == pytest.approx(math.exp(-2), rel=1e-9)
 
 
-def test_speedl_moves_the_flange_as_told() -> None:
+def test_speedl_moves_the_flange_as_commanded() -> None:
     held = robot("ur10_full")
     held.load_script("def p():\n speedl([0, 0, 0.05, 0, 0, 0], 1.0, 0.5)\nend\n")
     held.advance(200)
@@ -143,13 +143,15 @@ end
     assert 0.04 < held.q[0] - 1.455411 < 0.06
 
 
-def test_a_secondary_program_runs_beside_another_and_moves_nothing() -> None:
+def test_a_secondary_program_runs_next_to_another_and_must_not_move_the_robot() -> None:
     held = robot()
     held.load_script("def p():\n speedj([0.1, 0, 0, 0, 0, 0], 1, 1)\nend\n")
     held.advance(10)
-    held.load_script("sec beside():\n set_digital_out(1, True)\n stopj(1)\nend\n")
+    held.load_script("sec other():\n set_digital_out(1, True)\n stopj(1)\nend\n")
     held.advance()
     assert held.digital_outputs == 2
-    assert held.messages[-1].endswith("beside ends: line 3: a secondary program moves nothing; begin it with def")
+    assert held.messages[-1].endswith(
+        "other ends: line 3: a secondary program must not move the robot; begin it with def"
+    )
     assert held.running
     assert held.target.qd[0] > 0

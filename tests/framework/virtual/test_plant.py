@@ -64,7 +64,7 @@ def test_what_is_not_finite_moves_nothing() -> None:
     ("name", "text"),
     [
         ("panda_full", "expected a UR"),
-        ("ur10_fast_position", "expected a robot that is commanded joint velocities"),
+        ("ur10_fast_position", "expected joint velocity commands"),
         ("theorem_1", "found continuous"),
         ("pendulum", "expected a UR"),
     ],

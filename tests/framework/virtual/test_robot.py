@@ -116,12 +116,12 @@ def test_the_emergency_stop_and_the_way_back() -> None:
 
 
 STOPPING = {
-    "shoulder_pan_joint is told 2.168 rad/s, its limit is 2.16 rad/s": "speedj([2.5, 0, 0, 0, 0, 0], 4, 1)",
-    "wrist_1_joint is told to move, and the graph holds it": "speedj([0, 0, 0, 0.1, 0, 0], 4, 1)",
+    "shoulder_pan_joint: commanded speed 2.168 rad/s": "speedj([2.5, 0, 0, 0, 0, 0], 4, 1)",
+    "wrist_1_joint is commanded to move, but the graph holds it": "speedj([0, 0, 0, 0.1, 0, 0], 4, 1)",
     "a target speed is not a number": "speedj([read_input_float_register(24), 0, 0, 0, 0, 0], 4, 1)",
-    "asked for by the script": "protective_stop()",
-    "shoulder_pan_joint is told 5 rad/s": "servoj([1.465411, -1.016031, 0.978316, 0, -1.5707963267948966, 0], 0, 0, "
-    "0.002, 0)",
+    "requested by the script": "protective_stop()",
+    "shoulder_pan_joint: commanded speed 5 rad/s": "servoj([1.465411, -1.016031, 0.978316, 0, -1.5707963267948966, 0], "
+    "0, 0, 0.002, 0)",
 }
 
 
@@ -135,7 +135,7 @@ def test_a_limit_stops_the_robot_and_the_reason_is_named(text: str) -> None:
     assert held.safety.reason.startswith(f"protective stop: {text}")
     assert held.safety.mode == 3
     assert np.isfinite(held.q).all()
-    assert not any("sleeps" in told for told in held.messages)
+    assert not any("sleeps" in text for text in held.messages)
     at_rest_after(held)
     assert held.unlock()
     assert runs(held, "def p():\n speedj([0.1, 0, 0, 0, 0, 0], 4, 0.1)\nend\n").safety.ready
@@ -146,7 +146,7 @@ def test_a_joint_limit_stops_the_robot_before_it_is_far_beyond() -> None:
     held.load_script("def p():\n speedj([0, 0, 2.0, 0, 0, 0], 10, 5)\nend\n")
     while held.running:
         held.advance()
-    assert held.safety.reason == "protective stop: elbow_joint is told to go to 3.144 rad, outside of its limits"
+    assert held.safety.reason == "protective stop: elbow_joint: commanded angle 3.144 rad is outside its limits"
     at_rest_after(held)
     assert held.q[2] < np.pi + 2.0**2 / (2 * 20) + 0.1
     assert held.unlock()
@@ -243,7 +243,7 @@ def test_where_the_machine_is_late_the_robot_waits_and_hurries_never(monkeypatch
     assert steps[4] == pytest.approx(0.1)
 
 
-def test_in_real_time_it_runs_beside_the_program_that_holds_it() -> None:
+def test_in_real_time_it_runs_in_a_thread_next_to_its_program() -> None:
     with robot(series="cb3") as held:
         with held.in_background():
             while held.cycles < 3:

@@ -20,34 +20,37 @@ def held() -> VirtualRobot:
 
 def test_versions(held: VirtualRobot) -> None:
     client = Client(held)
-    assert client.ask("V", b"\0\2") == ("V", b"\1")
-    assert client.ask("V", b"\0\7") == ("V", b"\0")
-    assert client.ask("v") == ("v", struct.pack(">4I", 5, 11, 0, 108249))
-    assert Client(robot(series="cb3")).ask("v")[1][:4] == struct.pack(">I", 3)
+    assert client.request("V", b"\0\2") == ("V", b"\1")
+    assert client.request("V", b"\0\7") == ("V", b"\0")
+    assert client.request("v") == ("v", struct.pack(">4I", 5, 11, 0, 108249))
+    assert Client(robot(series="cb3")).request("v")[1][:4] == struct.pack(">I", 3)
 
 
-def test_recipes_tell_types_and_what_is_not_found(held: VirtualRobot) -> None:
+def test_recipes_have_types_and_what_is_not_found(held: VirtualRobot) -> None:
     client = Client(held)
-    client.ask("V", b"\0\2")
+    client.request("V", b"\0\2")
     rate = struct.pack(">d", 500.0)
-    assert client.ask("O", rate + b"timestamp,actual_q,joint_mode") == ("O", b"\1DOUBLE,VECTOR6D,VECTOR6INT32")
-    assert client.ask("S") == ("S", b"\1")
-    assert client.ask("O", rate + b"timestamp,no_such,output_int_register_48") == ("O", b"\0DOUBLE,NOT_FOUND,NOT_FOUND")
-    assert client.ask("S") == ("S", b"\0")
-    assert client.ask("I", b"input_int_register_24,input_double_register_47,") == ("I", b"\1INT32,DOUBLE")
-    assert client.ask("I", b"speed_slider_mask") == ("I", b"\2UINT32")
-    assert client.ask("I", b"actual_q") == ("I", b"\0NOT_FOUND")
-    assert client.ask("P") == ("P", b"\1")
+    assert client.request("O", rate + b"timestamp,actual_q,joint_mode") == ("O", b"\1DOUBLE,VECTOR6D,VECTOR6INT32")
+    assert client.request("S") == ("S", b"\1")
+    assert client.request("O", rate + b"timestamp,no_such,output_int_register_48") == (
+        "O",
+        b"\0DOUBLE,NOT_FOUND,NOT_FOUND",
+    )
+    assert client.request("S") == ("S", b"\0")
+    assert client.request("I", b"input_int_register_24,input_double_register_47,") == ("I", b"\1INT32,DOUBLE")
+    assert client.request("I", b"speed_slider_mask") == ("I", b"\2UINT32")
+    assert client.request("I", b"actual_q") == ("I", b"\0NOT_FOUND")
+    assert client.request("P") == ("P", b"\1")
     client.rtde.close()
 
 
 def test_an_input_belongs_to_one_client(held: VirtualRobot) -> None:
     others = list[Rtde]()
     first, second = Client(held, others), Client(held, others)
-    assert first.ask("I", b"input_int_register_3")[1] == b"\1INT32"
-    assert second.ask("I", b"input_int_register_3,input_int_register_4")[1] == b"\0IN_USE,INT32"
+    assert first.request("I", b"input_int_register_3")[1] == b"\1INT32"
+    assert second.request("I", b"input_int_register_3,input_int_register_4")[1] == b"\0IN_USE,INT32"
     first.rtde.close()
-    assert second.ask("I", b"input_int_register_3,input_int_register_4")[1] == b"\1INT32,INT32"
+    assert second.request("I", b"input_int_register_3,input_int_register_4")[1] == b"\1INT32,INT32"
     second.rtde.close()
 
 
@@ -60,7 +63,7 @@ def test_every_value_has_the_size_of_its_type(held: VirtualRobot) -> None:
         assert len(packed([name], held)) == size_of(kind), name
 
 
-def test_samples_come_at_the_frequency_that_was_asked_for() -> None:
+def test_samples_come_at_the_frequency_that_was_requested() -> None:
     held = robot()
     client = Client(held)
     client.begin(["timestamp", "actual_q", "runtime_state"], frequency=125.0)
@@ -69,9 +72,9 @@ def test_samples_come_at_the_frequency_that_was_asked_for() -> None:
     assert [round(sample[0] / held.dt) for sample in found] == [1, 5, 9, 13]
     assert np.array_equal(found[0][1:7], [*found[0][1:7]])
     assert found[-1][-1] == 1
-    client.ask("P")
+    client.request("P")
     held.advance(8)
-    assert client.told() == []
+    assert client.received() == []
 
 
 def test_a_late_sample_is_the_one_of_its_time() -> None:
@@ -85,10 +88,10 @@ def test_a_late_sample_is_the_one_of_its_time() -> None:
 def test_version_1_has_no_frequency_and_no_recipes_in_samples() -> None:
     held = robot()
     client = Client(held)
-    assert client.ask("O", b"robot_mode") == ("O", b"INT32")
-    assert client.ask("S") == ("S", b"\1")
+    assert client.request("O", b"robot_mode") == ("O", b"INT32")
+    assert client.request("S") == ("S", b"\1")
     held.advance()
-    assert client.told() == [("U", struct.pack(">i", 7))]
+    assert client.received() == [("U", struct.pack(">i", 7))]
 
 
 def test_inputs_reach_registers_outputs_and_the_slider() -> None:
@@ -120,19 +123,19 @@ def test_inputs_reach_registers_outputs_and_the_slider() -> None:
 @pytest.mark.parametrize(
     ("data", "text"),
     [
-        (message("U", b"\1\0"), b"data: expected the number of a recipe of inputs"),
-        (message("U"), b"data: expected the number of a recipe of inputs"),
+        (message("U", b"\1\0"), b"data: expected the number of an input recipe"),
+        (message("U"), b"data: expected the number of an input recipe"),
         (message("Z"), b"unknown message 'Z'"),
-        (message("V", b"\0\2") + message("O", b"\0"), b"outputs: expected a frequency and names"),
+        (message("V", b"\0\2") + message("O", b"\0"), b"outputs: expected a frequency and a list of names"),
         (message("I", b"input_int_register_9") + message("U", b"\1\0"), b"data: expected 5 bytes for recipe 1"),
     ],
 )
-def test_what_is_wrong_is_told_in_a_text_message(held: VirtualRobot, data: bytes, text: bytes) -> None:
+def test_an_error_is_reported_in_a_text_message(held: VirtualRobot, data: bytes, text: bytes) -> None:
     client = Client(held)
     assert client.rtde.received(data)
-    kind, told = client.told()[-1]
+    kind, text_message = client.received()[-1]
     assert kind == "M"
-    assert told[1 : 1 + told[0]] == text
+    assert text_message[1 : 1 + text_message[0]] == text
     client.rtde.close()
 
 
@@ -140,7 +143,7 @@ def test_messages_arrive_in_any_pieces(held: VirtualRobot) -> None:
     client = Client(held)
     for byte in message("V", b"\0\2") + message("v"):
         assert client.rtde.received(bytes([byte]))
-    assert [kind for kind, _ in client.told()] == ["V", "v"]
+    assert [kind for kind, _ in client.received()] == ["V", "v"]
     assert not client.rtde.received(b"\0\1V")  # shorter than its own header
     client.rtde.close()
 

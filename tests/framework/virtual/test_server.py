@@ -48,7 +48,7 @@ class Connected:
             data += self.read(1)
         return data.decode().strip()
 
-    def ask(self, text: str) -> str:
+    def request(self, text: str) -> str:
         """A line of the dashboard."""
         self.send(f"{text}\n".encode())
         return self.line()
@@ -64,7 +64,7 @@ def held() -> Iterator[VirtualRobot]:
 
 def until(held: VirtualRobot, text: str) -> None:
     for _ in range(5000):
-        if any(text in told for told in held.messages):
+        if any(text in message for message in held.messages):
             return
         held.advance()
     raise AssertionError(f"expected {text!r} in {list(held.messages)}")
@@ -84,29 +84,29 @@ def test_rtde_by_a_socket(held: VirtualRobot) -> None:
 def test_the_dashboard(held: VirtualRobot) -> None:
     client = Connected(held, held.listen(HOST, Ports.free()).dashboard)
     assert client.line() == "Connected: Universal Robots Dashboard Server"
-    assert client.ask("robotmode") == "Robotmode: RUNNING"
-    assert client.ask("PolyscopeVersion").startswith("URSoftware 5.11.0.108249")
-    assert client.ask("get robot model") == "UR10"
-    assert client.ask("get serial number").isdigit()
-    assert client.ask("programState") == "STOPPED virtual.urp"
+    assert client.request("robotmode") == "Robotmode: RUNNING"
+    assert client.request("PolyscopeVersion").startswith("URSoftware 5.11.0.108249")
+    assert client.request("get robot model") == "UR10"
+    assert client.request("get serial number").isdigit()
+    assert client.request("programState") == "STOPPED virtual.urp"
     held.load_script("def p():\n while True:\n  sync()\n end\nend\n")
-    assert client.ask("running") == "Program running: true"
-    assert client.ask("stop") == "Stopped"
+    assert client.request("running") == "Program running: true"
+    assert client.request("stop") == "Stopped"
     assert not held.running
     held.protective_stop()
-    assert client.ask("safetystatus") == "Safetystatus: PROTECTIVE_STOP"
-    assert client.ask("unlock protective stop") == "Protective stop releasing"
-    assert client.ask("unlock protective stop") == "Cannot unlock protective stop"
+    assert client.request("safetystatus") == "Safetystatus: PROTECTIVE_STOP"
+    assert client.request("unlock protective stop") == "Protective stop releasing"
+    assert client.request("unlock protective stop") == "Cannot unlock protective stop"
     held.emergency_stop()
-    assert client.ask("safetymode") == "Safetymode: ROBOT_EMERGENCY_STOP"
+    assert client.request("safetymode") == "Safetymode: ROBOT_EMERGENCY_STOP"
     held.release_emergency_stop()
-    assert client.ask("robotmode") == "Robotmode: POWER_OFF"
-    client.ask("power on")
-    assert client.ask("robotmode") == "Robotmode: IDLE"
-    client.ask("brake release")
-    assert client.ask("robotmode") == "Robotmode: RUNNING"
-    assert client.ask("make coffee") == "could not understand: 'make coffee'"
-    assert client.ask("quit") == "Disconnected"
+    assert client.request("robotmode") == "Robotmode: POWER_OFF"
+    client.request("power on")
+    assert client.request("robotmode") == "Robotmode: IDLE"
+    client.request("brake release")
+    assert client.request("robotmode") == "Robotmode: RUNNING"
+    assert client.request("make coffee") == "could not understand: 'make coffee'"
+    assert client.request("quit") == "Disconnected"
 
 
 @pytest.mark.parametrize("name", ["primary", "secondary", "realtime"])
@@ -122,7 +122,7 @@ def test_a_script_by_each_port_that_takes_one(held: VirtualRobot, name: str) -> 
     until(held, "script: line 1: expected ')', found :")
 
 
-def test_the_primary_port_tells_version_mode_and_limits(held: VirtualRobot) -> None:
+def test_the_primary_port_sends_version_mode_and_limits(held: VirtualRobot) -> None:
     client = Connected(held, held.listen(HOST, Ports.free()).primary)
     size, kind, _, source, about = struct.unpack(">IBQbB", client.read(15))
     text = client.read(size - 15)
@@ -142,7 +142,7 @@ def test_the_primary_port_tells_version_mode_and_limits(held: VirtualRobot) -> N
     assert struct.unpack(">4d", found[6][96:128])[::2] == (2.16, 2.16)
 
 
-def test_the_real_time_port_tells_the_joints(held: VirtualRobot) -> None:
+def test_the_real_time_port_sends_the_joints(held: VirtualRobot) -> None:
     client = Connected(held, held.listen(HOST, Ports.free()).realtime)
     (size,) = struct.unpack(">I", client.read(4))
     numbers = struct.unpack(f">{(size - 4) // 8}d", client.read(size - 4))
@@ -166,7 +166,7 @@ def test_a_script_opens_sockets_to_its_client(held: VirtualRobot) -> None:
     textmsg(text, none)
     socket_close("back")
   end
-  textmsg("other ", socket_open("{HOST}", 1, "nobody"))
+  textmsg("other ", socket_open("{HOST}", 1, "closed"))
 end
 """
     )
@@ -176,13 +176,13 @@ end
     assert back.recv(100) == b"hello\n" + struct.pack(">i", -7)
     back.sendall(struct.pack(">ii", 3, -4) + b"(1.5,2.5)" + b"some words\n")
     until(held, "some words[0, -1]")
-    assert any("[2, 3, -4][2, 1.5, 2.5]" in told for told in held.messages)
+    assert any("[2, 3, -4][2, 1.5, 2.5]" in text for text in held.messages)
     until(held, "other False")
     back.close()
     door.close()
 
 
-def test_a_taken_port_is_told_and_nothing_stays_open(held: VirtualRobot) -> None:
+def test_a_used_port_is_reported_and_nothing_stays_open(held: VirtualRobot) -> None:
     with socket.create_server((HOST, 0)) as other:
         taken = other.getsockname()[1]
         with pytest.raises(OutputError, match=rf"realtime: cannot listen at {HOST}:{taken}: address already in use"):
@@ -247,7 +247,7 @@ def test_in_step_a_silent_client_is_waited_for_no_longer_than_that(
     begun = held.cycles
     held.serve(lambda: now[0] < 60.1, 60.0)
     assert held.cycles - begun == pytest.approx(50, abs=2)  # in real time after that
-    assert held.messages[-1].endswith("a client has not answered for 60 s: the clock goes on")
+    assert held.messages[-1].endswith("a client has not answered for 60 s: the clock continues")
     client.send(message("U", b"\1\0\0\0\1"))
     held.advance(2)
     assert held.owing  # it is waited for again

@@ -24,15 +24,15 @@ from rtde_control import RTDEControlInterface
 from rtde_io import RTDEIOInterface
 from rtde_receive import RTDEReceiveInterface
 
-host, told = sys.argv[1], {}
+host, found = sys.argv[1], {}
 dashboard = DashboardClient(host)
 dashboard.connect()
-told["version"], told["mode"] = dashboard.polyscopeVersion(), dashboard.robotmode()
+found["version"], found["mode"] = dashboard.polyscopeVersion(), dashboard.robotmode()
 receive = RTDEReceiveInterface(host)
 control = RTDEControlInterface(host)
 writes = RTDEIOInterface(host)
-told["start"] = receive.getActualQ()
-told["pose"] = receive.getActualTCPPose()
+found["start"] = receive.getActualQ()
+found["pose"] = receive.getActualTCPPose()
 
 def steadily(reached):
     for _ in range(2000):
@@ -48,7 +48,7 @@ for _ in range(60):
     control.speedJ([0.1, 0, 0, 0, 0, 0], 0.5, 0.002)
     control.waitPeriod(period)
 control.speedStop()
-told["speedJ"] = receive.getActualQ()[0] - begin
+found["speedJ"] = receive.getActualQ()[0] - begin
 
 # as servoj_example.py
 goal = receive.getActualQ()
@@ -58,45 +58,45 @@ def servo():
     control.servoJ(goal, 0.5, 0.5, 0.002, 0.1, 300)
     control.waitPeriod(period)
     return abs(receive.getTargetQ()[1] - goal[1]) < 1e-4
-told["servoJ"] = steadily(servo)
+found["servoJ"] = steadily(servo)
 control.servoStop()
 
 # as move_async_example.py
 goal = receive.getActualQ()
 goal[0] += 0.5
 control.moveJ(goal, 0.3, 0.5, True)
-told["moving"] = steadily(lambda: receive.getActualQd()[0] > 0.02)
+found["moving"] = steadily(lambda: receive.getActualQd()[0] > 0.02)
 control.stopJ(2.0)
-told["short"] = goal[0] - receive.getActualQ()[0]
+found["short"] = goal[0] - receive.getActualQ()[0]
 goal = receive.getTargetQ()
 goal[0] -= 0.05
-told["moveJ"] = control.moveJ(goal, 1.0, 2.0)
-told["arrived"] = max(abs(a - b) for a, b in zip(receive.getTargetQ(), goal))
+found["moveJ"] = control.moveJ(goal, 1.0, 2.0)
+found["arrived"] = max(abs(a - b) for a, b in zip(receive.getTargetQ(), goal))
 goal = receive.getTargetTCPPose()
 goal[2] += 0.01
-told["moveL"] = control.moveL(goal, 0.25, 0.5)
-told["lifted"] = receive.getTargetTCPPose()[2] - goal[2]
-told["inverse"] = max(
+found["moveL"] = control.moveL(goal, 0.25, 0.5)
+found["lifted"] = receive.getTargetTCPPose()[2] - goal[2]
+found["inverse"] = max(
     abs(a - b) for a, b in zip(control.getInverseKinematics(receive.getTargetTCPPose()), receive.getTargetQ())
 )
 
 # as io_example.py
 writes.setStandardDigitalOut(3, True)
-told["output"] = steadily(lambda: receive.getDigitalOutState(3))
+found["output"] = steadily(lambda: receive.getDigitalOutState(3))
 writes.setSpeedSlider(0.5)
-told["slider"] = steadily(lambda: receive.getTargetSpeedFraction() == 0.5)
+found["slider"] = steadily(lambda: receive.getTargetSpeedFraction() == 0.5)
 
 # what the maker's controller does of itself
 control.triggerProtectiveStop()
-told["stopped"] = steadily(receive.isProtectiveStopped)
+found["stopped"] = steadily(receive.isProtectiveStopped)
 dashboard.unlockProtectiveStop()
-told["unlocked"] = steadily(lambda: not receive.isProtectiveStopped())
-told["again"] = control.reuploadScript() and steadily(control.isProgramRunning)
+found["unlocked"] = steadily(lambda: not receive.isProtectiveStopped())
+found["again"] = control.reuploadScript() and steadily(control.isProgramRunning)
 control.stopScript()
-told["over"] = steadily(lambda: dashboard.programState().startswith("STOPPED"))
+found["over"] = steadily(lambda: dashboard.programState().startswith("STOPPED"))
 control.disconnect()
 receive.disconnect()
-print(json.dumps(told))
+print(json.dumps(found))
 """
 
 
@@ -109,24 +109,24 @@ def test_its_interfaces_drive_the_robot() -> None:
                 [sys.executable, "-c", CLIENT, host], capture_output=True, text=True, timeout=LIMIT, check=False
             )
     assert done.returncode == 0, (done.stderr, list(held.messages)[-20:])
-    told: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    assert told["version"] == "5.11.0.108249"
-    assert told["mode"] == "Robotmode: RUNNING"
-    assert told["start"] == pytest.approx([1.455411, -1.016031, 0.978316, 0, -1.570796, 0], abs=1e-3)
-    assert told["pose"][:3] == pytest.approx([0.07, -0.82, 0.55], abs=1e-3)
-    assert told["speedJ"] > 0.002
-    assert told["servoJ"]
-    assert told["moving"]
-    assert told["short"] > 0.2
-    assert told["moveJ"]
-    assert told["arrived"] < 1e-9
-    assert told["moveL"]
-    assert abs(told["lifted"]) < 1e-8
-    assert told["inverse"] < 1e-6
-    assert told["output"]
-    assert told["slider"]
-    assert told["stopped"]
-    assert told["unlocked"]
-    assert told["again"]
-    assert told["over"]
-    assert held.safety.reason == "protective stop: asked for by the script"
+    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    assert found["version"] == "5.11.0.108249"
+    assert found["mode"] == "Robotmode: RUNNING"
+    assert found["start"] == pytest.approx([1.455411, -1.016031, 0.978316, 0, -1.570796, 0], abs=1e-3)
+    assert found["pose"][:3] == pytest.approx([0.07, -0.82, 0.55], abs=1e-3)
+    assert found["speedJ"] > 0.002
+    assert found["servoJ"]
+    assert found["moving"]
+    assert found["short"] > 0.2
+    assert found["moveJ"]
+    assert found["arrived"] < 1e-9
+    assert found["moveL"]
+    assert abs(found["lifted"]) < 1e-8
+    assert found["inverse"] < 1e-6
+    assert found["output"]
+    assert found["slider"]
+    assert found["stopped"]
+    assert found["unlocked"]
+    assert found["again"]
+    assert found["over"]
+    assert held.safety.reason == "protective stop: requested by the script"

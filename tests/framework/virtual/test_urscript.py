@@ -1,4 +1,4 @@
-"""Scripts of clients: what they compute, and how their faults are told."""
+"""Scripts of clients: what they compute, and the messages of their faults."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from virtual_robots import robot, runs
 
 from dmframe.virtual import ScriptError, VirtualRobot
-from dmframe.virtual.words import complete
+from dmframe.virtual.words import Arriving
 
 SHARED: list[VirtualRobot] = []
 
@@ -166,24 +166,28 @@ def test_a_thread_can_be_waited_for() -> None:
     [
         ("  x = 1 / 0", 2, "division by zero"),
         ("  sync()\n  y = x", 3, "x: expected a variable"),
-        ("  x = [1, 2]\n  y = x[2]", 3, "expected an element from 0 to 1, found 2"),
+        ("  x = [1, 2]\n  y = x[2]", 3, "expected an index from 0 to 1, found 2"),
         ("  if 1:\n  end", 2, "expected True or False"),
         ("  while True:\n  end", 2, "a loop without sync"),
-        ("  def f(n):\n    if n > 0:\n      f(n - 1)\n      f(n - 1)\n    end\n  end\n  f(60)", 2, "turns and calls"),
+        (
+            "  def f(n):\n    if n > 0:\n      f(n - 1)\n      f(n - 1)\n    end\n  end\n  f(60)",
+            2,
+            "loop iterations, calls",
+        ),
         ('  x = "a"\n  while True:\n    x = str_cat(x, x)\n  end', 4, "no more than 65536 characters"),
         ("  force_mode(1)", 2, "force_mode: the virtual robot does not emulate this function"),
-        ("  x = [1] + [1, 2]", 2, "expected lists of one length"),
+        ("  x = [1] + [1, 2]", 2, "expected lists of equal length"),
         ('  x = "a" + 1', 2, "expected numbers"),
         ("  speedj([1, 2], 1)", 2, "expected six numbers"),
         ("  movej([0,0,0,0,0,0], v=-1)", 2, "movej: v: expected a positive number"),
         ("  write_output_integer_register(48, 1)", 2, "expected a number from 0 to 47, found 48"),
-        ("  set_tcp(p[0, 0, 0.1, 0, 0, 0])", 2, "no tool but its flange"),
+        ("  set_tcp(p[0, 0, 0.1, 0, 0, 0])", 2, "only tool is its flange"),
     ],
 )
-def test_a_fault_while_it_runs_ends_it_and_tells_the_line(body: str, line: int, text: str) -> None:
-    told = fault(f"def test():\n{body}\nend\n")
-    assert f"test ends: line {line}: " in told
-    assert text in told
+def test_a_fault_while_it_runs_ends_it_with_the_line(body: str, line: int, text: str) -> None:
+    message = fault(f"def test():\n{body}\nend\n")
+    assert f"test ends: line {line}: " in message
+    assert text in message
 
 
 @pytest.mark.parametrize(
@@ -193,16 +197,16 @@ def test_a_fault_while_it_runs_ends_it_and_tells_the_line(body: str, line: int, 
         ("def test():\n  if True\n  end\nend\n", "line 2: expected ':', found the end of the line"),
         ("def test():\n  x = 1\n", "expected end, found the end of the script"),
         ("def test():\n  x = @\nend\n", "line 2: expected URScript, found '@'"),
-        ("def test():\n  break\nend\n", "line 2: expected a statement"),
+        ("def test():\n  break\nend\n", "line 2: expected a loop around this statement, found break"),
         ("def test():\n  run other()\nend\n", "run other: expected a thread of this script"),
         ("def test():\n  1 = 2\nend\n", "line 2: expected a variable"),
-        ("def test():\n  x = " + "(" * 5000 + "1" + ")" * 5000 + "\nend\n", "more than can be read"),
+        ("def test():\n  x = " + "(" * 5000 + "1" + ")" * 5000 + "\nend\n", "nested too deeply"),
     ],
 )
 def test_what_is_no_script_is_refused(script: str, text: str) -> None:
-    with pytest.raises(ScriptError) as told:
+    with pytest.raises(ScriptError) as raised:
         held().load_script(script)
-    assert text in str(told.value)
+    assert text in str(raised.value)
 
 
 @pytest.mark.parametrize(
@@ -223,18 +227,24 @@ def test_what_is_no_script_is_refused(script: str, text: str) -> None:
 )
 def test_a_script_reaches_nothing_of_python(body: str) -> None:
     try:
-        told = fault(f"def test():\n{body}\nend\n")
+        message = fault(f"def test():\n{body}\nend\n")
     except ScriptError as refused:
-        told = str(refused)
-    assert any(word in told for word in ("expected", "does not emulate")), told
+        message = str(refused)
+    assert any(word in message for word in ("expected", "does not emulate")), message
 
 
 def test_text_arrives_in_pieces() -> None:
     whole = '# a comment\ndef a():\n  if True: # end\n    x = 1\n  end\n  textmsg("end")\nend\n'
-    assert complete(whole) == len("# a comment\n") + len(whole) - len("# a comment\n")
-    assert all(complete(whole[:count]) == 0 for count in range(len("# a comment\n"), len(whole)))
-    assert complete("stopj(2)\nrest") == len("stopj(2)\n")
-    assert complete("") == 0
+
+    def taken(text: str) -> str:
+        arriving = Arriving()
+        arriving.text = text
+        return arriving.take()
+
+    assert taken(whole) == whole
+    assert not any(taken(whole[:count]) for count in range(len("# a comment\n"), len(whole)))
+    assert taken("stopj(2)\nrest") == "stopj(2)\n"
+    assert taken("") == ""
 
 
 def test_a_line_by_itself_is_a_program() -> None:
@@ -244,8 +254,8 @@ def test_a_line_by_itself_is_a_program() -> None:
 
 
 def test_calls_without_end_end_it() -> None:
-    told = fault("def test():\n  def f():\n    return f()\n  end\n  f()\nend\n")
-    assert told.endswith("functions call functions, deeper than can be followed")
+    message = fault("def test():\n  def f():\n    return f()\n  end\n  f()\nend\n")
+    assert message.endswith("calls of functions are nested too deeply")
 
 
 def test_halt_ends_it() -> None:
@@ -259,8 +269,8 @@ def test_an_integer_that_no_register_holds_is_a_fault_of_the_script(number: str)
 
 
 def test_an_integer_that_grows_without_end_ends_the_script() -> None:
-    told = fault("def test():\n  x = 3\n  while True:\n    x = x * x\n    sync()\n  end\nend\n")
-    assert told.endswith("line 4: *: expected an integer of 32 bits, found a longer one")
+    message = fault("def test():\n  x = 3\n  while True:\n    x = x * x\n    sync()\n  end\nend\n")
+    assert message.endswith("line 4: *: expected an integer of 32 bits, found a longer one")
     assert value("  found = 2147483647") == 2147483647
 
 

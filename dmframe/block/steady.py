@@ -1,0 +1,163 @@
+"""Whether a block's methods state the same at other numbers.
+
+A number that a method finds outside of `p`, such as a global that a validator has written, is a constant in what the
+method states. The method is evaluated again after a block with other numbers was made; what differs holds such a
+constant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from typing import Any, Final, final
+
+import casadi as ca
+
+from dmframe.block.base import AbstractBlock, Equations
+from dmframe.block.numberless import LARGER, SMALLER, remade, with_other_numbers
+from dmframe.certificate import SX
+from dmframe.errors import BlockError
+from dmframe.parameter import specs
+
+Stating = Callable[[AbstractBlock], Mapping[str, Any]]
+"""Evaluates a method of a block: what it states, by the words for it."""
+
+_PARTS: Final = {"outputs": "output", "rates": "rate", "next": "next value", "second": "second term"}
+"""Of `Equations`, with what each says."""
+
+
+def stated_equations(equations: Equations) -> dict[str, SX]:
+    """Equations by the words for each, ``rate of y``."""
+    return {
+        f"{word} of {key}": value for part, word in _PARTS.items() for key, value in getattr(equations, part).items()
+    }
+
+
+def hold_steady(name: str, block: AbstractBlock, says: str, first: Mapping[str, Any], stating: Stating) -> None:
+    """Refuse a method whose statement differs at other numbers, or when it is evaluated again.
+
+    Parameters
+    ----------
+    name
+        The block's name in the diagram.
+    says
+        The method with its verb, ``equations() state``.
+    first
+        What the method stated.
+    stating
+        Evaluates the method of a block.
+
+    Raises
+    ------
+    BlockError
+        It names the parameters on which the statement depends as Python numbers.
+    """
+    known = _Flat(first)
+    try:
+        for factors in (LARGER, SMALLER):
+            for other in _others(block, factors):
+                if changed := known.changed(_Flat(stating(other))):
+                    raise _unsteady(name, block, says, changed, stating)
+    finally:
+        remade(block)  # what its validators keep is of its own numbers again
+
+
+def _others(block: AbstractBlock, factors: Sequence[float]) -> Iterator[AbstractBlock]:
+    """Blocks with other numbers, each made just before it is evaluated; the block itself where it takes none."""
+    taken = False
+    for other in with_other_numbers(block, factors):
+        taken = True
+        yield other
+    if not taken:
+        yield block
+
+
+def same_statement(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """True where two evaluations of a method state the same."""
+    return not _Flat(one).changed(_Flat(other))
+
+
+def same_expression(one: SX, other: SX) -> bool:
+    """True for two expressions that are built alike, operation by operation, of the same symbols and constants."""
+    one, other = ca.densify(ca.SX(one)), ca.densify(ca.SX(other))
+    return one.shape == other.shape and same_expressions([one], [other])
+
+
+def same_expressions(ones: Sequence[SX], others: Sequence[SX]) -> bool:
+    """The same of lists of one length."""
+    symbols = ca.symvar(ca.vertcat(ca.SX(0, 1), *(ca.vec(ca.densify(item)) for item in (*ones, *others))))
+    one, other = (ca.Function("same", symbols, list(items)).serialize() for items in (ones, others))
+    return bool(one == other)
+
+
+def _unsteady(name: str, block: AbstractBlock, says: str, what: str, stating: Stating) -> BlockError:
+    own = _Flat(stating(remade(block)))
+
+    def differs(others: Iterator[AbstractBlock]) -> bool:
+        return any(own.changed(_Flat(stating(other))) for other in others)
+
+    known = specs(type(block)) if not differs(iter([remade(block)])) else {}
+    found = [
+        item
+        for item in known
+        if any(differs(with_other_numbers(block, factors, item)) for factors in (LARGER, SMALLER))
+    ]
+    if found:
+        return BlockError(
+            f"{name}: {says} another {what} where {' or '.join(found)} has another value, which is read as a Python "
+            f"number; expected p.{found[0]}"
+        )
+    return BlockError(
+        f"{name}: {says} another {what} when evaluated again; expected the same expression each time, from "
+        "its arguments alone"
+    )
+
+
+@final
+class _Flat:
+    """A statement as expressions and texts, by the words for each part."""
+
+    def __init__(self, stated: Mapping[str, Any]) -> None:
+        self._parts = {key: collected(value) for key, value in stated.items()}
+
+    def changed(self, other: _Flat) -> str:
+        """The words for the first part that differs; empty where none does."""
+        one, two = self._parts, other._parts
+        if one.keys() == two.keys() and all(one[key][1] == two[key][1] for key in one):
+            ones, twos = ([item for part in parts.values() for item in part[0]] for parts in (one, two))
+            if same_expressions(ones, twos):
+                return ""
+        return next((key for key in {**one, **two} if _differ(one.get(key), two.get(key))), "")
+
+
+_Part = tuple[Sequence[SX], Sequence[str]]
+
+
+def _differ(one: _Part | None, other: _Part | None) -> bool:
+    if one is None or other is None or one[1] != other[1]:
+        return True
+    return not all(map(same_expression, one[0], other[0]))
+
+
+def collected(value: Any) -> _Part:
+    """The expressions in a statement, and all else that is in it, as texts."""
+    expressions, rest = list[SX](), list[str]()
+
+    def collect(item: Any) -> None:
+        if isinstance(item, ca.SX | ca.DM | float | int):
+            expressions.append(ca.SX(item))
+            rest.append(str(expressions[-1].shape))  # so that equal texts have as many expressions
+        elif is_dataclass(item):
+            rest.append(type(item).__name__)
+            collect([getattr(item, each.name) for each in fields(item)])
+        elif isinstance(item, Mapping):
+            collect(list(item.items()))
+        elif isinstance(item, list | tuple):
+            rest.append(str(len(item)))
+            for inner in item:
+                collect(inner)
+        else:
+            rest.append(str(item))
+
+    collect(value)
+    return expressions, rest

@@ -1,0 +1,99 @@
+"""Whether certificates, conditions and starts are the same at other numbers, as equations are by construction."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock
+from dmframe.block.faults import fault_context
+from dmframe.block.model import Recalled, signals_of
+from dmframe.block.steady import Stating, collected, hold_steady
+from dmframe.certificate import SX, Certificate
+from dmframe.certify.form import NotApplicableError
+from dmframe.diagram import Diagram
+from dmframe.diagram.truths import Stated
+from dmframe.diagram.view import View, stated_start, view
+from dmframe.errors import BlockError, DmframeError
+from dmframe.parameter import specs
+
+
+def hold_claims(diagram: Diagram, truths: Stated) -> None:
+    """Refuse a block whose certificate, conditions or start hold a number that they did not take from `p`.
+
+    Raises `NotApplicableError`: such a claim would be that of one number, printed as one for all.
+    """
+    for name, block in diagram.blocks.items():
+        if not specs(type(block)):
+            continue
+        seen = _recalling(diagram, name, view(diagram, name, truths))
+        for says, stating in _methods(name, seen, {}):
+            try:
+                hold_steady(name, block, says, stating(block), stating)
+            except BlockError as error:
+                raise NotApplicableError(error.text) from None
+
+
+def _recalling(diagram: Diagram, name: str, seen: View) -> View:
+    """The view with a robot that remembers its answers: its functions take most of the time."""
+    model = diagram.models[name]
+    if model.robot is None:
+        return seen
+    return replace(seen, p=signals_of(name, {}, {}, {**model.parameters, **model.starts}, Recalled(model.robot))[2])
+
+
+def stated_claims(block: AbstractBlock, seen: View, constants: dict[str, SX]) -> dict[str, Any]:
+    """A block's certificate and conditions, by the words for their parts; what it raises instead, as a text.
+
+    `constants` are the unknown constants of certificates, by name; they are made where they are not there yet.
+    """
+    found = dict[str, Any]()
+    for _, stating in _methods("", seen, constants)[:2]:
+        found |= stating(block)
+    return found
+
+
+def _with_own_constants(stated: Certificate, known: dict[str, SX]) -> dict[str, Any]:
+    """A certificate whose unknown constants, which each evaluation makes anew, are the `known` ones of their names."""
+    made = {name: value for name, value in stated.unknown.items() if isinstance(value, ca.SX)}
+    ours = [known.setdefault(name, ca.SX.sym(name, *value.shape)) for name, value in made.items()]
+    found = dict[str, Any]()
+    for key, value in vars(stated).items():
+        expressions, rest = collected(value)
+        if all(one.shape == other.shape for one, other in zip(ours, made.values(), strict=True)):
+            expressions = ca.substitute(list(expressions), list(made.values()), ours)
+        found[key] = (expressions, rest)
+    return found
+
+
+def _methods(name: str, seen: View, constants: dict[str, SX]) -> list[tuple[str, Stating]]:
+    def certificate(block: AbstractBlock) -> Mapping[str, Any]:
+        stated = block.composed_certificate(seen.u, seen.x, seen.p, seen.truth)
+        if not isinstance(stated, Certificate):
+            return {"certificate": stated}
+        return _with_own_constants(stated, constants) if stated.unknown else vars(stated)
+
+    def conditions(block: AbstractBlock) -> Mapping[str, Any]:
+        return {"list of conditions": list(block.composed_conditions(seen.p, seen.truth))}
+
+    def start(block: AbstractBlock) -> Mapping[str, Any]:
+        return stated_start(block, seen)
+
+    def stating(method: str, stated: Stating) -> Stating:
+        def evaluated(block: AbstractBlock) -> Mapping[str, Any]:
+            try:
+                with fault_context(name, method):
+                    return stated(block)
+            except DmframeError as error:  # one that depends on a number differs, too
+                return {"error": error.text}
+
+        return evaluated
+
+    return [
+        ("certificate() states", stating("certificate()", certificate)),
+        ("conditions() state", stating("conditions()", conditions)),
+        ("start() states", stating("start()", start)),
+    ]

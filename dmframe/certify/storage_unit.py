@@ -1,0 +1,65 @@
+"""The unit of V, derived from the units of what its blocks store."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import final
+
+from dmframe.certify.claim import Claim
+from dmframe.dimensions.check import checks_of
+from dmframe.dimensions.dimension import RAD, Dimension, declared, product, spelled
+
+
+@final
+@dataclass(frozen=True)
+class StorageUnit:
+    """Units in V, with angles as plain numbers, as SI has them.
+
+    Parameters
+    ----------
+    unit, rate
+        Of V and of dV/dt; empty where no block's unit was derived, or V adds terms of several units.
+    parts
+        Of what each block stores, where it was derived, before kappa turns it into V's.
+    several
+        The units that V adds with one weight, where they are several: the weights 1 then have units of their own.
+    """
+
+    unit: str
+    rate: str
+    parts: Mapping[str, str]
+    several: tuple[str, ...] = ()
+
+    @property
+    def about(self) -> str:
+        """What a figure or a table says of a V without one unit."""
+        return f"its terms are in {' and '.join(self.several)}, each counted in SI's units" if self.several else ""
+
+
+def storage_unit(claim: Claim) -> StorageUnit:
+    """Derive V's unit.
+
+    Without a cascade all blocks have the weight 1. With one, kappa has the unit that turns those of the servo level
+    into that of the cascade, which is V's.
+    """
+    diagram = claim.diagram
+    stored = [part for part in claim.parts if part.certificate.storage or part.certificate.steps]
+    weights = {part.block: claim.cascaded and not part.cascade for part in stored}
+    parts, rates = dict[str, str](), dict[str, str]()
+    for check in checks_of(diagram.models, diagram.sizes, diagram.robot):
+        found = check.storage if check.model.name in weights else None
+        if found is not None:
+            parts[check.model.name], rates[_text(found)] = _text(found), _text(product(found, declared("s"), -1))
+    levels = [
+        list(dict.fromkeys(unit for name, unit in parts.items() if weights[name] == weight)) for weight in (False, True)
+    ]
+    several = tuple(next((level for level in levels if len(level) > 1), ()))
+    unit = "" if several or not levels[0] else levels[0][0]
+    return StorageUnit(unit, rates.get(unit, ""), parts, several)
+
+
+def _text(dimension: Dimension) -> str:
+    powers = tuple(0 if k == RAD else power for k, power in enumerate(dimension.powers))
+    text = spelled(Dimension(powers, angular=False))
+    return "1" if text == "a plain number" else text

@@ -1,0 +1,83 @@
+"""A tape at one point of a prime field, and again where little has changed: only what depends on that is recomputed."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from functools import cached_property
+from typing import Final, final
+
+import casadi as ca
+
+from dmframe.exact.tape import Tape
+from dmframe.exact.trial import Trial
+from dmframe.program import CONST, INPUT, OPERATIONS
+
+_SIGNED: Final = frozenset((ca.OP_SIGN, ca.OP_FABS))
+_SIGNS: Final = 1
+
+
+@final
+class Evaluation:
+    """The residues of all instructions of a tape.
+
+    Functions that the field does not have keep the values that the trial has chosen, so that what is recomputed is what
+    a full evaluation at the other point would give, number by number.
+
+    Parameters
+    ----------
+    moving
+        Positions of the inputs that may change.
+
+    Raises
+    ------
+    ZeroDivision
+        A denominator vanishes, here or at the other point.
+    """
+
+    def __init__(self, tape: Tape, inputs: Sequence[Sequence[int]], trial: Trial, moving: Collection[int] = ()) -> None:
+        self._tape, self._inputs, self._trial = tape, list(inputs), trial
+        self._moving = {position: 2 << place for place, position in enumerate(moving)}
+        self._values = [0] * len(tape)
+        tape.compute(enumerate(tape.nodes), self._values, self._inputs, trial)
+
+    @property
+    def outputs(self) -> list[list[int]]:
+        """The outputs, dense and column-major."""
+        return self._tape.outputs_of(self._values, self._trial)
+
+    def changed(self, inputs: Mapping[int, Sequence[int]]) -> list[list[int]]:
+        """The outputs with other residues of some of the inputs that may change, by position."""
+        given = list(self._inputs)
+        for position, values in inputs.items():
+            given[position] = values
+        return self._tape.outputs_of(self._again(sum(self._moving[k] for k in inputs), given), self._trial)
+
+    def signed_anew(self) -> list[list[int]]:
+        """The outputs with the trial's present choice of signs."""
+        self._values = self._again(_SIGNS, self._inputs)
+        return self.outputs
+
+    def _again(self, mask: int, inputs: Sequence[Sequence[int]]) -> list[int]:
+        values, nodes = self._values.copy(), self._tape.nodes
+        found = sorted(place for own, places in self._depending.items() if own & mask for place in places)
+        self._tape.compute(((place, nodes[place]) for place in found), values, inputs, self._trial)
+        return values
+
+    @cached_property
+    def _depending(self) -> Mapping[int, Sequence[int]]:
+        """The places of instructions by what they depend on: bits of the inputs that may change, and of the signs."""
+        masks, found = list[int](), dict[int, list[int]]()
+        moving, arity = self._moving, {code: operation.arity for code, operation in OPERATIONS.items()}
+        for place, (code, a, b, _, _) in enumerate(self._tape.nodes):
+            if code == INPUT:
+                mask = moving.get(a, 0)
+            elif code == CONST:
+                mask = 0
+            else:
+                mask = masks[a] | masks[b] if arity[code] == 2 else masks[a]
+                if code in _SIGNED:
+                    mask |= _SIGNS
+            masks.append(mask)
+            if mask:
+                found.setdefault(mask, []).append(place)
+        return found

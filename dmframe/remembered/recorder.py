@@ -1,0 +1,239 @@
+"""Records what a proof is made from, while it is made: by Python's audit events and by the modules that were loaded.
+
+A verdict is kept only if all of it could be recorded. It is not if the process started another program or opened a
+connection, read something that is no regular file, or read a file that has changed since.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import stat
+import sys
+import sysconfig
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from typing import Any, Final, final
+
+from dmframe.remembered import store
+from dmframe.remembered.front import Call
+from dmframe.remembered.inputs import ABSENT, states_of
+
+PROBE: Final = "dmframe.probe"
+"""The audit event of a look whether a file is there: the system's own look raises none."""
+
+OWN: Final = ("dmframe", "dmframe_blocks", "dmframe_plants")
+"""Packages whose files are compared by content wherever they are installed."""
+
+VARIABLES: Final = (
+    *("PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP", "PYTHONOPTIMIZE", "PYTHONHASHSEED", "PYTHONUTF8"),
+    *("LANG", "LC_ALL", "LC_CTYPE", "LC_NUMERIC", "TZ", "HOME", "XDG_CONFIG_HOME"),
+    *("LD_LIBRARY_PATH", "LD_PRELOAD", "DYLD_LIBRARY_PATH", "CASADIPATH", "ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"),
+    *("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENBLAS_CORETYPE", "MKL_NUM_THREADS", "MKL_CBWR"),
+)
+"""Variables that libraries read without Python, or that Python read before it was watched."""
+
+_REFUSED: Final = frozenset(
+    (
+        *(
+            "subprocess.Popen",
+            "os.system",
+            "os.exec",
+            "os.posix_spawn",
+            "os.spawn",
+            "os.fork",
+            "os.forkpty",
+            "pty.spawn",
+        ),
+        *("socket.connect", "socket.bind", "socket.getaddrinfo", "socket.gethostbyname", "urllib.Request"),
+        *("sqlite3.connect", "os.startfile", "winreg.OpenKey"),
+    )
+)
+_METADATA: Final = os.path.join("importlib", "metadata", "")  # noqa: PTH118 - see front
+
+_watching: list[Recorder] = []
+_hooked: list[bool] = []
+
+
+@final
+class Recorder:
+    """The inputs of one call, from `begin` on."""
+
+    def __init__(self, call: Call, place: str) -> None:
+        self.call, self.place = call, place
+        self.refused = ""
+        self.aside = list[str]()
+        self._began = time.time_ns()
+        self._seen, self._written = dict[tuple[str, str], None](), set[str]()
+        self._library, self._cache = _libraries(), os.path.join(os.path.dirname(place), "")  # noqa: PTH118, PTH120
+
+    def add(self, kind: str, name: str) -> None:
+        """Note an input."""
+        self._seen[kind, name] = None
+
+    def opened(self, path: Any, flags: int) -> None:
+        """A file was opened; descriptors were opened before under a name."""
+        if isinstance(path, int):
+            return
+        name = _absolute(path)
+        if flags & (os.O_WRONLY | os.O_RDWR):
+            self._written.add(name)
+        elif name not in self._written and not name.startswith(self._cache):
+            self.add("opened", name)
+
+    def entry(self) -> dict[str, Any] | None:
+        """The inputs in their present states; None where they are not all known."""
+        names = dict.fromkeys(name for key in (*self._seen, *_loaded(self._cache)) for name in self._named(*key))
+        names |= dict.fromkeys(("variable", name) for name in VARIABLES)
+        for kind, name in names:
+            if kind == "content" and not self.refused:
+                self._check(name)
+        return None if self.refused else {"inputs": states_of(names), "aside": self.aside}
+
+    def _named(self, kind: str, name: str) -> Iterator[tuple[str, str]]:
+        """An input as it is kept: the source of a compiled module, a library's file by size and time."""
+        if kind != "opened":
+            yield kind, name
+            return
+        if name.endswith(".pyc"):
+            with suppress(ValueError):
+                name = importlib.util.source_from_cache(name)
+        place = self._library(name)
+        if place != "standard":
+            yield ("library" if place else "content"), name
+
+    def _check(self, path: str) -> None:
+        """Refuse what is no regular file, or what was changed after the proof began."""
+        try:
+            status = os.stat(path)  # noqa: PTH116 - see front
+        except OSError:
+            return  # it was looked for and is absent, which is a state
+        if not stat.S_ISREG(status.st_mode) and path != os.devnull:
+            self.refused = f"{path} is no regular file"
+        elif max(status.st_mtime_ns, status.st_ctime_ns) >= self._began:
+            self.refused = f"{path} has changed since"
+
+
+def _absolute(path: Any) -> str:
+    return os.path.abspath(os.fsdecode(path))  # noqa: PTH100 - see front
+
+
+def _libraries() -> Callable[[str], str]:
+    """What a file belongs to: ``library``, ``standard`` for Python's own modules, or neither."""
+    paths = sysconfig.get_paths()
+    standard = tuple(os.path.join(paths[key], "") for key in ("stdlib", "platstdlib"))  # noqa: PTH118 - see front
+    sites = tuple(os.path.join(paths[key], "") for key in ("purelib", "platlib"))  # noqa: PTH118 - see front
+    own = tuple(f"{os.sep}site-packages{os.sep}{name}{os.sep}" for name in OWN)
+
+    def place(path: str) -> str:
+        installed = f"{os.sep}site-packages{os.sep}" in path or f"{os.sep}dist-packages{os.sep}" in path
+        if installed or path.startswith(sites):
+            return "" if any(part in path for part in own) else "library"
+        return "standard" if path.startswith(standard) else ""
+
+    return place
+
+
+def _loaded(cache: str) -> Iterator[tuple[str, str]]:
+    """The files of all modules, the folders in which imports looked, some of them before this process was watched, and
+    the shared libraries of the process but for those that dmframe compiled.
+    """
+    for folder in sys.path_importer_cache:
+        yield "modules", _absolute(folder)
+    yield "library", _absolute(os.__file__)
+    for module in list(sys.modules.values()):
+        path = vars(module).get("__file__") if hasattr(module, "__dict__") else None
+        if isinstance(path, str) and not path.startswith("<"):
+            yield "opened", _absolute(path)
+    with suppress(OSError), open("/proc/self/maps", encoding="utf-8", errors="surrogateescape") as maps:  # noqa: PTH123
+        mapped = {line.split(maxsplit=5)[-1].strip() for line in maps if "/" in line}
+    for path in sorted(path for path in mapped if ".so" in path and not path.startswith(cache)):
+        yield "library", path
+
+
+@final
+class _Watched(type(os.environ)):  # type: ignore[misc]  # the class of the environment has no public name
+    """The environment of the process, with each variable that is read noted."""
+
+    def __getitem__(self, key: str) -> str:
+        for recorder in _watching:
+            recorder.add("variable", str(key))
+        value: str = super().__getitem__(key)
+        return value
+
+    def __iter__(self) -> Iterator[str]:
+        for recorder in _watching:
+            recorder.add("variable", "")
+        names: Iterator[str] = super().__iter__()
+        return names
+
+
+def _hook(event: str, arguments: tuple[Any, ...]) -> None:
+    if not _watching or event not in _EVENTS:
+        return
+    recorder, caller = _watching[-1], sys._getframe(1)
+    _EVENTS[event](recorder, event, arguments, caller.f_code.co_filename)
+
+
+def _open(recorder: Recorder, _: str, arguments: tuple[Any, ...], caller: str) -> None:
+    recorder.opened(arguments[0], arguments[2])
+
+
+def _list(recorder: Recorder, _: str, arguments: tuple[Any, ...], caller: str) -> None:
+    path = arguments[0]
+    if isinstance(path, int):
+        recorder.refused = "a folder was listed by its descriptor"
+        return
+    kind = "modules" if caller.startswith("<frozen importlib") else "packages" if _METADATA in caller else "names"
+    recorder.add(kind, _absolute("." if path is None else path))
+
+
+def _look(recorder: Recorder, _: str, arguments: tuple[Any, ...], caller: str) -> None:
+    recorder.add("probe", _absolute(arguments[0]))
+
+
+def _refuse(recorder: Recorder, event: str, _: tuple[Any, ...], caller: str) -> None:
+    recorder.refused = recorder.refused or f"the proof called {event}"
+
+
+_EVENTS: Final[Mapping[str, Callable[[Recorder, str, tuple[Any, ...], str], None]]] = {
+    "open": _open,
+    "os.listdir": _list,
+    "os.scandir": _list,
+    PROBE: _look,
+    **dict.fromkeys(_REFUSED, _refuse),
+}
+
+
+def begin(call: Call) -> Recorder | None:
+    """Watch this process from now on; None where verdicts cannot be kept."""
+    place = store.folder()
+    if place is None:
+        return None
+    recorder = Recorder(call, place)
+    _watching.append(recorder)
+    os.environ.__class__ = _Watched
+    if not _hooked:
+        sys.addaudithook(_hook)
+        _hooked.append(True)
+    return recorder
+
+
+def end() -> Recorder | None:
+    """Stop watching; returns what was recorded, None where nothing was."""
+    os.environ.__class__ = _Watched.__base__
+    return _watching.pop() if _watching else None
+
+
+def finish(text: str, summaries: list[dict[str, Any]], status: int, proved_at: str) -> bool:
+    """Keep the verdict of the call that is recorded; returns whether it was kept."""
+    recorder = end()
+    entry = recorder.entry() if recorder is not None else None
+    if recorder is None or entry is None:
+        return False
+    entry |= {"text": text, "summaries": summaries, "status": status, "proved_at": proved_at}
+    return store.keep(recorder.place, recorder.call.key, entry)
+
+
+__all__ = ["ABSENT", "PROBE", "Recorder", "begin", "end", "finish"]

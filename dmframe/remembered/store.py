@@ -1,0 +1,102 @@
+"""Verdicts on the disk: one file each, whole or not at all, of this user alone.
+
+A file holds a digest and, compressed, a JSON object. It is written next to its place and renamed, so that several
+processes may write the same at once. What is damaged, or what others may have written, is ignored.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+import sys
+import zlib
+from contextlib import suppress
+from typing import Any, Final
+
+from dmframe.remembered.inputs import digest
+
+FORMAT: Final = 1
+MOST: Final = 400
+"""Verdicts that are kept; the oldest go first."""
+FOLDER: Final = "verdicts"
+SUFFIX: Final = ".verdict"
+_HEAD: Final = 40
+
+
+def folder() -> str | None:
+    """Where verdicts are kept, in the folder of `dmframe.build.cache.cache_folder`; None where there is none.
+
+    On Linux it is found without platformdirs, whose import takes as long as all else that is done here.
+    """
+    named = os.environ.get("DMFRAME_CACHE")
+    if not named and sys.platform.startswith("linux"):
+        named = os.environ.get("XDG_CACHE_HOME", "").strip() or "~/.cache"
+        named = os.path.join(named, "dmframe")  # noqa: PTH118 - pathlib takes long to import
+    if not named:
+        from dmframe.build.cache import cache_folder
+
+        with suppress(OSError):
+            named = str(cache_folder())
+    if not named:
+        return None
+    place = os.path.expanduser(named)  # noqa: PTH111 - as above
+    return None if place.startswith("~") else os.path.join(os.path.abspath(place), FOLDER)  # noqa: PTH100, PTH118
+
+
+def find(place: str, key: str) -> dict[str, Any] | None:
+    """What was kept under a key; None where there is nothing, or nothing that can be trusted."""
+    path = os.path.join(place, key + SUFFIX)  # noqa: PTH118 - as above
+    try:
+        if _foreign(os.lstat(place), stat.S_ISDIR) or _foreign(os.lstat(path), stat.S_ISREG):
+            return None
+        with open(path, "rb") as file:  # noqa: PTH123 - as above
+            head, packed = file.read(_HEAD).decode("ascii"), file.read()
+        if head != digest(packed):
+            return None
+        found = json.loads(zlib.decompress(packed))
+    except (OSError, ValueError, zlib.error):
+        return None
+    return found if isinstance(found, dict) and found.get("format") == FORMAT and found.get("key") == key else None
+
+
+def keep(place: str, key: str, entry: dict[str, Any]) -> bool:
+    """Write an entry; returns False where the folder cannot be used."""
+    packed = zlib.compress(json.dumps({**entry, "format": FORMAT, "key": key}).encode(), 6)
+    path = os.path.join(place, key + SUFFIX)  # noqa: PTH118 - as above
+    part = f"{path}.{os.getpid()}.{os.urandom(4).hex()}.part"
+    try:
+        os.makedirs(place, mode=0o700, exist_ok=True)  # noqa: PTH103 - as above
+        if _foreign(os.lstat(place), stat.S_ISDIR):
+            return False
+        descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        try:
+            with os.fdopen(descriptor, "wb") as file:
+                file.write(digest(packed).encode("ascii") + packed)
+            os.replace(part, path)  # noqa: PTH105 - as above
+        except BaseException:
+            with suppress(OSError):
+                os.unlink(part)  # noqa: PTH108 - as above
+            raise
+    except OSError:
+        return False
+    _evict(place)
+    return True
+
+
+def _foreign(status: os.stat_result, kind: Any) -> bool:
+    """True for what is of another kind, or may have been written by others."""
+    own = not hasattr(os, "getuid") or status.st_uid == os.getuid()
+    return not (kind(status.st_mode) and own) or bool(status.st_mode & 0o022)
+
+
+def _evict(place: str) -> None:
+    """Remove the oldest entries, and parts of processes that were killed."""
+    with suppress(OSError):
+        found = list[tuple[float, str]]()
+        for item in os.scandir(place):
+            with suppress(OSError):
+                found.append((item.stat().st_mtime, item.path))
+        for _, path in sorted(found, reverse=True)[MOST:]:
+            with suppress(OSError):
+                os.unlink(path)  # noqa: PTH108 - as above

@@ -1,0 +1,106 @@
+"""Warnings about the signal path between controller and robot: active channel models, saturation, speed limits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from dmframe.diagram import Diagram
+from dmframe.diagram.closed_loop import Signal
+from dmframe.diagram.wiring import Way
+from dmframe.errors import listed
+from dmframe.port import Access
+from dmframe.units import plain
+
+
+def warning_signals(diagram: Diagram) -> list[Signal]:
+    """Outputs whose non-zero values cause a warning, as columns."""
+    ports = {f"{name}.{port.name}" for name, block in diagram.blocks.items() for port in block.outputs if port.notice}
+    return [signal for signal in diagram.loop.outputs if signal.label in ports]
+
+
+def between(diagram: Diagram) -> str:
+    """Sentence on signals that pass channel models; may be empty."""
+    passing = dict[tuple[str, ...], list[str]]()
+    for way in diagram.ways:
+        through = tuple(wire.block for wire in way.through)
+        passing.setdefault(through, []).append(f"{way.origin.block}.{way.origin.port}")
+    said = [f"{listed(signals)} through {listed(list(through))}" for through, signals in passing.items()]
+    return f"not ideal: {'; '.join(said)}" if said else ""
+
+
+def unread(diagram: Diagram) -> list[str]:
+    """Warnings about blocks with unread outputs, possibly because of a missing wire."""
+    free = dict[str, list[str]]()
+    for wire in diagram.unread:
+        free.setdefault(wire.block, []).append(wire.port)
+    return [
+        f"no block reads {listed([f'{block}.{port}' for port in ports])}, so that {_part(diagram, block, ports)} "
+        "has no effect; add a wire, or remove the block"
+        for block, ports in free.items()
+    ]
+
+
+def _part(diagram: Diagram, block: str, ports: Sequence[str]) -> str:
+    whole = len(ports) == len(diagram.models[block].equations.outputs)
+    return f"{block} ({diagram.type_of(block)})" if whole else "it"
+
+
+def exceptions(
+    diagram: Diagram, signals: Sequence[Signal], columns: Mapping[str, np.ndarray], times: np.ndarray
+) -> list[str]:
+    """Warnings about the `signals` that were not zero.
+
+    Parameters
+    ----------
+    columns
+        By label: (N, rows); non-finite values are skipped.
+    times
+        (N,) [s].
+    """
+    words = {f"{name}.{port.name}": port.notice for name, block in diagram.blocks.items() for port in block.outputs}
+    found = list[str]()
+    for signal in signals:
+        size = np.abs(np.nan_to_num(columns[signal.label], nan=0.0, posinf=0.0, neginf=0.0))
+        wrong = np.flatnonzero(np.any(size > 0, axis=1))
+        if not wrong.size:
+            continue
+        row, element = np.unravel_index(int(np.argmax(size)), size.shape)
+        most = f"{plain(float(size[row, element]), signal.unit)} at {signal.label}[{element}], t = {times[row]:.6g} s"
+        share = 100 * wrong.size / len(times)
+        found.append(
+            f"{words[signal.label]}, first at t = {times[wrong[0]]:.6g} s, in {share:.3g} % of the recorded instants; "
+            f"the largest value is {most}"
+        )
+    return found
+
+
+def too_fast(diagram: Diagram, columns: Mapping[str, np.ndarray], times: np.ndarray) -> list[str]:
+    """Warnings about recorded velocity commands beyond the robot's limits, unless a saturation block warns."""
+    if diagram.robot is None:
+        return []
+    limits = np.array([joint.velocity if joint.velocity > 0 else np.inf for joint in diagram.robot.joints])
+    cut = {f"{way.origin.block}.{way.origin.port}" for way in diagram.ways if _warns(diagram, way)}
+    found = list[str]()
+    for name, block in diagram.blocks.items():
+        for port in block.outputs:
+            label = f"{name}.{port.name}"
+            velocity = port.access is Access.COMMANDED and port.unit == "rad/s" and port.shape == "n"
+            if not velocity or label not in columns or label in cut:
+                continue
+            share = np.nan_to_num(np.abs(columns[label]) / limits, nan=0.0, posinf=0.0)
+            over = np.flatnonzero(np.any(share > 1, axis=1))
+            if over.size:
+                row, joint = np.unravel_index(int(np.argmax(share)), share.shape)
+                speed, most = abs(float(columns[label][row, joint])), float(limits[joint])
+                found.append(
+                    f"{label} is beyond the robot's velocity limits, first at t = {times[over[0]]:.6g} s: "
+                    f"{plain(speed, port.unit)} of {diagram.robot.joints[joint].name} at t = {times[row]:.6g} s, whose "
+                    f"limit is {plain(most, port.unit)}; no block limits it"
+                )
+    return found
+
+
+def _warns(diagram: Diagram, way: Way) -> bool:
+    return any(port.notice for wire in way.through for port in diagram.blocks[wire.block].outputs)

@@ -1,0 +1,112 @@
+"""Interface of executors, which compute the chunks of a study, and what a worker does with a chunk."""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Protocol, final
+
+from dmframe.errors import visible
+from dmframe.study.chunks import Chunk
+
+if TYPE_CHECKING:
+    from dmframe.study.plan import Study
+
+
+@final
+@dataclass(frozen=True)
+class Computed:
+    """The rows of a chunk.
+
+    Parameters
+    ----------
+    table
+        Columns by name: arrays, or lists of texts.
+    seconds
+        CPU time of the process: the size of chunks must not depend on other load of the machine.
+    made
+        Processor, machine, versions and engine, for the journal.
+    """
+
+    table: Mapping[str, Any]
+    seconds: float
+    made: Mapping[str, str]
+
+
+@final
+@dataclass(frozen=True)
+class Failed:
+    """Why a chunk was not computed.
+
+    Parameters
+    ----------
+    final
+        Another attempt would fail, too.
+    alone
+        Another chunk may have caused the failure: try this one when no other is running.
+    """
+
+    text: str
+    final: bool = False
+    alone: bool = False
+
+
+Answer = tuple[Chunk, Computed | Failed]
+
+
+class Executor(Protocol):
+    """Computes chunks, several at once; a context manager that ends its workers."""
+
+    @property
+    def count(self) -> int:
+        """How many chunks are computed at once."""
+
+    def submit(self, chunk: Chunk) -> None:
+        """Queue a chunk."""
+
+    def ended(self, timeout: float) -> Answer | None:
+        """A finished chunk; None if there is none within the timeout [s]."""
+
+    def __enter__(self) -> Executor: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+def compute(study: Study, chunk: Chunk) -> Computed | Failed:
+    """The rows of a chunk. Any exception of a block is returned as `Failed` and does not end the worker."""
+    began = time.process_time()
+    try:
+        table = study.band(chunk.point, chunk.end, chunk.first, chunk.stop)
+    except Exception as error:
+        return Failed(f"{type(error).__name__}: {visible(str(error))}")
+    return Computed(table, time.process_time() - began, {**machine(), "engine": study.engine})
+
+
+@cache
+def machine() -> Mapping[str, str]:
+    """What the last bits of a result depend on: processor, system, versions."""
+    return {"host": platform.node(), "processor": _processor(), **versions()}
+
+
+@cache
+def versions() -> Mapping[str, str]:
+    """Versions that must be the same on all workers."""
+    from importlib.metadata import version
+
+    packages = {name: version(name) for name in ("dmframe", "casadi", "numpy", "pin")}
+    return {"python": ".".join(platform.python_version_tuple()[:2]), **packages}
+
+
+def _processor() -> str:
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:  # noqa: PTH123 - read line by line
+            names = (line.partition(":")[2].strip() for line in file if line.startswith("model name"))
+            return next(names, "") or platform.machine()
+    except OSError:  # not Linux
+        return platform.processor() or platform.machine()

@@ -1,0 +1,134 @@
+"""Files that go with a study: into its folder, and to workers on other machines."""
+
+from __future__ import annotations
+
+import atexit
+import io
+import pickle
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, final
+
+from dmframe.config.document import Document
+from dmframe.config.experiment import Experiment
+from dmframe.files import encoded, write_text, writing
+from dmframe.graph import Graph
+from dmframe.results.resolved import companions, resolved_text
+
+if TYPE_CHECKING:
+    from dmframe.study.plan import Study
+
+GRAPH: Final = "graph.yaml"
+
+
+def write_graph(graph: Graph, path: Path) -> None:
+    """Write a graph, and the files that it names into the same folder. Raises `OutputError`."""
+    write_text(path, graph.text)
+    for name, source in companions(graph.experiment).items():
+        target = path.with_name(name)
+        if source.resolve() != target.resolve():
+            with writing(target):
+                shutil.copyfile(source, target)
+
+
+def folder_files(study: Study) -> dict[str, bytes]:
+    """Contents of the files of a study's folder, by name, which make the folder self-contained.
+
+    The study itself; its graph with all defaults written out; graphs, blocks and robots that it names by path.
+    """
+    text, found = study.text, {GRAPH: encoded(resolved_text(study.bases[""]))}
+    for key, experiment in study.bases.items():
+        name, path = Path(key or study.file.graph), Path(experiment.document.name)
+        if name.suffix not in (".yaml", ".yml") or name.is_absolute():
+            continue
+        if ".." in name.parts:  # outside of the folder
+            text = text.replace(str(name), str(path.resolve()))
+            continue
+        found[str(name)] = path.read_bytes()
+    for experiment in study.graphs:
+        base = Path(experiment.document.name).parent
+        place = next(
+            (Path(key or study.file.graph).parent for key, each in study.bases.items() if _base(each) == base), Path()
+        )
+        if place.is_absolute():
+            continue
+        for inner, path in _own(experiment):
+            found[str(place / inner)] = path.read_bytes()
+    return {**found, "study.yaml": encoded(text)}
+
+
+def _base(experiment: Experiment) -> Path:
+    return Path(experiment.document.name).parent
+
+
+def _own(experiment: Experiment) -> Iterator[tuple[Path, Path]]:
+    """Files that a graph names in its own folder or below: relative and absolute paths."""
+    base = _base(experiment).resolve()
+    for path in companions(experiment).values():
+        if path.resolve().is_relative_to(base):
+            yield path.resolve().relative_to(base), path
+
+
+@final
+@dataclass(frozen=True)
+class Parcel:
+    """A pickled study with the contents of the files that its graphs name, by folder number and path in the folder."""
+
+    study: bytes
+    files: Mapping[tuple[int, str], bytes]
+
+
+@final
+class _Packer(pickle.Pickler):
+    """Pickler that numbers the folders of the graphs."""
+
+    def __init__(self, file: io.BytesIO) -> None:
+        super().__init__(file, protocol=pickle.HIGHEST_PROTOCOL)
+        self.folders = dict[Path, int]()
+
+    def reducer_override(self, value: Any) -> Any:
+        if isinstance(value, Experiment):
+            number = self.folders.setdefault(_base(value), len(self.folders))
+            return _placed, (number, value.document, value.name, value.overrides)
+        return NotImplemented
+
+
+def packed(study: Study) -> bytes:
+    """A study with the files that its graphs name, for `unpacked` on any machine."""
+    stream = io.BytesIO()
+    packer = _Packer(stream)
+    packer.dump(study)
+    files = dict[tuple[int, str], bytes]()
+    for experiment in study.graphs:
+        number = packer.folders.setdefault(_base(experiment), len(packer.folders))
+        files |= {(number, str(inner)): path.read_bytes() for inner, path in _own(experiment)}
+    return pickle.dumps(Parcel(stream.getvalue(), files), protocol=pickle.HIGHEST_PROTOCOL)
+
+
+def unpacked(content: bytes) -> Study:
+    """The study of a parcel; its files are in a temporary folder until this process ends."""
+    global _root
+    parcel: Parcel = pickle.loads(content)
+    _root = Path(tempfile.mkdtemp(prefix="dmframe-study-"))
+    atexit.register(shutil.rmtree, _root, ignore_errors=True)
+    for (number, name), data in parcel.files.items():
+        place = _root / str(number) / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_bytes(data)
+    found: Study = pickle.loads(parcel.study)
+    return found
+
+
+_root = Path()
+"""Folder of the parcel that is being unpacked; a worker unpacks one at a time."""
+
+
+def _placed(number: int, document: Document, name: str, overrides: tuple[str, ...]) -> Experiment:
+    """A graph of a parcel."""
+    from dmframe.config.experiment import experiment_of
+
+    place = _root / str(number) / Path(document.name).name
+    return replace(experiment_of(replace(document, name=str(place))), name=name, overrides=overrides)

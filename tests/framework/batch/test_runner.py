@@ -1,0 +1,73 @@
+"""The batch runner: which graphs share a closed loop and a batch, checked against runs of the graphs by themselves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dmframe as dm
+from dmframe.batch import Batch, Measured, Runner, Runs, Wanted, runner
+from dmframe.batch.figures import merged
+from dmframe.errors import ValueFault
+
+WANTED = Wanted(("arm.q",))
+GAINS = np.array([[60.0, 40.0], [30.0, 50.0], [45.0, 45.0]])
+
+
+def measured(several: list[Runs], **options: Any) -> list[Measured]:
+    return Runner().measure(several, lambda _: WANTED, **options)
+
+
+def items() -> list[Runs]:
+    graph = dm.load("arm2_joint").until(0.2)
+    return [Runs(graph.set({"dynamics.Gamma": gain}).experiment, {"servo.K_P": GAINS}, 3) for gain in (1, 30)]
+
+
+def final(found: Measured) -> np.ndarray:
+    assert found.error is not None
+    return found.error.rms_final[:, 0]
+
+
+def test_graphs_that_differ_in_numbers_run_in_one_batch_with_the_figures_of_each_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    several, sizes, measure = items(), list[int](), Batch.measure
+
+    def counted(batch: Batch, values: Any, runs: int = 1) -> Measured:
+        sizes.append(runs)
+        return measure(batch, values, runs)
+
+    monkeypatch.setattr(Batch, "measure", counted)
+    together = measured(several)
+    assert sizes == [6]
+    for item, found in zip(several, together, strict=True):
+        (alone,) = measured([item])
+        np.testing.assert_allclose(final(found), final(alone), rtol=1e-12)
+        one = dm.Graph(item.experiment).set({"servo.K_P": GAINS[1].tolist()}).run(engine="interpreted")
+        assert one.error is not None
+        assert final(found)[1] == pytest.approx(one.error.rms_final, rel=1e-9)
+    monkeypatch.setattr(runner, "numbers_between", lambda base, other: {})
+    spoilt = measured(several)
+    assert not np.allclose(final(spoilt[1]), final(together[1])), "numbers that are lost would pass unseen"
+
+
+def test_values_of_the_graphs_own_keys_get_a_graph_per_run_and_a_wrong_one_a_fault() -> None:
+    graph = dm.load("arm2_joint").until(0.2)
+    clocks = np.array([0.004, -1.0, 0.002])
+    (found,) = measured([Runs(graph.experiment, {"clock": clocks}, 3)])
+    assert list(found.faults) == [1]
+    assert "clock" in str(found.faults[1])
+    assert np.isnan(final(found)[1])
+    for k in (0, 2):
+        one = graph.set({"clock": float(clocks[k])}).run()
+        assert one.error is not None
+        assert final(found)[k] == pytest.approx(one.error.rms_final, rel=1e-9)
+
+
+def test_parts_with_other_signals_are_not_merged() -> None:
+    (found,) = measured([Runs(dm.load("arm2_joint").until(0.02).experiment)])
+    (other,) = Runner().measure([Runs(dm.load("arm2_joint").until(0.02).experiment)], lambda _: Wanted())
+    with pytest.raises(ValueFault, match="expected runs that measure the same signals"):
+        merged([(np.array([0]), found), (np.array([1]), other)], 2)
