@@ -45,7 +45,7 @@ POSE: Final = 1.2
 """The largest angle or length from which a motion starts, within the joint's limits."""
 
 SPREAD: Final = 1.25
-"""By up to this factor the plant's parameters are off the graph's."""
+"""By up to this factor parameters are off the graph's; those of the controller are not above them."""
 
 SPAN: Final = 1.5
 """The integrator's longest step, times the plant's fastest rate at the start."""
@@ -140,7 +140,7 @@ class Moved:
     lessons
         The different rows.
     reads
-        The parameters, a column, that rows and plant hold and that no motion varies.
+        The parameters, a column, of rows and plant that no motion varies, as they are zero.
     """
 
     def __init__(self, claim: Claim, part: Part, item: Steps) -> None:
@@ -163,14 +163,15 @@ class Moved:
         self._flow = self._function("flow", [self._z, held, loop.time, loop.p], driven.measured([flow]))
         self._made = dict(_stated_starts(claim.diagram))
         self._posed = list(_posed(self._diagram, part, self._made))
-        self._moving = {p.label for p in loop.parameters if ca.depends_on(flow, p.symbol)}
-        fixed = (p for p in loop.parameters if p.label not in self._moving or not np.all(p.value))
+        self._plant = {p.label for p in loop.parameters if ca.depends_on(flow, p.symbol)}
         read = symbols_in([becomes, *rows, flow])
-        self.reads = stack(x for p in fixed for x in ca.vertsplit(ca.vec(p.symbol)) if x.element_hash() in read)
+        self._read = {p.label for p in loop.parameters if read & symbols_in([p.symbol]) and not self._rounds(p)}
+        still = (x for p in loop.parameters if p.label in self._read for x in _zeros(p))
+        self.reads = stack(x for x in still if x.element_hash() in read)
 
     def _function(self, name: str, seen: Sequence[SX], made: Sequence[SX]) -> Any:
-        loop, drawn = self._loop, self._loop.drawn
-        made = [loop.on_path(item) for item in made]
+        still, drawn = self._loop.standing(0.0), self._loop.drawn  # a source that steps does so between two motions
+        made = [still.on_path(item) for item in made]
         if drawn.numel():
             made = ca.substitute(made, [drawn], [ca.SX.zeros(drawn.numel())])
         function = ca.Function(name, list(seen), ca.cse(list(made)), {"allow_free": True})
@@ -187,13 +188,18 @@ class Moved:
         return Motion(numbers, pose, amplitudes, rng.uniform(*RATES, size))
 
     def _number(self, parameter: Parameter, rng: np.random.Generator) -> np.ndarray:
-        """The graph's; of the plant times a random factor; of a quantiser next to nothing."""
-        factor = float(SPREAD ** rng.uniform(-1, 1))
+        """The graph's, times a random factor; of a quantiser next to nothing."""
+        if self._rounds(parameter):
+            return np.full_like(parameter.value, ROUNDED)
+        most = 1.0 if parameter.label in self._plant else 0.0  # a pole of the controller stays inside the unit circle
+        factor = float(SPREAD ** rng.uniform(-1.0, most))
+        return factor * parameter.value if parameter.label in self._read else parameter.value
+
+    def _rounds(self, parameter: Parameter) -> bool:
+        """True for the step of a quantiser."""
         block, _, name = parameter.label.partition(".")
         model = self._diagram.models.get(block)
-        if model is not None and any(port.rounded_by == name for port in model.block.outputs):
-            return np.full_like(parameter.value, ROUNDED)
-        return parameter.value if parameter.label not in self._moving else factor * parameter.value
+        return model is not None and any(port.rounded_by == name for port in model.block.outputs)
 
     def _pose(self, variable: Variable, rng: np.random.Generator) -> np.ndarray:
         lower, upper = np.full((2, variable.symbol.numel()), [[-POSE], [POSE]])
@@ -222,7 +228,7 @@ class Moved:
         diagram = replace(self._diagram, loop=replace(loop, parameters=parameters))
         wanted = {variable.label for variable in (*self._needed, *loop.flowing)}
         idle = {variable.label: 0.0 for variable in loop.variables if variable.label not in wanted}
-        state = start_state(diagram, {**idle, **motion.pose}, self._made, Instants.of(loop, T))
+        state = start_state(diagram, {**idle, **motion.pose}, self._made, Instants(T))
         edges = np.cumsum([0, *(variable.symbol.numel() for variable in loop.variables)])
         at = {v.label: state[a:b] for v, a, b in zip(loop.variables, edges, edges[1:], strict=False)}
         x, z = (np.concatenate([np.zeros(0), *(at[v.label] for v in of)]) for of in (self._needed, loop.flowing))
@@ -260,6 +266,14 @@ class Moved:
         c = self._flow(z + h / 2 * b, held, t + h / 2, p)
         d = self._flow(z + h * c, held, t + h, p)
         return ca.Function("step", [z, held, t, p], [z + h / 6 * (a + 2 * b + 2 * c + d)])
+
+
+def _zeros(parameter: Parameter) -> Iterator[SX]:
+    """The elements of a parameter that are zero, which no factor varies."""
+    elements = ca.vertsplit(ca.vec(ca.densify(ca.SX(parameter.symbol))))
+    for element, number in zip(elements, parameter.value.ravel(order="F"), strict=True):
+        if not number:
+            yield element
 
 
 def _rows(part: Part, item: Steps, rows: Sequence[Lesson]) -> list[SX]:
