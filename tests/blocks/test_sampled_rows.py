@@ -62,6 +62,22 @@ def test_honest_rows_are_explained(maker: dict[str, Any], options: dict[str, Any
     assert not found.rows_assumed
 
 
+def test_noise_and_a_load_that_is_picked_up_take_no_part() -> None:
+    graph = dm.load(sampled_arm2(replay=2))
+    assert checked(verify(graph.reality({"encoder": {"step": 1e-4, "noise": 1e-4}}).diagram)).holds
+    data = sampled_arm2(replay=2)
+    data["blocks"]["arm"]["type"] = "loaded_manipulator"
+    data["blocks"]["load"] = {"type": "payload", "mass": [1.0], "at": [0.3]}
+    assert checked(verify(dm.load(data).diagram)).holds
+
+
+def test_a_command_that_the_plant_changes_is_not_what_acted() -> None:
+    ramp = dm.load(sampled_arm2(replay=2)).reality({"command_ramp": {"time_constant": 0.02}})
+    found = verify(ramp.diagram)
+    assert found.outcome == "not_applicable"
+    assert not checked(found).holds
+
+
 Honest = Callable[..., Any]
 
 
