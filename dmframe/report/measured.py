@@ -122,7 +122,7 @@ def _judged(found: Along, clock: float | None) -> str:
 
 def _judged_over_samples(found: Along) -> str:
     """Rises of V against what the claim over samples allows."""
-    which = f"V is evaluated {found.about}. " if found.about else ""
+    which = f"$V$ is evaluated {found.about}. " if found.about else ""
     rose = f"Along the run $V$ rose from one sample to the next in {found.rises} of {found.steps.size} cases. "
     rose = f"{which}{rose}{_climbed(found)}" if found.rises else f"{which}Along the run $V$ never rose. "
     if not found.residual.size:

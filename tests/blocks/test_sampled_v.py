@@ -216,8 +216,8 @@ def test_a_report_shows_v_and_with_which_constants(short: dm.Run) -> None:
     diagram = experiment.diagram()
     found = measure(experiment, diagram, verify(diagram, start=experiment.start))
     assert found.sentence.startswith("The theorem is one over samples")
-    assert "V is evaluated with inverse.offset = [" in found.sentence
+    assert "$V$ is evaluated with inverse.offset = [" in found.sentence
     assert "At no sample did it rise by more than its theorem allows." in found.sentence
     assert found.numbers["beyond"] == 0
     assert found.numbers["V_start"] == pytest.approx(float(short["V"][0]), rel=1e-9)
-    assert found.figure.startswith("<svg")
+    assert "<svg" in found.figure
