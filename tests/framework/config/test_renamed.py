@@ -207,8 +207,8 @@ def test_old_names_must_lead_to_names_that_the_block_has() -> None:
             return Equations()
 
     texts = [fault.text for fault in Wrong.contract("wrong")]
-    assert "wrong: says that old is renamed c, which is no parameter, state or port; choose from a, b" in texts
-    assert "wrong: says that a is renamed b, and still has a" in texts
+    assert "wrong: declares old as renamed to c, which is no parameter, state or port; choose from a, b" in texts
+    assert "wrong: declares a as renamed to b, and still has a" in texts
     assert isinstance(Wrong.contract("wrong")[0], BlockError)
 
 
