@@ -340,7 +340,7 @@ def test_a_projected_state_has_to_be_said_to_be_an_estimate() -> None:
 def test_an_estimate_that_is_no_state_is_told() -> None:
     verdict = proof(Minimal(says="nothing"))
     assert verdict.outcome == "not_applicable"
-    assert "learner: certificate() says what v estimates, which is none of its states; choose from" in verdict.reason
+    assert "learner: certificate() gives a true value for v, which is none of its states; choose from" in verdict.reason
 
 
 def test_a_figure_of_estimates_shows_what_is_declared_and_guesses_nothing_from_names() -> None:

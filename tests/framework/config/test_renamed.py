@@ -118,7 +118,7 @@ def test_an_old_name_is_read_as_the_new_one_with_one_notice(
     assert graph.baseline().diagram().fingerprint == plain.baseline().diagram().fingerprint
     file = plain.document.name
     assert capsys.readouterr().err == (
-        f"{file}:{place}: notice: {before} is called {after} now; the old name still works, better write {after}\n"
+        f"{file}:{place}: notice: {before} is now called {after}; the former name still works, but write {after}\n"
     )
 
 
@@ -182,10 +182,10 @@ def test_set_takes_an_old_start(write: Callable[[str], Path]) -> None:
 def test_both_names_at_once_are_an_error_with_its_place(write: Callable[[str], Path]) -> None:
     file = write(NEW.replace("rate: 3", "rate: 3, gain: 4").replace("{cart.push", "{cart.shove: [0, 1], cart.push"))
     text = told(lambda: load_experiment(file))
-    assert f"{file}:7:43: gain is called rate now, and both are given; keep rate alone" in text
-    assert f"{file}:11:13: cart.shove is called cart.push now, and both are given" in text
+    assert f"{file}:7:43: gain is now called rate, and both are given; keep only rate" in text
+    assert f"{file}:11:13: cart.shove is now called cart.push, and both are given" in text
     text = told(lambda: load_experiment(write(NEW), ["pull.gain=1", "pull.rate=2"]))
-    assert text == "--set pull.gain=1: gain is called rate now, and both are given; keep rate alone"
+    assert text == "--set pull.gain=1: gain is now called rate, and both are given; keep only rate"
 
 
 def test_a_bad_value_under_an_old_name_is_told_where_it_stands(write: Callable[[str], Path]) -> None:
