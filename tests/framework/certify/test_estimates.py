@@ -241,7 +241,9 @@ def test_a_direction_of_something_else_is_told(law: Any, text: str) -> None:
 
 
 def test_a_rate_that_is_stated_beside_its_direction_is_told() -> None:
-    with pytest.raises(BlockError, match=r"equations\(\) state the rate of w, which direction\(\) determines; remove it"):
+    with pytest.raises(
+        BlockError, match=r"equations\(\) state the rate of w, which direction\(\) determines; remove it"
+    ):
         diagram(moves(lambda u, error: {"w": -error}, w=ca.SX(0))())
 
 

@@ -144,7 +144,8 @@ def test_set_takes_an_old_name_and_goes_before_the_file(
         graph = load_experiment(write(text), [override])
         values = {item.label: item.value for item in graph.diagram().loop.parameters}
         np.testing.assert_array_equal(values[parameter], value)
-        assert f"--set {override}: notice: {override.split('=')[0].split('.')[-1]} is called" in capsys.readouterr().err
+        notice = f"--set {override}: notice: {override.split('=')[0].split('.')[-1]} is now called"
+        assert notice in capsys.readouterr().err
         renamed = override.replace("gain", "rate").replace("shove", "push")
         assert load_experiment(write(text), [renamed]).diagram().fingerprint == graph.diagram().fingerprint
         capsys.readouterr()
