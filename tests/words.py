@@ -35,7 +35,6 @@ WORDS: Final[dict[str, str]] = {
 TO_DO: Final[tuple[str, ...]] = (
     "blocks",
     "tests",
-    "dmframe/diagram",
     "dmframe/exact",
     "dmframe/formula",
 )

@@ -270,7 +270,7 @@ def test_a_page_says_where_sizes_are_those_of_an_example_and_what_its_operations
     assert "counted from 1, both ends included" in page
     page = dmframe("blocks", "dynamic_compensator").out
     assert "three joints" not in page
-    assert "\n  clip(vector, width)    each element held between -width and width\n" in page
+    assert "\n  clip(vector, width)    each element limited to [-width, width]\n" in page
     assert "\ntrue values, which its certificate alone reads\n  a_d  a_d  (p)  -\n" in page
 
 
