@@ -36,7 +36,6 @@ TO_DO: Final[tuple[str, ...]] = (
     "blocks",
     "tests",
     "dmframe/exact",
-    "dmframe/formula",
 )
 """Rooms that have not been rewritten yet; each is dropped from here when it has."""
 

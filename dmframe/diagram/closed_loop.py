@@ -68,7 +68,7 @@ class ClosedLoop:
 
     @property
     def stepped(self) -> tuple[Variable, ...]:
-        """The states that a clock moves from sample to sample: all except the plant's continuous ones; they come first."""
+        """The states that move from sample to sample on a clock, which come first: all but continuous plant states."""
         return (*self.controller, *(variable for variable in self.plant if variable.sampled))
 
     @property
