@@ -215,9 +215,9 @@ def test_for_one_estimate_it_is_the_textbooks_bounded_gain_forgetting() -> None:
 @pytest.mark.parametrize(
     ("overrides", "text"),
     [
-        (["geometry.R=null"], "forgetting needs R, the weight of what is to be forgotten"),
-        (["geometry.leak=0.1"], "expected no leak beside forgetting"),
-        (["geometry.a_k_hat_box=[-2, 2]"], "expected no a_k_hat_box beside forgetting"),
+        (["geometry.R=null"], "forgetting requires R, the weight of the prediction error"),
+        (["geometry.leak=0.1"], "leak cannot be combined with forgetting"),
+        (["geometry.a_k_hat_box=[-2, 2]"], "a_k_hat_box cannot be combined with forgetting"),
         (["geometry.forgetting=-1"], "forgetting: expected"),
         (["geometry.R=[1, 2]"], "R"),
     ],

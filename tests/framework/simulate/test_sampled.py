@@ -387,5 +387,5 @@ def test_an_output_that_is_not_the_state_of_its_name_is_refused() -> None:
         def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
             return Equations(outputs={"y": x.y + 1}, rates={"y": u.v_late})
 
-    with pytest.raises(DmframeError, match="cart: its output y is not its state y, and nobody could tell one from"):
+    with pytest.raises(DmframeError, match="cart: its output y differs from its state y, and both have the same name"):
         Diagram.build({"law": SampledPi(), "delay": Delay(), "cart": Offset(), "sensor": Sensor()})
