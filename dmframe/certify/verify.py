@@ -291,7 +291,7 @@ def _in_discrete_time(claim: Claim, symbols: Symbols, numbers: Numbers, start: M
     conditions += [item for found in rows for item in found.checked]
     assumptions += [item for found in rows for item in found.assumed]
     return _Found(
-        tuple(conditions),
+        (*conditions, *reach_conditions(claim)),
         (*assumptions, *discrete_assumptions(claim, symbols, seed)),
         tuple(discrete_statements(claim)),
         sampled_states(claim, numbers, seed),
