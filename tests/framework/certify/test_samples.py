@@ -24,18 +24,17 @@ from dmframe.certificate import (
     Square,
 )
 from dmframe.certify import verify
+from dmframe.certify.assemble import assembled
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import NotApplicableError, claim_of
 from dmframe.certify.conditions import conditions_of
-from dmframe.certify.identity import equalities
-from dmframe.certify.refute import replay
 from dmframe.certify.statements import States as Known
 from dmframe.certify.states import sampled_states
 from dmframe.certify.summary import summary
-from dmframe.certify.symbols import symbols_of
 from dmframe.diagram import Diagram
 from dmframe.parameter import Box, Interval, NonNegative, Positive, Real, Scalar
 from dmframe.port import PERIOD, TIME, Access, Input, Output, Side, State
+from dmframe.prove.refute import replay
 from dmframe.report.verdict_text import verdict_text
 from dmframe.report.words import meaning_of
 from dmframe.simulate import simulate
@@ -203,8 +202,7 @@ def test_a_lie_is_refuted_and_its_point_replays(lie: str, says: str) -> None:
     assert verdict.refutation.says == says
     assert verdict.refutation.blame == ("learner",)
     assert verdict.samples is not None
-    symbols = symbols_of(verdict.samples)
-    assert replay(equalities(verdict.samples), symbols, verdict.refutation) == verdict.refutation.residue != 0
+    assert replay(assembled(verdict.samples), verdict.refutation) == verdict.refutation.residue != 0
 
 
 def test_v_of_what_moves_between_samples_is_no_claim() -> None:
