@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import final
+from typing import Final, final
 
 from dmframe.exact.ring import evaluated
 from dmframe.exact.tape import Tape
@@ -56,6 +56,10 @@ class Size:
 
 def _sized(value: Size | int) -> Size:
     return value if isinstance(value, Size) else Size(0, 0, abs(value).bit_length(), 1)
+
+
+_ONE: Final = Size(0, 0, 1, 1)
+"""The number 1, with which a condition is compared."""
 
 
 def free() -> Size:
@@ -117,7 +121,7 @@ class Sizes:
 
     def call(self, name: str, *given: Size | int) -> Size:
         """A function's value: a point of the circle, a free symbol, or an argument times a sign."""
-        arguments = tuple(map(_sized, given))
+        arguments = tuple(map(_sized, (*given, _ONE) if name == "if_else_zero" else given))
         function = {"cos": "sin", "fabs": "sign"}.get(name, name)
         self._calls[function][tuple(map(id, arguments))] = arguments
         if name in ("sin", "cos"):

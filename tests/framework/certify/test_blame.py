@@ -131,7 +131,7 @@ def test_a_false_statement_of_how_sigma_is_composed_is_refuted_and_blamed() -> N
     )
     assert verdict.refutation is not None
     assert verdict.refutation.blame == ("inverse",)
-    claim = claim_of(diagram_with("PID", {"pid_inverse": liar}))
+    claim = assembled(claim_of(diagram_with("PID", {"pid_inverse": liar})))
     assert replay(claim, verdict.refutation) == verdict.refutation.residue != 0
 
 

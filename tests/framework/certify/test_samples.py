@@ -469,6 +469,8 @@ class Steps(AbstractBlock):
                 rows = ((h / (u.T - T), y),)
             case "no_sample":
                 rows = ((h / (p.gain - 2), y),)
+            case "odd":  # the equations have another form of it than the certificate
+                rows = ((ca.tanh(-h) if isinstance(true, ca.DM) else -ca.tanh(h), y),)
             case "root":
                 rows = ((ca.sqrt(1 + h**2), y),)
             case "folded":
@@ -501,8 +503,12 @@ def test_steps_that_learn_nothing_are_no_claim(lie: str, says: str) -> None:
     assert says in verdict.reason
 
 
+def test_rows_may_hold_any_function_of_what_is_measured() -> None:
+    assert verify(filtered(Steps, lie="root")).outcome == "proved"
+
+
 @pytest.mark.parametrize(
-    ("lie", "says"), [("root", "but only by a property of a function"), ("folded", "no more than the rounding")]
+    ("lie", "says"), [("odd", "but only by a property of a function"), ("folded", "no more than the rounding")]
 )
 def test_what_the_field_cannot_decide_is_not_refuted(lie: str, says: str) -> None:
     verdict = verify(filtered(Steps, lie=lie))
