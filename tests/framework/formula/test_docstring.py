@@ -138,7 +138,7 @@ SEEDED = {
     "a term without its square": (r"|\tilde w|^2_{K_\star}", r"|\tilde w|_{K_\star}", "square"),
     "an equation for an input": (r"\dot w &=", r"\tau_{dc} &=", "the block does not compute it"),
     "a new name that nothing uses": (r"\tau_d &=", r"\tau_x &=", "no other equation uses it"),
-    "a name that nothing bears": (r"\dot q_r - K_c e", r"\dot q_r - K_d e", "nothing bears the name K_d"),
+    "a name that nothing bears": (r"\dot q_r - K_c e", r"\dot q_r - K_d e", "the name K_d is unknown"),
     "a bracket that is not closed": ("(x - x_d) ", "(x - x_d ", "missing"),
     "a function of too few arguments": (r"\dot w &= -\Lambda", r"\dot w &= \max \Lambda", "cannot be read"),
     "a left side that ends too early": (r"\dot w &=", r"\dot &=", "cannot be read"),
