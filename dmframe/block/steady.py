@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from functools import cached_property
 from typing import Any, Final, final
 
 import casadi as ca
@@ -120,13 +121,32 @@ class _Flat:
     def __init__(self, stated: Mapping[str, Any]) -> None:
         self._parts = {key: collected(value) for key, value in stated.items()}
 
+    @cached_property
+    def _symbols(self) -> list[SX]:
+        return list(ca.symvar(ca.veccat(ca.SX(0, 1), *self._expressions)))
+
+    @cached_property
+    def _expressions(self) -> list[SX]:
+        return [item for part in self._parts.values() for item in part[0]]
+
+    def _written(self, symbols: list[SX]) -> str:
+        """The expressions as CasADi writes a function of these symbols; empty where they have others."""
+        try:
+            return str(ca.Function("same", symbols, self._expressions).serialize())
+        except RuntimeError:  # free symbols
+            return ""
+
+    @cached_property
+    def _own(self) -> str:
+        return self._written(self._symbols)
+
     def changed(self, other: _Flat) -> str:
         """Description of the first part that differs; empty if none does."""
         one, two = self._parts, other._parts
-        if one.keys() == two.keys() and all(one[key][1] == two[key][1] for key in one):
-            ones, twos = ([item for part in parts.values() for item in part[0]] for parts in (one, two))
-            if same_expressions(ones, twos):
-                return ""
+        alike = one.keys() == two.keys() and all(one[key][1] == two[key][1] for key in one)
+        # equal texts are those of equal expressions; those of equal ones may differ, as zeros may be left out or not
+        if alike and self._own and self._own == other._written(self._symbols):
+            return ""
         return next((key for key in {**one, **two} if _differ(one.get(key), two.get(key))), "")
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, final
 
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Signals
+from dmframe.block.model import Recalled, signals_of
 from dmframe.certificate import SX
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.diagram import Diagram
@@ -47,6 +48,14 @@ def view(diagram: Diagram, name: str, stated: Stated | None = None) -> View:
         if expression is not None:
             truth[port.name] = expression
     return View(u, x, p, Signals(name, "truths that this diagram has", truth), owners)
+
+
+def recalling(diagram: Diagram, name: str, seen: View) -> View:
+    """The view with a robot that keeps its answers: its functions take most of the time of a second evaluation."""
+    model = diagram.models[name]
+    if model.robot is None:
+        return seen
+    return replace(seen, p=signals_of(name, {}, {}, {**model.parameters, **model.starts}, Recalled(model.robot))[2])
 
 
 def stated_start(block: AbstractBlock, seen: View) -> dict[str, Any]:

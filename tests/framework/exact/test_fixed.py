@@ -9,9 +9,9 @@ import casadi as ca
 import mpmath
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.linalg import expm
 
 from dmframe.exact.fixed import MAYBE, ONE, PLACES, Fixed, UndecidedError, fixed_values
 from dmframe.exact.literal import literal
@@ -106,7 +106,7 @@ def test_the_transition_of_a_held_system_is_mpmaths_to_fifty_digits(time: float)
             for (i, j), middle in np.ndenumerate(found.middle):
                 assert holds(Fixed(middle - found.radius[i, j], middle + found.radius[i, j]), mp[i, j])
             assert max(found.radius.ravel()) * 10**50 < ONE
-    np.testing.assert_allclose(transition.floats(), expm(A * time), atol=1e-12)
+    np.testing.assert_allclose(transition.floats(), scipy.linalg.expm(A * time), atol=1e-12)
 
 
 def test_a_series_that_forgets_its_rest_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:

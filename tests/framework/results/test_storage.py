@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import xarray
 
 import dmframe as dm
 from dmframe.certify.along import along
@@ -95,6 +94,8 @@ def test_v_is_in_the_files_of_a_run(sampled: dm.Run, tmp_path: Path) -> None:
     told = json.loads((tmp_path / "mine" / "summary.json").read_text())
     assert told["storage"] == sampled.summary["storage"]
     assert told["notices"] == list(sampled.notices)
+    import xarray
+
     with xarray.open_dataset(tmp_path / "mine" / "signals.nc", engine="h5netcdf") as signals:
         np.testing.assert_array_equal(signals["V"], sampled["V"])
         assert signals["V"].dims == ("time",)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-import control
 import numpy as np
 import pytest
 
@@ -99,6 +98,8 @@ ENGINES = ("interpreted", "compiled")
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_sampled_law_and_a_delay_in_the_plant_move_as_python_control_says(engine: Any) -> None:
+    import control
+
     run = simulate(loop(), 2.0, clock=T, solver=Solver(step=T / 10), engine=engine)
     cart = control.c2d(control.ss([[-0.5]], [[1.0]], [[1.0]], [[0.0]]), T, "zoh")
     # states (i, late, y): the law's integral, the command of one sample ago, the cart
