@@ -18,7 +18,6 @@ from dmframe.certify.hypotheses import BETWEEN, of_the_plant, undefined
 from dmframe.certify.identity import at_random_point
 from dmframe.certify.memories import triangle_starts
 from dmframe.certify.projections import outside
-from dmframe.certify.reach import reach_conditions
 from dmframe.certify.risky import risky
 from dmframe.certify.statements import Statement
 from dmframe.certify.symbols import Symbols
@@ -58,7 +57,6 @@ def discrete_conditions(
     stated = [(name, item) for name, item in conditions_stated(claim) if name in claiming]
     checked, assumed = decide(stated, numbers)
     checked += dict.fromkeys(undefined(claim, numbers))
-    checked += reach_conditions(claim)
     for part in claim.parts:
         checked += _weights(part, numbers)
         checked += delay_conditions(claim, part)

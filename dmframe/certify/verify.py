@@ -281,7 +281,7 @@ def _in_continuous_time(
 def _in_discrete_time(claim: Claim, symbols: Symbols, numbers: Numbers, start: Mapping[str, Any], seed: int) -> _Found:
     conditions, assumptions = discrete_conditions(claim, numbers, start)
     return _Found(
-        tuple(conditions),
+        (*conditions, *reach_conditions(claim)),
         (*assumptions, *discrete_assumptions(claim, symbols, seed)),
         tuple(discrete_statements(claim)),
         sampled_states(claim, numbers, seed),
