@@ -69,6 +69,8 @@ class Verdict:
         What dV/dt may have above the dissipation, term by term; none for a claim without a bounded residual.
     build, check
         Seconds spent on writing V and dV/dt, and on deciding.
+    exact
+        The claim as data, of which `test`, `controls` and `refutation` speak; `dmframe.prove.export.to_json` writes it.
     """
 
     outcome: Outcome
@@ -87,6 +89,7 @@ class Verdict:
     bounds: tuple[Bound, ...] = ()
     build: float = 0.0
     check: float = 0.0
+    exact: data.Claim | None = None
 
     @property
     def flow_claim(self) -> Claim | None:
@@ -195,7 +198,7 @@ def _verified(
     clock.built()
 
     def ends(outcome: Outcome, reason: str, **found: Any) -> Verdict:
-        return Verdict(outcome, reason, claim, build=clock.build, check=clock.check, **found)
+        return Verdict(outcome, reason, claim, build=clock.build, check=clock.check, exact=exact, **found)
 
     if smooth is not None and smooth.faults:
         return ends("not_applicable", "; ".join(smooth.faults))
