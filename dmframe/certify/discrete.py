@@ -15,8 +15,8 @@ from dmframe.certify.conditions import conditions_stated, decide
 from dmframe.certify.delays import decided_delays, delay_conditions
 from dmframe.certify.form import stepping
 from dmframe.certify.hypotheses import BETWEEN, of_the_plant, undefined
-from dmframe.certify.identity import at_random_point
 from dmframe.certify.memories import triangle_starts
+from dmframe.certify.points import at_random_point
 from dmframe.certify.projections import outside
 from dmframe.certify.risky import risky
 from dmframe.certify.statements import Statement
