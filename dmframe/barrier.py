@@ -70,7 +70,6 @@ class Barrier:
     rate: SX
     width: SX
     margin: SX = 0
-    of: str = ""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -99,4 +98,4 @@ class Barrier:
     def with_pieces(self, pieces: Sequence[SX]) -> Barrier:
         """The same barrier with other expressions."""
         position, wish, lower, upper, speed, rate, width, margin = pieces
-        return Barrier(position, wish, lower, upper, speed, rate, width, margin, self.of)
+        return Barrier(position, wish, lower, upper, speed, rate, width, margin)

@@ -42,6 +42,7 @@ from dmframe.terms import (
     norm,
     soft_clip,
 )
+from dmframe.text import Text
 
 
 @final
@@ -101,7 +102,7 @@ class Driven:
     rates: tuple[tuple[SX, ...], ...]
     bounded: tuple[SX, ...]
     otherwise: tuple[Condition, ...] = ()
-    of: tuple[str, ...] = ()
+    of: tuple[Text, ...] = ()
     inputs: tuple[SX, ...] = ()
 
     def __post_init__(self) -> None:

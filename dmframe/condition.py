@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, final
 
 from dmframe.fields import check_fields
+from dmframe.text import Text
 
 SX = Any
 """A CasADi expression; the library is untyped."""
@@ -61,8 +62,8 @@ class CommonLyapunov:
 class Assumption:
     """A fact that a proof uses and that cannot be checked from the graph."""
 
-    text: str
-    source: str = ""
+    text: Text | str
+    source: Text | str = ""
 
     def __post_init__(self) -> None:
         check_fields(self)

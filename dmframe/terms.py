@@ -16,6 +16,7 @@ from dmframe.condition import SX
 from dmframe.fields import check_fields
 from dmframe.linalg import ldl, solve_spd
 from dmframe.naming import operation
+from dmframe.text import UNNAMED, Text
 
 
 @final
@@ -38,7 +39,7 @@ class Square:
 
     vector: SX
     weight: SX = 1
-    of: str = ""
+    of: Text = UNNAMED
     positive: str = ""
 
     def __post_init__(self) -> None:
@@ -123,7 +124,7 @@ class Lemma:
     second: SX
     scale: SX
     phi: str = "tanh"
-    of: str = ""
+    of: Text = UNNAMED
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -164,8 +165,8 @@ class NormSquare:
     vector: SX
     weight: SX
     by: SX
-    of: str = ""
-    by_of: str = ""
+    of: Text = UNNAMED
+    by_of: Text = UNNAMED
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -223,7 +224,7 @@ class Gathered:
     regressor: SX
     by: SX
     forgetting: SX
-    of: str = ""
+    of: Text = UNNAMED
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -268,7 +269,7 @@ class Clipped:
     first: SX
     width: SX
     other: SX
-    of: str = ""
+    of: Text = UNNAMED
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -333,7 +334,7 @@ class Potential:
     vector: SX
     width: SX
     weight: SX = 1
-    of: str = ""
+    of: Text = UNNAMED
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -380,7 +381,7 @@ class LogDet:
     matrix: SX
     true: SX
     weight: SX = 1
-    of: str = ""
+    of: Text = UNNAMED
 
     def __post_init__(self) -> None:
         check_fields(self)

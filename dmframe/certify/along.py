@@ -22,6 +22,7 @@ from dmframe.certify.climb import Climb, climb_of
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import ValueFault
 from dmframe.simulate import Recording
+from dmframe.text import Text
 
 CHUNK = 2048
 """Samples evaluated in one call."""
@@ -39,13 +40,12 @@ def _none() -> np.ndarray:
 class TermAlong:
     r"""One term of V: :math:`\tfrac12 \kappa |a|_W^2` of `block`, or without kappa for a cascade; (N,) values.
 
-    `of` is a in the code's names, and `drawn` the same for a drawing.
+    `of` is the name of a.
     """
 
     block: str
-    of: str
+    of: Text
     values: np.ndarray
-    drawn: str = ""
 
 
 @final
@@ -154,20 +154,13 @@ def along(claim: Claim, run: Recording, kappa: float = 1.0) -> Along:
         A run whose states are not those of the claim.
     """
     _check_same(claim, run)
-    stored = [
-        (part, square, law)
-        for part in claim.parts
-        for square, law in zip(part.certificate.storage, claim.laws[part.block].storage, strict=True)
-    ]
+    stored = [(part, square) for part in claim.parts for square in part.certificate.storage]
     with np.errstate(over="ignore", invalid="ignore"):
         own = _Evaluated(claim, run, kappa)
-        rows = own.of([claim.weight(part) * square.value / 2 for part, square, _ in stored])
+        rows = own.of([claim.weight(part) * square.value / 2 for part, square in stored])
         V = np.sum(rows, axis=0) if len(rows) else np.zeros(run.time.size)
         dissipation, rate = own.rates()
-    terms = tuple(
-        TermAlong(part.block, square.of, row, law.vector.unicode)
-        for (part, square, law), row in zip(stored, rows, strict=True)
-    )
+    terms = tuple(TermAlong(part.block, square.of, row) for (part, square), row in zip(stored, rows, strict=True))
     crossings = tuple(_crossings(claim, run, own))
     return Along(run.time, kappa, V, terms, dissipation, rate, own.rounding(), own.jumps(), crossings)
 

@@ -13,8 +13,10 @@ from dmframe.certify.at_samples import AtSamples
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.constants import determined, excess_of, notes_on
 from dmframe.diagram.closed_loop import stack
-from dmframe.names import unicode_name
+from dmframe.formula import Formula, tree
+from dmframe.formula.tree import SCALAR, Name
 from dmframe.simulate import Recording
+from dmframe.text import UNNAMED, Text
 
 
 def sampled_along(claim: Claim, run: Recording) -> Along:
@@ -46,7 +48,7 @@ def sampled_along(claim: Claim, run: Recording) -> Along:
         time=run.time,
         kappa=1.0,
         V=np.sum(rows, axis=0),
-        terms=tuple(TermAlong(block, of, row, drawn) for (block, of, drawn, _), row in zip(stored, rows, strict=True)),
+        terms=tuple(TermAlong(block, of, row) for (block, of, _), row in zip(stored, rows, strict=True)),
         rounding=count * np.finfo(float).eps * uncertain,
         crossings=tuple(notes_on(claim, constants, samples)),
         residual=residual[0] if residual else np.zeros(0),
@@ -55,20 +57,15 @@ def sampled_along(claim: Claim, run: Recording) -> Along:
     )
 
 
-def _stored(part: Part) -> Iterator[tuple[str, str, SX]]:
-    """Names in code and in a figure, and values, of what a block stores; of steps, one for each output."""
+def _stored(part: Part) -> Iterator[tuple[Text, SX]]:
+    """Names and values of what a block stores; of steps, one for each output."""
     for place, term in enumerate(part.certificate.storage, start=1):
-        name = getattr(term, "of", "") or f"storage {place}"
-        yield name, name, term.value
+        yield getattr(term, "of", UNNAMED) or Text(f"storage {place}"), term.value
     for item in part.certificate.steps:
         first, square = 0, item.storage
         for j, size in enumerate(item.parts, start=1):
             rows, name = slice(first, first + size), f"{item.estimate}_{j}" if len(item.parts) > 1 else item.estimate
             weight = square.weight[rows] if square.weight.is_column() else square.weight[rows, rows]
-            names = name, f"{name}_true"
-            yield (
-                " - ".join(names),
-                " \u2212 ".join(map(unicode_name, names)),
-                Square(square.vector[rows], weight).value,
-            )
+            error = Formula(tree.subtract(Name(name), Name(f"{name}_true"), SCALAR))
+            yield Text(error), Square(square.vector[rows], weight).value
             first += size

@@ -25,8 +25,9 @@ from dmframe.errors import ValueFault
 from dmframe.exact.fixed import UndecidedError
 from dmframe.exact.rational import as_float
 from dmframe.linalg import ldl
+from dmframe.text import DV, Formula, Text, V, sentence, square_of
 
-SIGNS: Final = "V is positive, dV/dt not"
+SIGNS: Final = sentence("{V} is positive, {dV/dt} not")
 SAMPLES: Final = 200
 """Sampled states at which a weight with an unknown start is evaluated."""
 
@@ -52,9 +53,9 @@ def assumed_weights(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) ->
     checked, assumed = list[Checked](), list[Assumption]()
     for part, role, place, term in _squares(claim):
         if is_assumed(term, numbers):
-            text = f"the weight {_written(claim, part, role, place)} of |{term.of}|^2 in {role}"
-            assumed.append(Assumption(f"{part.block}: {text} stays above a positive constant: {term.positive}", SIGNS))
-            checked.append(_looked_at(f"{part.block}: {text}", term.weight, numbers, start))
+            text = _named(claim, part, role, place, term)
+            assumed.append(Assumption(Text(text, f" stays above a positive constant: {term.positive}"), SIGNS))
+            checked.append(_looked_at(text, term.weight, numbers, start))
     return checked, assumed
 
 
@@ -63,7 +64,7 @@ def assumed_weights(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) ->
 class Assumed:
     """What is assumed to stay above a positive constant: each element of a column."""
 
-    text: str
+    text: Text
     column: SX
 
 
@@ -72,33 +73,33 @@ def assumed_positive(claim: Claim, numbers: Numbers) -> list[Assumed]:
     found = list[Assumed]()
     for part, role, place, term in _squares(claim):
         if is_assumed(term, numbers):
-            text = _written(claim, part, role, place)
             (column,) = claim.loop.joined([_signs(ca.SX(term.weight))])
-            found.append(Assumed(f"{part.block}: the weight {text} of |{term.of}|^2 in {role}", ca.densify(column)))
+            found.append(Assumed(_named(claim, part, role, place, term), ca.densify(column)))
     return found
 
 
-def _squares(claim: Claim) -> Iterator[tuple[Part, str, int, Square]]:
+def _squares(claim: Claim) -> Iterator[tuple[Part, Formula, int, Square]]:
     """Each square of V and of the dissipation, with its place among the terms."""
     for part in claim.parts:
-        for role, terms in (("V", part.certificate.storage), ("dV/dt", part.certificate.dissipation)):
+        for role, terms in ((V, part.certificate.storage), (DV, part.certificate.dissipation)):
             yield from ((part, role, place, term) for place, term in enumerate(terms) if isinstance(term, Square))
 
 
-def _written(claim: Claim, part: Part, role: str, place: int) -> str:
-    """How the weight of a term prints."""
+def _named(claim: Claim, part: Part, role: Formula, place: int, term: Square) -> Text:
     law = claim.laws[part.block]
-    return (law.storage if role == "V" else law.dissipation)[place].weight.text
+    weight = (law.storage if role is V else law.dissipation)[place].weight
+    text = "{block}: the weight {weight} of {square} in {role}"
+    return sentence(text, block=part.block, weight=weight, square=square_of(term.of), role=role)
 
 
-def _looked_at(name: str, weight: SX, numbers: Numbers, start: Mapping[str, Any]) -> Checked:
+def _looked_at(name: Text, weight: SX, numbers: Numbers, start: Mapping[str, Any]) -> Checked:
     """Above zero at the start; where that is not known, at one of many states at least."""
     begun = _begun(weight, numbers, start)
     margin = begun.at(numbers.starts)
     known = margin is not None
     where = "at the start" if known else f"at one of {SAMPLES} sampled states"
     least, margin = _most(weight, numbers) if margin is None else (_least_of(margin, numbers), margin)
-    name, text = f"{name} is above zero {where}", "least value > 0"
+    name, text = Text(name, f" is above zero {where}"), "least value > 0"
     found = Checked(name, text, least, least > 0, SIGNS, "sampled", margin=margin, begun=begun, sufficient=not known)
     if not symbols_in([margin]) & numbers.open:
         return found

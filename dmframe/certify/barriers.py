@@ -28,12 +28,16 @@ from dmframe.exact.literal import literal
 from dmframe.exact.rational import as_float
 from dmframe.program import read
 from dmframe.simulate.start import start_state
+from dmframe.text import Label, Text, Written, sentence
 
 _OUT: Final = (Context(prec=6, rounding=ROUND_FLOOR), Context(prec=6, rounding=ROUND_CEILING))
 """In which limits are printed: never tighter than they are."""
 
 OUTWARD: Final = 1 + 1e-9
 """By which floating-point figures are enlarged: more than all rounding on the way to them."""
+
+
+ROOM: Final = Written("h(t) >= h(0) exp(-a t)", "h(t) ≥ h(0) exp(−a t)", r"h(t) \ge h(0) \exp(-a t)")
 
 
 @final
@@ -57,7 +61,7 @@ class Tube:
         V(0), at the graph's numbers, or the most that it is over the intervals.
     """
 
-    of: str
+    of: Text
     unit: str
     position: SX
     tube: np.ndarray
@@ -75,7 +79,7 @@ class Tube:
 def barrier_statements(found: Sequence[Tube]) -> Iterator[Statement]:
     """What each barrier of a proved claim keeps, and by how much a joint may pass it."""
     for tube in found:
-        room = f"its room before what the reference keeps is h(t) >= h(0) exp(-a t) - {_values(tube.tube, tube.unit)}"
+        room = Text("its room before what the reference keeps is ", ROOM, f" - {_values(tube.tube, tube.unit)}")
         low, high = (", ".join(_limit(out, x) for x in end) for out, end in zip(_OUT, tube.ends, strict=True))
         limits = f"{low} and {high} {tube.unit}".strip()
         if tube.inside:
@@ -84,9 +88,9 @@ def barrier_statements(found: Sequence[Tube]) -> Iterator[Statement]:
             beyond = _values(np.maximum(tube.reach - tube.margin, 0), tube.unit)
             says = f"stays between {limits}, but for at most {beyond} beyond"
             then = f"which takes a margin of {_values(tube.reach, tube.unit)}"
-        dissipates = "dV/dt dissipates a square of the error with which the reference is followed"
-        most = f"the total dissipation is at most V(0) <= {tube.spent:.4g}"
-        step = f"{room}, joint by joint, {then}; {dissipates}, and {most}"
+        dissipates = sentence("{dV/dt} dissipates a square of the error with which the reference is followed")
+        most = sentence(f"the total dissipation is at most {{V(0)}} <= {tube.spent:.4g}")
+        step = Text(room, f", joint by joint, {then}; ", dissipates, ", and ", most)
         yield Statement(tube.of, says, step, concludes=True)
 
 
@@ -137,11 +141,11 @@ def tubes(claim: Claim, numbers: Numbers, symbols: Symbols, start: Mapping[str, 
             yield Tube(*_named(claim, barrier), tube, reach, margin, ends, spent)
 
 
-def _named(claim: Claim, barrier: Barrier) -> tuple[str, str, SX]:
+def _named(claim: Claim, barrier: Barrier) -> tuple[Text, str, SX]:
     """The state that the position is, with its unit."""
     same = (v for v in claim.loop.variables if v.symbol.shape == barrier.position.shape)
-    names = ((v.label, v.unit) for v in same if ca.is_equal(v.symbol, barrier.position, 1))
-    return (*next(names, ("the position", "")), barrier.position)
+    names = ((Text(Label(v.label)), v.unit) for v in same if ca.is_equal(v.symbol, barrier.position, 1))
+    return (*next(names, (Text("the position"), "")), barrier.position)
 
 
 def _constants(barrier: Barrier) -> Sequence[SX]:

@@ -21,6 +21,7 @@ from dmframe.errors import ValueFault
 from dmframe.exact.fixed import ONE, Fixed, fixed_values
 from dmframe.exact.rational import Interval, as_float, evaluate
 from dmframe.program import read
+from dmframe.text import Text
 
 
 @final
@@ -50,7 +51,7 @@ class Checked:
         The margin above zero is enough; below zero it decides nothing.
     """
 
-    name: str
+    name: Text
     expression: str
     value: float | None
     holds: bool
@@ -164,7 +165,7 @@ def upper(value: Number) -> Fraction:
 
 
 def decided(
-    name: str,
+    name: Text,
     text: str,
     source: str,
     least: Callable[[], Fraction],
@@ -175,9 +176,9 @@ def decided(
     try:
         value = least()
     except ZeroDivisionError:
-        text = f"{text}; undecided: a divisor is zero, or its interval holds zero"
+        text = Text(text, "; undecided: a divisor is zero, or its interval holds zero")
     except ValueFault as error:
-        text = f"{text}; undecided: {error.text}"
+        text = Text(text, f"; undecided: {error.text}")
     else:
         holds = value > 0 if strict else value >= 0
         return Checked(name, text, as_float(value), holds, source, strict=strict, margin=margin)

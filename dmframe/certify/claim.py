@@ -47,6 +47,7 @@ from dmframe.errors import BlockError, nearest
 from dmframe.formula.law import PrintedLaw
 from dmframe.linalg import times
 from dmframe.port import Side
+from dmframe.text import Text
 
 
 @final
@@ -280,7 +281,7 @@ def flow_part(along: Flow, name: str, certificate: Certificate) -> Part:
     lemma = total([_lemma(name, joined, item) for item in own])
     task = certificate.task or certificate.consumes is not None
     for term in joined.storage:
-        along.record.add(f"{name}: the storage of {term.of}", _inside(term))
+        along.record.add(Text(f"{name}: the storage of ", term.of), _inside(term))
     return Part(name, joined, task, lemma)
 
 

@@ -37,12 +37,13 @@ from dmframe.certify.stability import common_margin
 from dmframe.certify.symbols import Group, exact_values, symbols_of
 from dmframe.diagram.closed_loop import Variable
 from dmframe.diagram.projection import Box
-from dmframe.errors import ValueFault, listed
+from dmframe.errors import ValueFault
 from dmframe.exact import Tape, random_prime
 from dmframe.exact.linear import Echelon
 from dmframe.exact.rational import Interval
 from dmframe.exact.shift import Shift, ZeroDivision
 from dmframe.linalg import nodes
+from dmframe.text import Label, Text, joined, listed_text
 
 ATTEMPTS = 20
 BITS = 149
@@ -348,15 +349,16 @@ class Closure:
             self.assumed.append((block, item))
         return given
 
-    def _stays_bounded(self, item: Driven) -> str:
+    def _stays_bounded(self, item: Driven) -> Text:
         """What is assumed of inputs, in words that are not their block's."""
         used = symbols_in(item.inputs)
         of = [v.label for v in self._variables if used & symbols_in([v.symbol])]
         of += [
             leaf.name for leaf in self._claim.diagram.resolver.trajectories.values() if used & symbols_in([leaf.symbol])
         ]
-        made = f", which is made of {listed(of)}," if of else ""
-        return f"the input of the linear equation that drives {listed(list(item.of))}{made} stays bounded"
+        made = Text(", which is made of ", listed_text(list(map(Label, of))), ",") if of else ""
+        driven = listed_text(item.of)
+        return Text("the input of the linear equation that drives ", driven, made, " stays bounded")
 
     def _follows_if(self, block: str, item: Driven) -> bool:
         """True where the remainder is bounded but for the inputs, of which its block assumes that they are.
@@ -373,7 +375,7 @@ class Closure:
 
     def remainders(self, block: str, driven: Driven) -> Iterator[SX]:
         """What is left of each equation of a block next to its stable linear part."""
-        field, of = self._claim.flow, f"{block}: what drives {', '.join(driven.of)}"
+        field, of = self._claim.flow, Text(f"{block}: what drives ", joined(driven.of))
         for vector in driven.bounded:
             field.record.add(of, vector)
         for vector, row in zip(driven.vectors, driven.rates, strict=True):
@@ -386,8 +388,8 @@ def _alone(column: int, own: Sequence[int], directions: Sequence[Sequence[int]])
     return all(u is own or not u[column] for u in directions)
 
 
-def _stays_stable(driven: Driven) -> str:
-    return f"the linear equation that drives {', '.join(driven.of)} is exponentially stable"
+def _stays_stable(driven: Driven) -> Text:
+    return Text("the linear equation that drives ", joined(driven.of), " is exponentially stable")
 
 
 def stable(driven: Driven, numbers: Numbers, claim: Claim) -> bool | None:

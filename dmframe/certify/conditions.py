@@ -54,9 +54,14 @@ from dmframe.fields import fault_of
 from dmframe.formula.reading import place_of
 from dmframe.linalg import ldl
 from dmframe.robot.pseudo_inertia import pseudo_inertia
+from dmframe.text import DV, Formula, Label, Text, V, Written, sentence, square_of
 
 ROUNDING = 1e-9
 """Of a load's least eigenvalue, as a share of the largest: a point mass has none above zero."""
+
+MASS = Written("M(q)", "M(q)", "M(q)")
+BODIES = Text(MASS, " > 0")
+LYAPUNOV = Written("A'P + P A", "AᵀP + P A", r"A^\top P + P A")
 
 
 def conditions_of(
@@ -81,7 +86,9 @@ def conditions_of(
     matrices = list(dict.fromkeys(_matrices(claim, numbers)))
     checked += matrices
     if any(item.how == "sampled" for item in matrices):
-        assumed.append(Assumption("M(q) > 0 between the sampled poses; some link is no physical body", "property P2"))
+        assumed.append(
+            Assumption(Text(BODIES, " between the sampled poses; some link is no physical body"), "property P2")
+        )
     loads, bodies = _loads(claim)
     checked, assumed = [*checked, *loads], [*assumed, *bodies]
     if claim.cascaded:
@@ -129,13 +136,13 @@ def _inequality(name: str, condition: Inequality, numbers: Numbers) -> Checked:
     words, text = worded(numbers.claim, name, condition)
     least = partial(numbers.least, condition.expression)
     margin = ca.SX(condition.expression)
-    found = decided(f"{name}: {words}", text, condition.source, least, condition.strict, margin)
+    found = decided(Text(f"{name}: ", words), text, condition.source, least, condition.strict, margin)
     if found.holds or not condition.otherwise:
         return found
-    return replace(found, name=f"{name}: {condition.otherwise}")
+    return replace(found, name=Text(f"{name}: ", condition.otherwise))
 
 
-def remedies(claim: Claim, numbers: Numbers) -> list[str]:
+def remedies(claim: Claim, numbers: Numbers) -> list[Text]:
     """What blocks say of conditions that fail and that their identity needs, such as a friction without a column."""
     try:
         stated = [
@@ -146,10 +153,10 @@ def remedies(claim: Claim, numbers: Numbers) -> list[str]:
     return [item.name for item in decide(stated, numbers)[0] if not item.holds]
 
 
-def _terms(claim: Claim) -> Iterator[tuple[Part, str, Stored | Dissipated]]:
+def _terms(claim: Claim) -> Iterator[tuple[Part, Formula, Stored | Dissipated]]:
     for part in claim.parts:
-        yield from ((part, "V", term) for term in part.certificate.storage)
-        yield from ((part, "dV/dt", term) for term in part.certificate.dissipation)
+        yield from ((part, V, term) for term in part.certificate.storage)
+        yield from ((part, DV, term) for term in part.certificate.dissipation)
 
 
 def _weights(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
@@ -162,32 +169,33 @@ def _weights(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
                 continue
         if isinstance(term, Lemma):
             if not weight.is_zero():
-                text = f"weight of {term.of} in {role} >= 0"
-                yield _least(part, text, numbers, weight, strict=False)
-                yield _least(part, f"width of {term.phi} in the term of {term.of} in {role} > 0", numbers, term.scale)
+                yield _least(part, Text("weight of ", term.of, " in ", role), numbers, weight, strict=False)
+                text = Text(f"width of {term.phi} in the term of ", term.of, " in ", role)
+                yield _least(part, text, numbers, term.scale)
         elif isinstance(term, Gathered):
-            yield _least(part, f"weight of |{term.of}|_G^2 in {role} >= 0", numbers, weight, strict=False)
-            yield _least(
-                part, f"weight of what G gathers for |{term.of}|_G^2 in {role} >= 0", numbers, term.by, strict=False
-            )
+            square = Text(square_of(term.of, "G"), " in ", role)
+            yield _least(part, Text("weight of ", square), numbers, weight, strict=False)
+            gathered = sentence("weight of what {G} gathers for {square}", square=square)
+            yield _least(part, gathered, numbers, term.by, strict=False)
         elif isinstance(term, LogDet):
-            yield _least(part, f"weight of the divergence of {term.of} in {role} > 0", numbers, weight)
-            text = f"what {term.of} estimates is positive definite (least pivot)"
+            yield _least(part, Text("weight of the divergence of ", term.of, " in ", role), numbers, weight)
+            text = Text("what ", term.of, " estimates is positive definite (least pivot)")
             least, margin = partial(numbers.least_pivot, term.true), ca.vertcat(*ldl(term.true)[1])
-            yield decided(f"{part.block}: {text}", text, SIGNS, least, margin=margin)
+            yield decided(Text(f"{part.block}: ", text), text, SIGNS, least, margin=margin)
         elif isinstance(term, Potential):
-            yield _least(part, f"weight of the potential of {term.of} in {role} > 0", numbers, weight)
-            yield _least(part, f"width of the potential of {term.of} in {role} > 0", numbers, term.width)
+            potential = Text(" of the potential of ", term.of, " in ", role)
+            yield _least(part, Text("weight", potential), numbers, weight)
+            yield _least(part, Text("width", potential), numbers, term.width)
         elif not is_matrix(claim, weight):
-            strict = role == "V"  # what dV/dt does not spend is not said to vanish; what V does not hold is not bounded
-            sign = ">" if strict else ">="
-            yield _least(part, f"weight of |{term.of}|^2 in {role} {sign} 0", numbers, weight, strict=strict)
+            strict = role is V  # what dV/dt does not spend is not said to vanish; what V does not hold is not bounded
+            yield _least(part, Text("weight of ", square_of(term.of), " in ", role), numbers, weight, strict=strict)
 
 
 def _memories(claim: Claim) -> Iterator[Assumption]:
     for part, _, term in _terms(claim):
         if isinstance(term, Gathered):
-            yield Assumption(f"{part.block}: G of |{term.of}|_G^2 starts at zero, or positive semidefinite", SIGNS)
+            text = "{block}: {G} of {square} starts at zero, or positive semidefinite"
+            yield Assumption(sentence(text, block=part.block, square=square_of(term.of, "G")), SIGNS)
 
 
 def _inside(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> tuple[list[Checked], list[Assumption]]:
@@ -198,21 +206,24 @@ def _inside(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> tuple[l
         if not isinstance(term, LogDet):
             continue
         first = matrix_start(claim, numbers, start, term.matrix)
+        name = Text(f"{part.block}: ", term.of, " starts positive definite")
         if first is None:
-            assumed.append(Assumption(f"{part.block}: {term.of} starts positive definite", SIGNS))
+            assumed.append(Assumption(name, SIGNS))
         else:
-            name, least = f"{part.block}: {term.of} starts positive definite", min(pivots(first))
+            least = min(pivots(first))
             begun = pivots_at_start(claim, numbers, start, term.matrix)
             margin, text = begun.at(numbers.starts), "least pivot at the start"
             checked.append(Checked(name, text, as_float(least), least > 0, SIGNS, margin=margin, begun=begun))
         if rising:
-            text = f"{part.block}: {term.of} stays positive definite, although V may rise by a residual"
-            assumed.append(Assumption(text, SIGNS))
+            text = "{block}: {of} stays positive definite, although {V} may rise by a residual"
+            assumed.append(Assumption(sentence(text, block=part.block, of=term.of), SIGNS))
     return checked, assumed
 
 
-def _least(part: Part, text: str, numbers: Numbers, expression: SX, strict: bool = True) -> Checked:
-    return decided(f"{part.block}: {text}", text, SIGNS, partial(numbers.least, expression), strict, ca.SX(expression))
+def _least(part: Part, of: Text, numbers: Numbers, expression: SX, strict: bool = True) -> Checked:
+    text = Text(of, " > 0" if strict else " >= 0")
+    name, least = Text(f"{part.block}: ", text), partial(numbers.least, expression)
+    return decided(name, text, SIGNS, least, strict, ca.SX(expression))
 
 
 def _matrices(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
@@ -225,9 +236,10 @@ def _matrices(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
             if not symbols_in(numbers.claim.loop.joined([weight])) <= numbers.known and is_mass_matrix(claim, weight):
                 yield _mass_matrix(claim, weight)
                 continue
-            text = f"weight of |{term.of}|^2 in {role} > 0 (least pivot)"
+            text = Text("weight of ", square_of(term.of), " in ", role, " > 0 (least pivot)")
             margin = ca.vertcat(*ldl(weight)[1])
-            yield decided(f"{part.block}: {text}", text, SIGNS, partial(numbers.least_pivot, weight), margin=margin)
+            least = partial(numbers.least_pivot, weight)
+            yield decided(Text(f"{part.block}: ", text), text, SIGNS, least, margin=margin)
     for name, model in claim.diagram.models.items():
         for inverted in model.inverted if model.robot is not None else ():
             matrix = claim.loop.joined([claim.diagram.resolver.expand(name, ca.SX(inverted.matrix))])[0]
@@ -249,12 +261,11 @@ def _loads(claim: Claim) -> tuple[list[Checked], list[Assumption]]:
     """Loads that a mass matrix holds: what a source gives at all times no graph says, but at some."""
     checked, assumed = list[Checked](), list[Assumption]()
     for label in load_labels(claim):
-        text = f"{label} is the inertia of a rigid body: its pseudo-inertia is not negative"
-        assumed.append(Assumption(text, "property P2"))
+        name = Text(Label(label), " is the inertia of a rigid body")
+        assumed.append(Assumption(Text(name, ": its pseudo-inertia is not negative"), "property P2"))
         time, least = _least_of_load(claim, label)
         if not least >= 0:
             found = f"least eigenvalue of its pseudo-inertia over the largest >= 0, at t = {time:.6g} s"
-            name = f"{label} is the inertia of a rigid body"
             checked.append(Checked(name, found, least, False, "property P2", "sampled", strict=False))
     return checked, assumed
 
@@ -281,11 +292,11 @@ def _mass_matrix(claim: Claim, weight: SX) -> Checked:
     least = least_body_pivot(claim.diagram.robot)
     if least > 0:
         text = "each link's pseudo-inertia is positive definite"
-        return Checked("M(q) > 0", text, as_float(least), True, "property P2", margin=body_pivots(claim.diagram))
+        return Checked(BODIES, text, as_float(least), True, "property P2", margin=body_pivots(claim.diagram))
     sampled = least_sampled(claim, weight)
-    text = "least eigenvalue of M(q) at 200 sampled poses > 0; not every link is a physical body"
+    text = Text("least eigenvalue of ", MASS, " at 200 sampled poses > 0; not every link is a physical body")
     reads = Numbers(claim, {}).reads(weight)
-    return Checked("M(q) > 0", text, sampled, sampled > 0, "property P2", "sampled", reads=reads)
+    return Checked(BODIES, text, sampled, sampled > 0, "property P2", "sampled", reads=reads)
 
 
 def _stable(name: str, condition: CommonLyapunov, numbers: Numbers) -> Checked:
@@ -293,8 +304,8 @@ def _stable(name: str, condition: CommonLyapunov, numbers: Numbers) -> Checked:
         a, b = (_rows(numbers.of(box), box.shape[0]) for box in (condition.a, condition.b))
         return min(common_margin(corners, rates) for corners, rates in zip(a, b, strict=True))
 
-    text = "A'P + P A < 0 at the four corners of the box, one P > 0"
-    found = decided(f"{name}: {condition.name}", text, condition.source, least)
+    text = sentence("{sum} < 0 at the four corners of the box, one {P} > 0", sum=LYAPUNOV)
+    found = decided(Text(f"{name}: ", condition.name), text, condition.source, least)
     return replace(found, reads=numbers.reads(ca.vertcat(ca.vec(condition.a), ca.vec(condition.b))))
 
 

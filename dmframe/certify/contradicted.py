@@ -27,6 +27,7 @@ from dmframe.certify.limits import Vanishing
 from dmframe.certify.smoothness import slope
 from dmframe.certify.starts import has_start, start_expression
 from dmframe.diagram.closed_loop import Variable, stack
+from dmframe.text import Text
 
 FEW: Final = 12
 """Numbers in the states up to which a motion is integrated."""
@@ -59,12 +60,12 @@ def contradicted(
                 continue
             why = _in_the_limit(claim, row, vanishing) or _by_its_rate(claim, row)
             if why := why or _on_its_way(claim, row, numbers, start):
-                name = f"{item.text} is assumed to stay above a positive constant, and {why}"
+                name = Text(item.text, " is assumed to stay above a positive constant, and ", why)
                 yield Checked(name, "no contradiction", None, False, SIGNS, "sampled", reads=claim.loop.p)
                 break
 
 
-def kept_above(claim: Claim, numbers: Numbers) -> Iterator[tuple[str, SX]]:
+def kept_above(claim: Claim, numbers: Numbers) -> Iterator[tuple[Text, SX]]:
     """Of each assumed quantity that `contradicted` may refuse: its name, and the parameters and starts that decide.
 
     Where neither the motion of few states nor what goes to zero can decide a quantity, it is refused at no numbers,
@@ -87,7 +88,7 @@ def kept_above(claim: Claim, numbers: Numbers) -> Iterator[tuple[str, SX]]:
         if seen:
             symbols = ca.symvar(loop.on_path(loop.acting([stack(seen)])[0]))
             known = [symbol for symbol in symbols if symbol.element_hash() in numbers.known]
-            yield f"{item.text} stays above a positive constant", ca.vertcat(ca.SX(0, 1), *known, *starts)
+            yield Text(item.text, " stays above a positive constant"), ca.vertcat(ca.SX(0, 1), *known, *starts)
 
 
 def _may_vanish(claim: Claim, row: SX) -> bool:

@@ -21,6 +21,7 @@ from dmframe.certify.claim import Claim, Part
 from dmframe.diagram.closed_loop import ClosedLoop, Variable, stack
 from dmframe.errors import listed
 from dmframe.sampled import Acted
+from dmframe.text import Text
 
 MOST: Final = 10
 """Samples up to which a memory is followed; one that holds a value for ever has no end."""
@@ -60,7 +61,7 @@ def delay_conditions(claim: Claim, part: Part) -> Iterator[Checked]:
         taken, command, measured = _taken(claim, item), _of_command(claim, item), _of_position(claim, item)
         if taken is None or command is None or measured is None:
             continue
-        text = (
+        text = Text(
             f"{part.block}: its rows take a delay of {taken} samples, and the plant delays commands by "
             f"{command.words} and measurements by {measured.words}"
         )

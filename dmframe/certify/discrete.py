@@ -22,25 +22,35 @@ from dmframe.certify.risky import risky
 from dmframe.certify.statements import Statement
 from dmframe.certify.symbols import Symbols
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import listed
 from dmframe.exact import Tape
+from dmframe.text import Label, Text, Written, joined, listed_text, name_of, sentence
 
-SIGNS = "V is positive, what it loses and gains not negative"
-LEMMAS: Final[Mapping[type, str]] = {
-    NormalisedSteps: "a box is convex, and V weighs each element by itself",
-    LeastSquaresSteps: (
-        "a box is convex: the nearest point of a face in the norm that V weighs with, or a cut where that is diagonal, "
-        "is no farther from what it holds; and G, a sum of h h'/floor of which a share is forgotten, is not negative"
+SIGNS = sentence("{V} is positive, what it loses and gains not negative")
+LEMMAS: Final[Mapping[type, Text]] = {
+    NormalisedSteps: sentence("a box is convex, and {V} weighs each element by itself"),
+    LeastSquaresSteps: sentence(
+        "a box is convex: the nearest point of a face in the norm that {V} weighs with, or a cut where that is "
+        "diagonal, is no farther from what it holds; and {G}, a sum of {share} of which a share is forgotten, is not "
+        "negative",
+        share=Written("h h'/floor", "h hᵀ/floor", r"h h^\top/\text{floor}"),
     ),
 }
-EACH: Final[Mapping[type, str]] = {
-    NormalisedSteps: (
-        "each normalised step on a row h, y moves |theta - theta_true|^2, weighed with 1/Gamma, by minus the squares "
-        "of what the row sees of the error and of what it misses, plus eta^2, each over its norm"
+_ERROR: Final = Written("|theta - theta_true|^2", "|θ − θ_true|²", r"|\theta - \theta_{\mathrm{true}}|^2")
+_ETA: Final = Written("eta^2", "η²", r"\eta^2")
+EACH: Final[Mapping[type, Text]] = {
+    NormalisedSteps: sentence(
+        "each normalised step on a row {h}, {y} moves {error}, weighed with {weight}, by minus the squares of what the "
+        "row sees of the error and of what it misses, plus {eta}, each over its norm",
+        error=_ERROR,
+        weight=Written("1/Gamma", "1/Γ", r"1/\Gamma"),
+        eta=_ETA,
     ),
-    LeastSquaresSteps: (
-        "each step of least squares on a row h, y moves |theta - theta_true|^2, weighed with 1/Gamma + G, by minus the "
-        "square of what the row misses over its norm, plus eta^2 over the floor; what is forgotten takes away more"
+    LeastSquaresSteps: sentence(
+        "each step of least squares on a row {h}, {y} moves {error}, weighed with {weight}, by minus the square of "
+        "what the row misses over its norm, plus {eta} over the floor; what is forgotten takes away more",
+        error=_ERROR,
+        weight=Written("1/Gamma + G", "1/Γ + G", r"1/\Gamma + G"),
+        eta=_ETA,
     ),
 }
 
@@ -71,26 +81,27 @@ def discrete_conditions(
 
 def _weights(part: Part, numbers: Numbers) -> Iterator[Checked]:
     for role, terms in (
-        ("V", part.certificate.storage),
-        ("what V loses", part.certificate.dissipation),
-        ("the residual", part.certificate.excess),
+        (sentence("{V}"), part.certificate.storage),
+        (sentence("what {V} loses"), part.certificate.dissipation),
+        (Text("the residual"), part.certificate.excess),
     ):
         for place, term in enumerate((term for term in terms if isinstance(term, Square)), start=1):
-            name, strict = f"{part.block}: weight of term {place} of {role}", role == "V"
+            name, strict = Text(f"{part.block}: weight of term {place} of ", role), role == "V"
             least, sign = _least(term.weight, numbers), ">" if strict else ">="
             yield decided(name, f"weight {sign} 0", SIGNS, least, strict, ca.SX(term.weight))
 
 
 def _steps(part: Part, item: Steps, numbers: Numbers) -> Iterator[Checked]:
     for role, value in (("gain", item.gain), ("floor", item.floor)):
-        name, value = f"{part.block}: {role} of the steps of {item.estimate}", ca.vec(ca.densify(ca.SX(value)))
+        name = Text(f"{part.block}: {role} of the steps of ", name_of(item.estimate))
+        value = ca.vec(ca.densify(ca.SX(value)))
         yield decided(name, f"{role} > 0", SIGNS, _least(value, numbers), True, value)
 
 
 def _least_squares(
     part: Part, item: LeastSquaresSteps, numbers: Numbers, start: Mapping[str, Any]
 ) -> Iterator[Checked]:
-    name, share = f"{part.block}: retention of the steps of {item.estimate}", ca.SX(item.retention)
+    name, share = Text(f"{part.block}: retention of the steps of ", name_of(item.estimate)), ca.SX(item.retention)
     room = ca.vertcat(share, 1 - share)
     yield decided(name, "0 <= retention <= 1", LEMMAS[LeastSquaresSteps], _least(room, numbers), False, room)
     yield from triangle_starts(part.block, item, numbers, start)
@@ -108,7 +119,8 @@ def _boxed(part: Part, item: Steps, numbers: Numbers) -> tuple[list[Checked], li
     lemma = LEMMAS[type(item)]
     room = ca.vertcat(true - lower, upper - true)
     known = [row for row in range(room.shape[0]) if symbols_in([room[row]]) <= numbers.known]
-    text, checked = f"{part.block}: true value of {item.estimate} inside its box", list[Checked]()
+    estimate, checked = name_of(item.estimate), list[Checked]()
+    text = Text(f"{part.block}: true value of ", estimate, " inside its box")
     if known:
         checked.append(
             decided(text, "lower <= true value <= upper", lemma, _least(room[known], numbers), False, room[known])
@@ -119,10 +131,10 @@ def _boxed(part: Part, item: Steps, numbers: Numbers) -> tuple[list[Checked], li
         checked += outside(text, loop.on_path(room[handed]), loop)
     left = sorted({row % true.shape[0] for row in free})
     if left:
-        width, name = (upper - lower)[left], f"{part.block}: box of {item.estimate} holds something"
+        width, name = (upper - lower)[left], Text(f"{part.block}: box of ", estimate, " holds something")
         checked.append(decided(name, "lower <= upper", lemma, _least(width, numbers), False, width))
     whose = "which a source or unknown constants decide" if handed else "which are unknown constants"
-    said = f"{text}, in {len(left)} of {true.shape[0]} elements, {whose}"
+    said = Text(text, f", in {len(left)} of {true.shape[0]} elements, {whose}")
     return checked, [Assumption(said, lemma)] if left else []
 
 
@@ -134,10 +146,13 @@ def discrete_assumptions(claim: Claim, symbols: Symbols, seed: int) -> Iterator[
     yield Assumption(held, "the means over a sample")
     for part in claim.parts:
         for item in part.certificate.steps:
-            eta = f"{part.block}: eta, what the rows of {item.estimate} leave unexplained of the means over a sample"
-            yield Assumption(
-                f"{eta}, is small: it is not bounded here, and can be looked at along a run", EACH[type(item)]
+            said = sentence(
+                "{block}: {eta}, what the rows of {of} leave unexplained of the means over a sample, is small: it is "
+                "not bounded here, and can be looked at along a run",
+                block=part.block,
+                of=name_of(item.estimate),
             )
+            yield Assumption(said, EACH[type(item)])
         if part.certificate.plant and not decided_delays(claim, part):
             acted = "the command that a row holds is what acted in its sample: a delay is as configured, or echoed"
             text = f"{part.block}: {acted}"
@@ -148,15 +163,14 @@ def discrete_assumptions(claim: Claim, symbols: Symbols, seed: int) -> Iterator[
         if part.certificate.excess:
             within = symbols_in(map(ca.SX, (piece for term in part.certificate.excess for piece in term.pieces)))
             made = [g.label for g in symbols.groups if within & symbols_in([g.symbol]) and g.kind != "parameter"]
-            of = listed(made) or "parameters"
-            text = f"{part.block}: the residual besides the steps, made of {of}, is small: nothing bounds it"
+            of = listed_text(list(map(Label, made))) or "parameters"
+            text = Text(f"{part.block}: the residual besides the steps, made of ", of, ", is small: nothing bounds it")
             yield Assumption(text, "the identity above")
     for leaf in stepping(claim):
         if any(
             symbols_in(map(ca.SX, term.pieces)) & symbols_in([leaf.symbol]) for p in claim.parts for term in p.stored
         ):
-            text = f"{leaf.name} {BETWEEN}"
-            yield Assumption(text, "V holds it")
+            yield Assumption(Text(Label(leaf.name), " ", sentence(BETWEEN)), sentence("{V} holds it"))
     if claim.silent:
         yield Assumption(
             f"nothing is claimed of {', '.join(claim.silent)}: the proof holds for all commands",
@@ -173,19 +187,19 @@ def discrete_statements(claim: Claim) -> Iterator[Statement]:
     """What follows for the estimates and for V."""
     for part in claim.parts:
         for item in part.certificate.steps:
-            name = f"{item.estimate} ({part.block})"
+            name = Text(name_of(item.estimate), f" ({part.block})")
             if item.box:
-                yield Statement(name, "is bounded", "it is put back into its box at each sample")
-            yield Statement(f"V of {name}", "does not rise where eta is zero", EACH[type(item)])
+                yield Statement(name, "is bounded", Text("it is put back into its box at each sample"))
+            yield Statement(sentence("{V} of {name}", name=name), "does not rise where eta is zero", EACH[type(item)])
             many = f", over {len(item.rows)} steps a sample" if len(item.rows) > 1 else ""
             yield Statement(
-                f"what the rows see of the error of {name}",
+                Text("what the rows see of the error of ", name),
                 f"is square-summable where eta is{many}",
-                f"summed over the samples, with V >= 0: {EACH[type(item)]}",
+                sentence("summed over the samples, with {V} >= 0: {each}", each=EACH[type(item)]),
             )
         if part.certificate.storage:
             says = "does not rise but by its residual" if part.certificate.excess else "does not rise"
-            yield Statement(f"V of {part.block}", says, "the identity above")
+            yield Statement(sentence("{V} of {block}", block=part.block), says, Text("the identity above"))
 
 
 def _domains(claim: Claim, symbols: Symbols, seed: int) -> Iterator[Assumption]:
@@ -202,11 +216,12 @@ def _domains(claim: Claim, symbols: Symbols, seed: int) -> Iterator[Assumption]:
         moving = [g.label for g in symbols.groups if g.kind != "parameter" and ca.depends_on(left, g.symbol)]
         if moving:
             more = "" if len(moving) <= SHOWN else " and others"
-            yield Assumption(
-                f"{part.block}: what its samples divide by stays away from zero, and what they take roots or "
-                f"logarithms of stays where these are defined, whatever {', '.join(moving[:SHOWN])}{more} do",
-                "its equations need it",
+            text = (
+                "{block}: what its samples divide by stays away from zero, and what they take roots or logarithms of "
             )
+            text += "stays where these are defined, whatever {moving}{more} do"
+            named = joined(list(map(Label, moving[:SHOWN])))
+            yield Assumption(sentence(text, block=part.block, moving=named, more=more), "its equations need it")
 
 
 def _needed(claim: Claim, part: Part, symbols: Symbols) -> Iterator[SX]:

@@ -17,25 +17,27 @@ from dmframe.exact import Tape, Trial, ZeroDivision, random_prime
 from dmframe.port import Side
 from dmframe.program import CONST, DIVISIONS, INPUT, OPERATIONS
 from dmframe.prove.identity import ATTEMPTS
+from dmframe.text import Label, Text, joined, name_of, sentence, square_of
 
-AWAY: Final = "{} stays away from zero"
+AWAY: Final = "{of} stays away from zero"
 SHOWN = 60
 """Letters of a divisor that are written out."""
 
 
-def written(divisor: SX) -> str:
+def written(divisor: SX) -> Text:
     """A divisor's text; of a long one, what it is made of."""
     symbols = ca.vertcat(ca.SX(0, 1), *ca.symvar(divisor))
     names = {symbol.name().rpartition("_")[0] for symbol in ca.symvar(divisor)}
     if len(names) == 1 < symbols.numel() and ca.is_equal(divisor, ca.sumsqr(symbols), symbols.numel() + 2):
-        return f"|{names.pop()}|^2"
+        return square_of(Text(name_of(names.pop())))
     text = str(divisor)
     if len(text) <= SHOWN:
-        return text
-    return f"a divisor made of {', '.join(sorted({s.name() for s in ca.symvar(divisor)})[:4])}"
+        return Text(Label(text))
+    made = sorted({s.name() for s in ca.symvar(divisor)})[:4]
+    return Text("a divisor made of ", joined(list(map(Label, made))))
 
 
-def brought_in(claim: Claim, closure: Closure) -> Iterator[str]:
+def brought_in(claim: Claim, closure: Closure) -> Iterator[Text]:
     """What certificates, and derivatives that the proof takes, divide by, and no block's equations do.
 
     Two divisors are one where they agree at a random point of a prime field.
@@ -50,7 +52,7 @@ def brought_in(claim: Claim, closure: Closure) -> Iterator[str]:
         trial, point = Trial(random_prime(rng), rng), dict[str, list[int]]()
         try:
             listed = {residue for (residue,) in known.evaluate(_at(point, symbols.groups, trial), trial)}
-            found = dict[str, None]()
+            found = dict[Text, None]()
             for groups, tape in [(symbols.groups, stated), *closure.tapes]:
                 values = tape.values(_at(point, groups, trial), trial)
                 found |= dict.fromkeys(_unlisted(tape, groups, values, listed))
@@ -79,7 +81,7 @@ def _of_equations(claim: Claim) -> Iterator[SX]:
         yield from claim.loop.joined([resolver.expand(name, part) for part in parts])
 
 
-def _unlisted(tape: Tape, groups: Sequence[Group], values: Sequence[int], listed: set[int]) -> Iterator[str]:
+def _unlisted(tape: Tape, groups: Sequence[Group], values: Sequence[int], listed: set[int]) -> Iterator[Text]:
     needed = [(k, text) for place in range(len(tape)) for k, text in _needs(tape, place) if values[k] not in listed]
     if not needed:
         return
@@ -94,7 +96,7 @@ def _unlisted(tape: Tape, groups: Sequence[Group], values: Sequence[int], listed
     for k, text in needed:
         moving = sorted(made[k] - fixed)
         if moving and signs[k] is not Sign.ABOVE:
-            yield text.format(f"something made of {', '.join(moving[:4])}")
+            yield sentence(text, of=Text("something made of ", joined(list(map(Label, moving[:4])))))
 
 
 def _below(tape: Tape, places: Sequence[int]) -> list[int]:
@@ -118,4 +120,4 @@ def _needs(tape: Tape, place: int) -> Iterator[tuple[int, str]]:
     elif node.code in DIVISIONS:
         yield node.b, AWAY
     elif operation is not None and operation.domain is not None:
-        yield node.operands[operation.domain], f"{operation.name} of {{}} stays where it is defined and finite"
+        yield node.operands[operation.domain], f"{operation.name} of {{of}} stays where it is defined and finite"

@@ -29,6 +29,7 @@ from dmframe.diagram.view import view
 from dmframe.errors import ValueFault
 from dmframe.exact.ends import Ends, enclosing
 from dmframe.exact.rational import Interval, as_float
+from dmframe.text import Label, Text
 
 Intervals = Mapping[str, Sequence[Interval]]
 
@@ -152,8 +153,8 @@ def _tacit(
         yield Elsewhere(checked, margin, reads, tacit=True, opens=item.opens)
     for parameter in claim.loop.parameters:
         if parameter.label in uncertain:
-            text, room = f"{parameter.label} lies in the interval that the graph gives", stack([parameter.symbol])
-            margin = _room(room, inside)
+            text = Text(Label(parameter.label), " lies in the interval that the graph gives")
+            margin = _room(stack([parameter.symbol]), inside)
             checked = Checked(text, "", None, True, "", strict=False, margin=margin)
             yield Elsewhere(checked, margin, tacit=True)
 

@@ -13,6 +13,7 @@ from dmframe.certify.symbols import Symbols
 from dmframe.errors import ValueFault
 from dmframe.exact import zero_test
 from dmframe.exact.rational import as_float
+from dmframe.text import Text, around, square_of
 
 
 @final
@@ -31,16 +32,16 @@ class Bound:
     constant
         It depends on how the motion begins, and does not change along it.
     times
-        What the bound has to be multiplied by: nothing, or a signal, ``"|sigma|"``.
+        What the bound has to be multiplied by: nothing, or a signal, ``|sigma|``.
     weight
         Of the block's storage in V: ``"1"`` or ``"kappa"``.
     """
 
     block: str
-    of: str
-    term: str
+    of: Text
+    term: Text
     value: float | None
-    times: str
+    times: Text
     weight: str
     constant: bool = False
 
@@ -95,17 +96,17 @@ def _stands_still(claim: Claim, expression: SX, symbols: Symbols, of: str) -> bo
     return bool(zero_test(rate, values=symbols.fixed).zero)
 
 
-def _shown(term: Bounded) -> str:
+def _shown(term: Bounded) -> Text:
     if isinstance(term, Clipped):
         return term.of
-    square = f"|{term.of}|_W^2"
-    return f"|{term.by_of}| {square}" if isinstance(term, NormSquare) else square
+    square = square_of(term.of, "W")
+    return Text(around(term.by_of, "|{}|"), " ", square) if isinstance(term, NormSquare) else square
 
 
-def _times(term: Bounded) -> str:
+def _times(term: Bounded) -> Text:
     if isinstance(term, NormSquare):
-        return f"|{term.by_of}|"
-    return f"|{term.of}|_1" if isinstance(term, Clipped) else ""
+        return around(term.by_of, "|{}|")
+    return around(term.of, "|{}|_1") if isinstance(term, Clipped) else Text()
 
 
 def _weight(claim: Claim, part: Part) -> str:

@@ -21,6 +21,7 @@ from dmframe.certify.checked import Checked
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.motions import Left, Moved, UnmovedError
 from dmframe.errors import DmframeError
+from dmframe.text import Text, name_of
 
 PERIODS: Final = (0.005, 0.0025, 0.00125)
 """T [s], each half of the one before; where eta has not fallen by then, the next halves are looked at, too."""
@@ -106,16 +107,16 @@ def _falls(shares: np.ndarray) -> np.ndarray:
 def _decided(claim: Claim, part: Part, item: Steps, moved: Moved, shares: np.ndarray) -> Checked:
     """With the rows that do not follow from the plant; of those that do, with the one of which most is left."""
     falls, periods = _falls(shares), ", ".join(f"{1e3 * T:.3g}" for T in (*PERIODS, *MORE)[: len(shares)])
-    name = f"{part.block}: what the rows of {item.estimate} leave unexplained of the plant's motion"
+    name = Text(f"{part.block}: what the rows of ", name_of(item.estimate), " leave unexplained of the plant's motion")
     text = f"along {MOTIONS} random motions of {DURATION:g} s, at T = {periods} ms"
     if falls.all():
-        name = f"{name} falls with the period"
+        name = Text(name, " falls with the period")
         text = f"{text}: at most {_numbers(shares[:, np.argmax(shares[-1])])} of the data"
     else:
         wrong = "; ".join(
             f"{_row(claim, item, moved, int(k))}, {_numbers(shares[:, k])}" for k in np.flatnonzero(~falls)
         )
-        name = f"{name} does not fall with the period: {wrong} of the data at T = {periods} ms"
+        name = Text(name, f" does not fall with the period: {wrong} of the data at T = {periods} ms")
     room = 1 - float(np.max(shares[-1] / np.maximum(shares[-2], EXACT)))
     return Checked(name, text, room, bool(falls.all()), SOURCE, "sampled", reads=moved.reads)
 

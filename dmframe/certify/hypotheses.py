@@ -21,8 +21,9 @@ from dmframe.errors import ValueFault, listed
 from dmframe.linalg import Inverted
 from dmframe.port import Access, Side
 from dmframe.program import DIVISIONS, OPERATIONS
+from dmframe.text import Label, Text, joined, listed_text, name_of, sentence
 
-BETWEEN: Final = "is constant between its steps; the proof holds between two steps, each of which starts a new V"
+BETWEEN: Final = "is constant between its steps; the proof holds between two steps, each of which starts a new {V}"
 """The assumption on a source that steps."""
 
 ORDERS: Final = ("", "first ", "first two ", "first three ", "first four ", "first five ")
@@ -64,8 +65,8 @@ def _ranks(claim: Claim) -> Iterator[Assumption]:
     for name, model in claim.diagram.models.items():
         for port in model.block.outputs:
             if port.full_rank and (name, port.name) in read:
-                of = f"{port.name} ({name})"
-                yield Assumption(f"{of} keeps full row rank along the motion, uniformly", "Theorems 1 to 4, Remark 2")
+                text = Text(name_of(port.name), f" ({name}) keeps full row rank along the motion, uniformly")
+                yield Assumption(text, "Theorems 1 to 4, Remark 2")
 
 
 def _divisors(claim: Claim, name: str) -> Iterator[Assumption]:
@@ -74,17 +75,18 @@ def _divisors(claim: Claim, name: str) -> Iterator[Assumption]:
     for inverted in model.inverted:
         text = _definite(claim, model, inverted)
         if text:
-            yield Assumption(f"{name}: {text}", "its equations invert it")
+            yield Assumption(Text(f"{name}: ", text), "its equations invert it")
     known = {pivot.element_hash() for inverted in model.inverted for pivot in inverted.pivots}
-    seen = dict[str, None]()
+    seen = dict[Text, None]()
     for code, divisor in claim.risks[name]:
         if divisor.element_hash() in known or not symbols_in([divisor]) & model.moving:
             continue
         if code in DIVISIONS:
-            seen[f"{written(divisor)} stays away from zero"] = None
+            seen[Text(written(divisor), " stays away from zero")] = None
         else:
-            seen[f"{OPERATIONS[code].name} of {written(divisor)} stays where it is defined and finite"] = None
-    yield from (Assumption(f"{name}: {text}", "its equations need it") for text in seen)
+            text = Text(f"{OPERATIONS[code].name} of ", written(divisor), " stays where it is defined and finite")
+            seen[text] = None
+    yield from (Assumption(Text(f"{name}: ", text), "its equations need it") for text in seen)
 
 
 def undefined(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
@@ -94,9 +96,9 @@ def undefined(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
             if symbols_in([part]) & model.moving or not symbols_in([part]):
                 continue
             if not _defined(code, part, numbers):
-                text = f"{name}: {written(part)} is not zero"
+                text = Text(f"{name}: ", written(part), " is not zero")
                 if code not in DIVISIONS:
-                    text = f"{name}: {OPERATIONS[code].name} of {written(part)} is defined"
+                    text = Text(f"{name}: {OPERATIONS[code].name} of ", written(part), " is defined")
                 yield Checked(text, "defined and finite", None, False, "its equations need it", "undecided")
 
 
@@ -119,30 +121,31 @@ def _defined(code: int, part: SX, numbers: Numbers) -> bool:
     return low > 0 or code == ca.OP_TAN
 
 
-def _definite(claim: Claim, model: BlockModel, inverted: Inverted) -> str:
+def _definite(claim: Claim, model: BlockModel, inverted: Inverted) -> Text:
     """In what sense a matrix stays invertible; empty where that follows, or is a condition of its own."""
     A = ca.SX(inverted.matrix)
     if not symbols_in([A]) & model.moving:
-        return ""
+        return Text()
     for port in model.block.inputs:
         symbol = model.inputs.get(port.name)
         if symbol is None:
             continue
         if symbol.shape[0] == A.shape[0] and _equal(A, symbol @ symbol.T):
             if _declared_full_rank(claim.diagram, model.name, port.name):
-                return ""  # said of the matrix itself
-            return f"{port.name} keeps full row rank along the motion, uniformly"
+                return Text()  # said of the matrix itself
+            return Text(name_of(port.name), " keeps full row rank along the motion, uniformly")
         if symbol.shape == A.shape and _equal(A, symbol):
             given = claim.loop.joined([claim.diagram.resolver.expand(model.name, symbol)])[0]
             if is_mass_matrix_of_bodies(claim, given):
-                return ""  # bodies that V keeps bodies
-            return f"{port.name} stays positive definite, uniformly"
+                return Text()  # bodies that V keeps bodies
+            return Text(name_of(port.name), " stays positive definite, uniformly")
     resolver = claim.diagram.resolver
     joined = claim.loop.joined([resolver.expand(model.name, A)])[0]
     if model.robot is not None and is_mass_matrix(claim, joined):
-        return ""  # M(q) > 0 is a condition
+        return Text()  # M(q) > 0 is a condition
     named = sorted({symbol.name().split("[")[0].rpartition("_")[0] or symbol.name() for symbol in ca.symvar(A)})
-    return f"a symmetric matrix that it inverts, made of {', '.join(named[:4])}, stays positive definite, uniformly"
+    made = joined([name_of(name) for name in named[:4]])
+    return Text("a symmetric matrix that it inverts, made of ", made, ", stays positive definite, uniformly")
 
 
 def _equal(one: SX, other: SX) -> bool:
@@ -158,14 +161,12 @@ def _declared_full_rank(diagram: Diagram, block: str, port: str) -> bool:
 
 def _open(closure: Closure) -> Iterator[Assumption]:
     """What V does not weigh, nor anything that follows from it, and what the loop still feels."""
-    left = [variable.label for variable in closure.open_states()] or ["the time t"]
+    left = [Text(Label(variable.label)) for variable in closure.open_states()] or [sentence("the time {t}")]
     if closure.turning():
         return
-    names, felt = listed(left), listed([v.label for v in closure.felt()])
-    yield Assumption(
-        f"a solution exists for all time: V does not weigh all of {names}, and the rates of {felt} depend on them",
-        "not shown",
-    )
+    text = "a solution exists for all time: {V} does not weigh all of {names}, and the rates of {felt} depend on them"
+    felt = listed_text([Label(v.label) for v in closure.felt()])
+    yield Assumption(sentence(text, names=listed_text(left), felt=felt), "not shown")
 
 
 def _trajectories(claim: Claim) -> Iterator[Assumption]:
@@ -173,20 +174,19 @@ def _trajectories(claim: Claim) -> Iterator[Assumption]:
     for block, port, order in resolver.trajectories:
         orders[block, port] = max(order, orders.get((block, port), 0))
     for (block, port), order in orders.items():
-        name = f"{block}.{port}"
+        name = Label(f"{block}.{port}")
         if resolver.steps(block, port):
             if Wire(block, port) not in claim.diagram.sources.values():
                 continue  # no block reads it
-            yield Assumption(
-                f"{name} is bounded, and {BETWEEN.removeprefix('is ')}{_stepping(claim, block, port)}", "V holds it"
-            )
+            text = "{name} is bounded, and " + BETWEEN.removeprefix("is ") + _stepping(claim, block, port)
+            yield Assumption(sentence(text, name=name), sentence("{V} holds it"))
             continue
         if order == 0 and resolver.trajectory_rate(block, port, 0).is_zero():
-            yield Assumption(f"{name} is constant", "it does not read the time")
+            yield Assumption(Text(name, " is constant"), "it does not read the time")
             continue
         count = ORDERS[order] if order < len(ORDERS) else f"first {order} "
         rates = f" and its {count}derivative{'s' * (order > 1)}" if order else ""
-        yield Assumption(f"{name}{rates} {'are' if order else 'is'} bounded", "Theorems 1 to 4")
+        yield Assumption(Text(name, f"{rates} {'are' if order else 'is'} bounded"), "Theorems 1 to 4")
 
 
 def _stepping(claim: Claim, block: str, port: str) -> str:
@@ -210,6 +210,5 @@ def _measured(diagram: Diagram) -> Iterator[Assumption]:
             found[leaf.name] = None
     if found:
         frame = "; positions of the tool are those of the path's frame" if any(n.endswith(".x") for n in found) else ""
-        yield Assumption(
-            f"what is measured is exact and without delay: {', '.join(sorted(found))}{frame}", "Section II"
-        )
+        named = joined(list(map(Label, sorted(found))))
+        yield Assumption(Text("what is measured is exact and without delay: ", named, frame), "Section II")

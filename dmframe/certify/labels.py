@@ -12,7 +12,10 @@ import casadi as ca
 from dmframe.certificate import SX, Certificate, Clipped, Lemma, NormSquare
 from dmframe.errors import DmframeError
 from dmframe.exact import zero_test
+from dmframe.formula.formula import Formula
 from dmframe.formula.law import ROLES, PrintedLaw, PrintedTerm
+from dmframe.formula.tree import Unprinted
+from dmframe.text import Text, joined, name_of
 
 _DEEP: Final = 1000
 
@@ -66,18 +69,18 @@ def _vector(term: Any) -> SX:
 
 
 def _named(name: str, certificate: Certificate, law: PrintedLaw, alike: Mapping[str, Sequence[_Alike]]) -> Certificate:
-    def full(text: str, vector: SX) -> str:
-        if len(alike[text]) == 1:
-            return text
-        own = [item for item in alike[text] if name in item.blocks]
+    def full(formula: Formula, vector: SX) -> Text:
+        if len(alike[formula.text]) == 1:
+            return Text(formula)
+        own = [item for item in alike[formula.text] if name in item.blocks]
         place = next(k for k, item in enumerate(own, 1) if not _differ(item.vector, vector))
-        return f"{text if len(own) == 1 else _numbered(text, place)} ({name})"
+        return Text(formula if len(own) == 1 else _numbered(formula, place), f" ({name})")
 
     def named(terms: Sequence[Any], printed: Sequence[PrintedTerm]) -> tuple[Any, ...]:
         return tuple(_with(term, line, full) for term, line in zip(terms, printed, strict=True))
 
     driven = tuple(
-        replace(item, of=tuple(full(f.text, ca.SX(z)) for f, z in zip(formulas, item.bounded, strict=True)))
+        replace(item, of=tuple(full(f, ca.SX(z)) for f, z in zip(formulas, item.bounded, strict=True)))
         for item, formulas in zip(certificate.driven, law.driven, strict=True)
     )
     return replace(
@@ -90,16 +93,17 @@ def _named(name: str, certificate: Certificate, law: PrintedLaw, alike: Mapping[
     )
 
 
-def _numbered(text: str, place: int) -> str:
+def _numbered(formula: Formula, place: int) -> Text:
     """``expression 2 of y, x``, or ``x no. 2``."""
-    lead = "an expression of "
-    return f"expression {place} of {text.removeprefix(lead)}" if text.startswith(lead) else f"{text} no. {place}"
+    if isinstance(formula.node, Unprinted) and formula.node.names:
+        return Text(f"expression {place} of ", joined([name_of(name) for name in formula.node.names]))
+    return Text(formula, f" no. {place}")
 
 
-def _with(term: Any, line: PrintedTerm, full: Callable[[str, SX], str]) -> Any:
-    named = replace(term, of=full(line.vector.text, _vector(term)))
+def _with(term: Any, line: PrintedTerm, full: Callable[[Formula, SX], Text]) -> Any:
+    named = replace(term, of=full(line.vector, _vector(term)))
     if isinstance(term, NormSquare) and line.by is not None:
-        return replace(named, by_of=full(line.by.text, ca.SX(term.by)))
+        return replace(named, by_of=full(line.by, ca.SX(term.by)))
     return named
 
 

@@ -24,11 +24,11 @@ from dmframe.certificate import SX, Potential, Square, soft_clip
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
 from dmframe.certify.symbols import Symbols, exact_values, symbols_of
-from dmframe.errors import listed
 from dmframe.exact import Tape
 from dmframe.exact.linear import rank
 from dmframe.exact.shift import Shift, ZeroDivision
 from dmframe.linalg import solve_spd
+from dmframe.text import Text, around, listed_text, name_of, sentence
 
 
 @final
@@ -42,6 +42,8 @@ class Own:
     free: frozenset[str] = frozenset()
 
 
+_SOFT = r"\operatorname{soft\_clip}({})"
+
 MORE = 3
 """Points beyond the number of constants, each a further test."""
 
@@ -51,7 +53,7 @@ MORE = 3
 class Vanishing:
     """A vector that goes to zero; `proved` if its derivative is known to be bounded, which that step needs."""
 
-    of: str
+    of: Text
     vector: SX
     proved: bool
 
@@ -61,7 +63,7 @@ class Vanishing:
 class Goal:
     """An error that should go to zero; `width`, of one that a potential holds, whose forces know it as soft_clip."""
 
-    of: str
+    of: Text
     vector: SX
     width: SX | None = None
 
@@ -71,8 +73,8 @@ class Goal:
 class Made:
     """The step by which an error goes to zero, and what it assumes."""
 
-    step: str
-    assumes: tuple[str, ...] = ()
+    step: Text
+    assumes: tuple[Text, ...] = ()
 
 
 def goals(claim: Claim, closure: Closure) -> list[Goal]:
@@ -93,9 +95,11 @@ def combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Van
     """Why a goal goes to zero, if it does: it itself, or its soft_clip, which is zero where it is and nowhere else."""
     made = _combined(claim, closure, goal, vanishing)
     if made is None and goal.width is not None:
-        forces = Goal(f"soft_clip({goal.of})", soft_clip(goal.vector, goal.width))
+        forces = Goal(
+            Text(around(goal.of, "soft_clip({})", r"\operatorname{soft\_clip}({})")), soft_clip(goal.vector, goal.width)
+        )
         made = _combined(claim, closure, forces, vanishing)
-        return made and Made(f"{forces.of} goes to zero: {made.step}", made.assumes)
+        return made and Made(Text(forces.of, " goes to zero: ", made.step), made.assumes)
     return made
 
 
@@ -109,12 +113,11 @@ def _combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Va
             inputs = [_made_of(own, symbols, rest, vanishing) for rest in closure.remainders(block, item)]
             if None not in inputs:
                 names = dict.fromkeys(name for names in inputs for name in names or ())
-                return Made(
-                    f"a stable linear equation drives it, and its input, made of {listed(list(names))}, vanishes"
-                )
+                made = listed_text(list(names))
+                return Made(Text("a stable linear equation drives it, and its input, made of ", made, ", vanishes"))
     used = _made_of(own, symbols, goal.vector, vanishing)
     if used is not None:
-        return Made(f"it is made of {listed(used)}")
+        return Made(Text("it is made of ", listed_text(used)))
     for name, R in full_rank(claim):
         if not _can_have(own, symbols, R):
             continue
@@ -122,16 +125,21 @@ def _combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Va
             seen = R.T @ goal.vector
             used = _made_of(own, symbols, seen, vanishing)
             if used is not None:
-                whole = f"{name}'({goal.of})"
-                made = "goes to zero" if used == [whole] else f"is made of {listed(used)}"
-                step = f"{whole} {made}, and {name} has full row rank"
-                return Made(step, (f"{name} keeps full row rank, uniformly",))
+                whole = around(goal.of, f"{name}'({{}})", rf"{name.latex}^\top ({{}})", f"{name.unicode}ᵀ({{}})")
+                how = "goes to zero" if used == [whole] else Text("is made of ", listed_text(used))
+                step = sentence("{whole} {made}, and {name} has full row rank", whole=whole, made=how, name=name)
+                return Made(step, (_keeps_rank(name),))
         if R.shape[0] > goal.vector.shape[0]:
             for gone in vanishing:
                 if _made_of(own, symbols, goal.vector, list(_parts(gone, R, goal.vector.numel()))) is not None:
-                    step = f"it is part of what {name}' takes to {gone.of}, and {name} has full row rank"
-                    return Made(step, (f"{name} keeps full row rank, uniformly",))
+                    transposed = around(name, "{}'", r"{}^\top", "{}ᵀ")
+                    text = "it is part of what {R} takes to {gone}, and {name} has full row rank"
+                    return Made(sentence(text, R=transposed, gone=gone.of, name=name), (_keeps_rank(name),))
     return None
+
+
+def _keeps_rank(name: Text) -> Text:
+    return Text(name, " keeps full row rank, uniformly")
 
 
 def _parts(item: Vanishing, R: SX, size: int) -> Iterator[Vanishing]:
@@ -142,7 +150,7 @@ def _parts(item: Vanishing, R: SX, size: int) -> Iterator[Vanishing]:
         yield from (Vanishing(item.of, whole[k : k + size], item.proved) for k in range(whole.numel() - size + 1))
 
 
-def full_rank(claim: Claim) -> Iterator[tuple[str, SX]]:
+def full_rank(claim: Claim) -> Iterator[tuple[Text, SX]]:
     """The matrices whose rows are declared independent, by their names; of one name in two blocks, with the block."""
     diagram = claim.diagram
     given = [name for model in diagram.models.values() for name in model.equations.outputs]
@@ -150,7 +158,7 @@ def full_rank(claim: Claim) -> Iterator[tuple[str, SX]]:
         for port in model.block.outputs:
             if port.full_rank and port.name in model.equations.outputs:
                 R = claim.loop.joined([diagram.resolver.output(name, port.name)])[0]
-                yield port.name if given.count(port.name) == 1 else f"{port.name} ({name})", R
+                yield Text(name_of(port.name), f" ({name})" * (given.count(port.name) > 1)), R
 
 
 def _can_have(own: Own, symbols: Symbols, R: SX) -> bool:
@@ -163,7 +171,7 @@ def _can_have(own: Own, symbols: Symbols, R: SX) -> bool:
     return bool(found == rows)
 
 
-def _made_of(own: Own, symbols: Symbols, target: SX, vanishing: Sequence[Vanishing]) -> list[str] | None:
+def _made_of(own: Own, symbols: Symbols, target: SX, vanishing: Sequence[Vanishing]) -> list[Text] | None:
     """The names of those of which the target is a combination with constant coefficients, element by element."""
     size = target.numel()
     pieces = [

@@ -12,12 +12,15 @@ from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Gathered, LeastSquaresSteps
 from dmframe.certify.begun import Begun
 from dmframe.certify.checked import Checked, Numbers
-from dmframe.certify.claim import Claim
+from dmframe.certify.claim import Claim, Part
 from dmframe.certify.definite import Number, is_semidefinite
 from dmframe.certify.starts import ZERO, begun_at, start_of
 from dmframe.diagram.closed_loop import stack
 from dmframe.exact.rational import Interval, evaluate
 from dmframe.linalg import ldl
+from dmframe.text import Text, name_of, sentence, square_of
+
+POSITIVE = sentence("{V} is positive")
 
 
 def memory_starts(claim: Claim, numbers: Numbers, given: Mapping[str, Any]) -> list[Checked]:
@@ -26,17 +29,23 @@ def memory_starts(claim: Claim, numbers: Numbers, given: Mapping[str, Any]) -> l
     A start that is zero is left out here; one that is no function of parameters alone is left to the assumption that
     the claim carries. `given` is the graph's key `start`.
     """
-    found = dict[str, Checked]()
+    found = dict[Text, Checked]()
     for part in claim.parts:
         for term in (*part.certificate.storage, *part.certificate.dissipation):
             if isinstance(term, Gathered):
                 start = matrix_start(claim, numbers, given, term.memory)
                 if start is not None and any(value != ZERO for row in start for value in row):
-                    name = f"{part.block}: start of what G gathers for |{term.of}|_G^2 >= 0"
+                    name = gathered_from_start(part, term)
                     text, holds = "G(0) is symmetric and positive semidefinite", _gathers(start)
                     how, reads = "exact" if holds is not None else "undecided", reads_of(numbers, given, term.memory)
-                    found[name] = Checked(name, text, None, holds is True, "V is positive", how, reads=reads)
+                    found[name] = Checked(name, text, None, holds is True, POSITIVE, how, reads=reads)
     return list(found.values())
+
+
+def gathered_from_start(part: Part, term: Gathered) -> Text:
+    """Name of the condition on the start of an information matrix."""
+    text = "{block}: start of what {G} gathers for {square} >= 0"
+    return sentence(text, block=part.block, square=square_of(term.of, "G"))
 
 
 def _gathers(start: Sequence[Sequence[Number]]) -> bool | None:
@@ -62,13 +71,13 @@ def triangle_starts(
     known = [value for value in start if isinstance(value, Fraction)]
     if len(known) == len(start) and not any(known):
         return
-    name, text = f"{block}: start of {steps.memory}", "each G(0) is positive semidefinite"
+    name, text = Text(f"{block}: start of ", name_of(steps.memory)), "each G(0) is positive semidefinite"
     label = f"{block}.{steps.memory}"
     states = next((v.symbol for v in numbers.claim.loop.variables if v.label == label), ca.SX(0, 1))
     reads = reads_of(numbers, given, states)
     if len(known) < len(start):
         text = f"{text}; undecided: expected numbers"
-        yield Checked(name, text, None, False, "V is positive", "undecided", reads=reads)
+        yield Checked(name, text, None, False, POSITIVE, "undecided", reads=reads)
         return
     left, holds = iter(known), True
     for size in steps.parts:
@@ -77,7 +86,7 @@ def triangle_starts(
             for row in range(column, size):
                 matrix[row][column] = matrix[column][row] = next(left)
         holds &= is_semidefinite(matrix)
-    yield Checked(name, text, None, holds, "V is positive", reads=reads)
+    yield Checked(name, text, None, holds, POSITIVE, reads=reads)
 
 
 def matrix_start(claim: Claim, numbers: Numbers, given: Mapping[str, Any], matrix: SX) -> list[list[Number]] | None:

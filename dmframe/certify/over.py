@@ -21,6 +21,7 @@ from dmframe.certify.tacit import Tacit, tacit
 from dmframe.errors import ValueFault
 from dmframe.exact.fixed import UndecidedError
 from dmframe.exact.rational import as_float
+from dmframe.text import UNNAMED, Text, joined
 
 POINTS: Final = 64
 """Points of the box at which a condition is looked at that is not decided over all of it."""
@@ -36,15 +37,16 @@ def over_intervals(conditions: Sequence[Checked], claim: Claim, numbers: Numbers
     return [*(_settled(item, numbers) for item in conditions), *more]
 
 
-def failing_of(conditions: Sequence[Checked]) -> str:
+def failing_of(conditions: Sequence[Checked]) -> Text:
     """Why conditions keep a claim from being proved; empty where all hold."""
     failing = [item for item in conditions if not item.holds]
-    open_, names = [item for item in failing if NEEDED in item.expression], "; ".join(item.name for item in failing)
+    open_ = [item for item in failing if NEEDED in item.expression]
+    names = joined([item.name for item in failing], "; ")
     if not failing:
-        return ""
+        return UNNAMED
     if len(open_) == len(failing):
-        return f"the identity holds, but a condition is not decided {NEEDED}: {names}"
-    return f"the identity holds, but a condition fails: {names}"
+        return Text(f"the identity holds, but a condition is not decided {NEEDED}: ", names)
+    return Text("the identity holds, but a condition fails: ", names)
 
 
 def _settled(item: Checked, numbers: Numbers) -> Checked:
@@ -52,11 +54,11 @@ def _settled(item: Checked, numbers: Numbers) -> Checked:
     if margin is None or not symbols_in([*numbers.claim.loop.joined([ca.vec(ca.densify(margin))])]) & numbers.open:
         return item
     if item.holds and item.how == "sampled":
-        text = f"{item.expression}; decided at the graph's own numbers alone, not {NEEDED}"
+        text = Text(item.expression, f"; decided at the graph's own numbers alone, not {NEEDED}")
         return replace(item, holds=False, how="undecided", value=None, expression=text)
     if item.holds or item.how == "undecided" or item.margin is None or _fails(item.margin, item.strict, numbers):
         return item
-    text = f"{item.expression}; not decided {NEEDED}: it holds at all of {POINTS} points that were tried"
+    text = Text(item.expression, f"; not decided {NEEDED}: it holds at all of {POINTS} points that were tried")
     return replace(item, how="undecided", expression=text)
 
 

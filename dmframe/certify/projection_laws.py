@@ -35,6 +35,7 @@ from dmframe.diagram.projection import Ball, Bodies, Box, Projection
 from dmframe.program import COMPARISONS
 from dmframe.robot.parameters import INERTIAL
 from dmframe.robot.pseudo_inertia import parameters_of, pseudo_inertia
+from dmframe.text import Label, Text
 
 POINTS = 48
 """Random points, besides those with equal elements."""
@@ -84,7 +85,7 @@ def check_law(projection: Projection, loop: ClosedLoop) -> Checked:
     shown = None if holds else least  # on the set's own faces it is zero, which carries no information
     # a box's law is affine between its faces and between signs of the rate: each such case has been a point
     how = "cases" if isinstance(kept, Box) else "sampled"
-    name = f"{projection.name}: law of the {projection.kind}"
+    name = Text(Label(projection.name), f": law of the {projection.kind}")
     # a set without an inside fails other conditions; of all others the law is the same, wherever their faces lie
     return Checked(name, text, shown, holds, "projection lemma", how, margin=ca.SX(0, 1))
 

@@ -38,6 +38,7 @@ from dmframe.errors import ValueFault
 from dmframe.exact import ZeroDivision, zero_test
 from dmframe.exact.rational import Interval, evaluate
 from dmframe.simulate.start import ROUNDING
+from dmframe.text import Label, Text, sentence
 
 ROUNDED = ROUNDING
 """What rounding may take of the room that a source leaves."""
@@ -87,7 +88,7 @@ def _estimated(claim: Claim, projection: Projection) -> TrueValue | None:
 
 def _inside(projection: Projection, truth: SX, numbers: Numbers) -> Iterator[Checked | Assumption]:
     """That the true value lies in the set, decided or assumed."""
-    text = f"{projection.name}: true value inside the {projection.kind}"
+    text = Text(Label(projection.name), f": true value inside the {projection.kind}")
     room = projection.set.room(truth)
     known, rest = _decidable(room, numbers)
     if known.numel():
@@ -97,7 +98,7 @@ def _inside(projection: Projection, truth: SX, numbers: Numbers) -> Iterator[Che
     for rows, says in (([row for row in rest if row not in handed], "where the plant starts"), (handed, "a source")):
         if rows:
             at = sorted({row % truth.shape[0] for row in rows})
-            yield Assumption(f"{text}{_at(projection, at)}: {says} decides it", SOURCE)
+            yield Assumption(Text(text, f"{_at(projection, at)}: {says} decides it"), SOURCE)
     if handed:
         yield from outside(text, ca.vertcat(*handed.values()), loop)
 
@@ -109,7 +110,7 @@ def _handed(room: SX, rows: Sequence[int], numbers: Numbers) -> dict[int, SX]:
     return {row: path for row in rows if symbols_in([path := loop.on_path(room[row])]) <= known}
 
 
-def rooms_on_path(claim: Claim, numbers: Numbers) -> Iterator[tuple[str, SX]]:
+def rooms_on_path(claim: Claim, numbers: Numbers) -> Iterator[tuple[Text, SX]]:
     """Of each projection whose true value a source gives: its name, and the room as a function of time."""
     for projection in claim.loop.projections:
         estimate = _estimated(claim, projection)
@@ -117,17 +118,18 @@ def rooms_on_path(claim: Claim, numbers: Numbers) -> Iterator[tuple[str, SX]]:
             room = projection.set.room(estimate.value + ca.SX.zeros(projection.state.shape[0]))
             handed = _handed(room, _decidable(room, numbers)[1], numbers)
             if handed:
-                yield f"{projection.name}: true value inside the {projection.kind}", ca.vertcat(*handed.values())
+                text = Text(Label(projection.name), f": true value inside the {projection.kind}")
+                yield text, ca.vertcat(*handed.values())
 
 
-def outside(text: str, room: SX, loop: ClosedLoop) -> Iterator[Checked]:
+def outside(text: Text, room: SX, loop: ClosedLoop) -> Iterator[Checked]:
     """A condition that fails where a source's output, such as a load, is outside the set or NaN."""
     function = ca.Function("room", [loop.time, loop.p], [room])
     times = np.linspace(0.0, HORIZON, SAMPLES)
     found = np.min(function(times[None, :], loop.p_values).full(), axis=0)
     least = int(np.argmin(found))
     if not found[least] >= -ROUNDING:
-        where = f"{text} at t = {times[least]:.6g} s"
+        where = Text(text, f" at t = {times[least]:.6g} s")
         yield Checked(where, "as a source has it then", float(found[least]), False, SOURCE, "sampled", strict=False)
 
 
@@ -150,29 +152,29 @@ def _still(name: str, truth: SX, numbers: Numbers) -> Iterator[Checked]:
     if symbols_in([truth]) <= numbers.known:
         return
     rate = claim.flow.D(truth, f"{name}: the true value")
+    said = Text(Label(name), ": true value stands still")
     text = "d(true value)/dt is identically zero along the closed loop"
     uncertain = [label for label, values in numbers.values.items() if any(isinstance(v, Interval) for v in values)]
     symbols = symbols_of(claim, uncertain)
     try:
         still = zero_test(symbols.function("rate", [rate]), values=symbols.fixed).zero
     except (ValueFault, ZeroDivision) as error:
-        yield Checked(
-            f"{name}: true value stands still", f"{text}; undecided: {error}", None, False, LEMMA, "undecided"
-        )
+        yield Checked(said, f"{text}; undecided: {error}", None, False, LEMMA, "undecided")
         return
-    yield Checked(f"{name}: true value stands still", text, None, still, LEMMA, margin=ca.SX(0, 1))
+    yield Checked(said, text, None, still, LEMMA, margin=ca.SX(0, 1))
 
 
 def _normal(name: str, askew: SX, numbers: Numbers) -> Checked:
-    text = "weight in V times adaptation gain is one number for all elements"
+    text = sentence("weight in {V} times adaptation gain is one number for all elements")
+    said = sentence("{name}: projected in the metric of {V}", name=Label(name))
     margin = ca.vertcat(askew, -askew)
     least = partial(numbers.least, margin)
-    return decided(f"{name}: projected in the metric of V", text, LEMMA, least, strict=False, margin=margin)
+    return decided(said, text, LEMMA, least, strict=False, margin=margin)
 
 
 def _starts(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) -> Iterator[Checked | Assumption]:
     """That the estimate starts in the set, decided or assumed. A run that does not is refused."""
-    text = f"{projection.name}: starts inside the {projection.kind}"
+    text = Text(Label(projection.name), f": starts inside the {projection.kind}")
     shown = INSIDE[projection.kind].format("start")
     start = start_of(projection.name, numbers, given)
     room = projection.set.room(projection.state)
@@ -189,7 +191,7 @@ def _starts(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) 
         found = decided(text, shown, SOURCE, least, strict=False, margin=margin)
         yield replace(found, begun=begun_in(projection, numbers, given))
     if unknown:
-        yield Assumption(f"{text}{_at(projection, unknown)}: where the plant starts decides it", SOURCE)
+        yield Assumption(Text(text, f"{_at(projection, unknown)}: where the plant starts decides it"), SOURCE)
 
 
 def begun_in(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) -> Begun:

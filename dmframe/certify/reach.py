@@ -25,6 +25,7 @@ from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import ClosedLoop, stack
 from dmframe.errors import ValueFault
 from dmframe.exact.ends import enclosing
+from dmframe.text import Label, Text
 from dmframe.units import plain
 
 POSES: Final = 12
@@ -40,17 +41,19 @@ def reach_conditions(claim: Claim) -> Iterator[Checked]:
         yield Checked(text, "within the reach of the tool", None, False, SOURCE, reads=claim.loop.p)
 
 
-def out_of_reach(diagram: Diagram, horizon: float) -> Iterator[str]:
+def out_of_reach(diagram: Diagram, horizon: float) -> Iterator[Text]:
     """How each desired path of a tool leaves the tool's reach within that time [s], where it does."""
     loop = diagram.loop
     for name, robot, path in _paths(diagram):
         times = np.linspace(0.0, horizon, SAMPLES)
         function = ca.Function("path", [loop.time, loop.p], [path])
         places = Sampler(function, loop.p_values).over(times)
-        yield from (f"{name} {why}" for why in (*_too_far(robot, places, times), *_off_plane(robot, places, times)))
+        yield from (
+            Text(Label(name), f" {why}") for why in (*_too_far(robot, places, times), *_off_plane(robot, places, times))
+        )
 
 
-def kept_within(claim: Claim) -> Iterator[tuple[str, SX | None, SX]]:
+def kept_within(claim: Claim) -> Iterator[tuple[Text, SX | None, SX]]:
     """Of each path that `reach_conditions` looks at: its name, a margin in parameters, and the parameters it reads.
 
     The margin above zero keeps the path in reach at all times looked at; below zero it decides nothing. It is None
@@ -63,7 +66,7 @@ def kept_within(claim: Claim) -> Iterator[tuple[str, SX | None, SX]]:
         margin = _room(loop, robot, path) if not _still(robot)[0].shape[1] else None
         if margin is not None and not float(ca.Function("room", [loop.p], [margin])(loop.p_values)) > 0:
             margin = None
-        yield f"{name} is within the reach of the tool", margin, read
+        yield Text(Label(name), " is within the reach of the tool"), margin, read
 
 
 def _room(loop: ClosedLoop, robot: Any, path: SX) -> SX | None:

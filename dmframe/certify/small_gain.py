@@ -25,10 +25,21 @@ from dmframe.certify.checked import Checked, Numbers, upper
 from dmframe.certify.claim import Claim, Part, total
 from dmframe.errors import ValueFault
 from dmframe.exact.rational import as_float
+from dmframe.text import Text, Written, sentence, square_of
 
 SOURCE = "composition of storage functions"
-NEED = "c (a_1^2/d_1 + a_2^2/d_2 + ...)"
-WHERE = "the cross term is c |a_1 v_1 + a_2 v_2 + ...|^2, and dV/dt dissipates d_1 |v_1|^2 + d_2 |v_2|^2 + ..."
+NEED = sentence(
+    "{need}: the cross term is {cross}, and {dV/dt} dissipates {spent}",
+    need=Written(
+        "c (a_1^2/d_1 + a_2^2/d_2 + ...)",
+        "c (a_1²/d_1 + a_2²/d_2 + …)",
+        r"c\, (a_1^2/d_1 + a_2^2/d_2 + \ldots)",
+    ),
+    cross=Written("c |a_1 v_1 + a_2 v_2 + ...|^2", "c |a_1 v_1 + a_2 v_2 + …|²", r"c\, |a_1 v_1 + a_2 v_2 + \ldots|^2"),
+    spent=Written(
+        "d_1 |v_1|^2 + d_2 |v_2|^2 + ...", "d_1 |v_1|² + d_2 |v_2|² + …", r"d_1 |v_1|^2 + d_2 |v_2|^2 + \ldots"
+    ),
+)
 
 
 @final
@@ -54,29 +65,30 @@ def small_gain_conditions(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
     """The small-gain conditions of all cascades."""
     for consumer, block in claim.cross_terms:
         if block is None:
-            text = f"some block dominates the cross term of {consumer.block}"
+            text = Text(f"some block dominates the cross term of {consumer.block}")
             yield Checked(text, "expected a certificate with dominates, found none", None, False, SOURCE)
     found = False
     for block, consumers in _dominating(claim):
         need = _need(block, consumers, numbers)
         if block.cascade:
-            text = f"{block.block} dominates the cascade's cross term with its weight 1 in V"
+            text = sentence("{block} dominates the cascade's cross term with its weight 1 in {V}", block=block.block)
             left = None if need is None else 1 - need
             value = None if left is None else as_float(left)
             wanted, weights = _composed(block, consumers)
             margin = ca.vertcat(1 - wanted, weights)
-            yield Checked(text, f"1 > {NEED}: {WHERE}", value, left is not None and left > 0, SOURCE, margin=margin)
+            yield Checked(text, Text("1 > ", NEED), value, left is not None and left > 0, SOURCE, margin=margin)
         elif not found:
             found = True
             kappa = small_gain(claim, numbers)
             missing = [] if kappa else list(_missing(claim, numbers))
-            text = "the servo level dominates the cascade's cross term for kappa above"
+            text = sentence("the servo level dominates the cascade's cross term for {kappa} above")
             if missing:
-                lacks = f"missing is a weight above zero of |{missing[0]}|^2 in dV/dt"
-                text = f"the servo level dominates the cascade's cross term; {lacks}"
+                lacks = "; missing is a weight above zero of {a} in {dV/dt}"
+                text = sentence("the servo level dominates the cascade's cross term" + lacks, a=square_of(missing[0]))
             value = as_float(kappa.least) if kappa else None
             weights = ca.vertcat(*(_composed(*pair)[1] for pair in _dominating(claim)))
-            yield Checked(text, f"kappa > {NEED}: {WHERE}", value, kappa is not None, SOURCE, margin=weights)
+            expression = sentence("{kappa} > {need}", need=NEED)
+            yield Checked(text, expression, value, kappa is not None, SOURCE, margin=weights)
 
 
 def kappa_needs(claim: Claim) -> SX:
@@ -96,7 +108,7 @@ def _composed(block: Part, consumers: list[Part]) -> tuple[SX, SX]:
     return need, weights
 
 
-def _missing(claim: Claim, numbers: Numbers) -> Iterator[str]:
+def _missing(claim: Claim, numbers: Numbers) -> Iterator[Text]:
     """Parts of the cross term without a weight above zero in dV/dt at the graph's numbers."""
     for block, _ in _dominating(claim):
         for share, term in zip(block.certificate.dominates, block.dominating, strict=True):

@@ -31,6 +31,7 @@ from dmframe.exact import Tape
 from dmframe.exact.digits import UndefinedHere
 from dmframe.exact.pieces import Course, NotFollowed, follow, moving_operations
 from dmframe.program import CONST, DIVISIONS, EDGES, JUMPS, KINKS, codes, sign_of
+from dmframe.text import Label, Text, sentence
 
 SMOOTH_ABOVE: Final = frozenset((ca.OP_SQRT, ca.OP_LOG, ca.OP_LOG1P, ca.OP_POW, ca.OP_CONSTPOW, ca.OP_HYPOT))
 """Those with an edge that are smooth wherever their operands are above zero; others, such as asin, have edges there."""
@@ -49,8 +50,8 @@ HALVINGS: Final = 60
 SCALES: Final = (Fraction(1, 1000), Fraction(1, 1000), Fraction(1), Fraction(-9, 10), Fraction(5))
 """How far from the graph's numbers a path is followed, to see whether it is continuous by how it is written."""
 
-SOURCE = "dV/dt by the chain rule"
-NEEDED = "V or a derivative that the loop takes needs it continuous"
+SOURCE = sentence("{dV/dt} by the chain rule")
+NEEDED = sentence("{V} or a derivative that the loop takes needs it continuous")
 
 
 @final
@@ -79,7 +80,7 @@ class Examiner:
 
     def __init__(self, diagram: Diagram, claim: Claim) -> None:
         self._diagram, self._claim = diagram, claim
-        self._texts: dict[str, dict[str, None]] = {"fault": {}, "assumed": {}, "note": {}}
+        self._texts: dict[str, dict[Text, None]] = {"fault": {}, "assumed": {}, "note": {}}
         self._count, self._used, self._seen = 0, set[int](), set[str]()
         self._enter(_field(claim))
 
@@ -114,7 +115,7 @@ def slope(claim: Claim, expression: SX) -> SX | None:
     return claim.flow.unrecorded(expression)
 
 
-Findings = Iterator[tuple[str, str]]
+Findings = Iterator[tuple[str, Text]]
 """Pairs of ``fault``, ``assumed`` or ``note`` with a text."""
 
 
@@ -130,7 +131,7 @@ def _strangers(claim: Claim, expression: SX) -> Iterator[SX]:
 def _symbols(claim: Claim, entry: Differentiated) -> Findings:
     for symbol in _strangers(claim, entry.expression):
         what = _stranger(claim.diagram, claim, symbol)
-        yield "fault", f"{entry.of} holds {what}; it has no rate to differentiate along"
+        yield "fault", Text(entry.of, f" holds {what}; it has no rate to differentiate along")
 
 
 def _stranger(diagram: Diagram, claim: Claim, symbol: SX) -> str:
@@ -154,12 +155,12 @@ def _operations(claim: Claim, entry: Differentiated) -> Findings:
     tape = Tape.from_function(ca.Function("differentiated", [stack(symbols)], [value]))
     for k, code in moving_operations(tape, [[symbol.element_hash() in moving for symbol in symbols]]):
         if code in JUMPS:
-            yield "fault", f"{where} holds {sign_of(code)}, which jumps; the derivative of a jump is not zero"
+            yield "fault", Text(where, f" holds {sign_of(code)}, which jumps; the derivative of a jump is not zero")
         elif code in KINKS and not is_smooth_over(tape, k):
-            yield "fault", f"{where} holds {sign_of(code)}, which has no derivative where it switches"
+            yield "fault", Text(where, f" holds {sign_of(code)}, which has no derivative where it switches")
         elif code in EDGES and not (code in SMOOTH_ABOVE and is_above(tape, k)):
-            text = f"{where}: the argument of {sign_of(code)} stays inside the region where it has a derivative"
-            yield "assumed", text
+            text = f": the argument of {sign_of(code)} stays inside the region where it has a derivative"
+            yield "assumed", Text(where, text)
 
 
 def is_above(tape: Tape, place: int) -> bool:
@@ -195,7 +196,8 @@ def _field(claim: Claim) -> Findings:
         jumps = {code for _, code in moving_operations(Tape.from_function(function), [moving])} & JUMPS
         if jumps:
             names = ", ".join(sorted(sign_of(code) for code in jumps))
-            yield "assumed", f"d {variable.label}/dt holds {names}: where it jumps, the motion is Filippov's solution"
+            text = f" holds {names}: where it jumps, the motion is Filippov's solution"
+            yield "assumed", Text(Label(f"d {variable.label}/dt"), text)
 
 
 def is_smooth_over(tape: Tape, kink: int) -> bool:
@@ -309,7 +311,8 @@ def _followed(diagram: Diagram, leaf: Leaf) -> Findings:
     _, function = _path(diagram, leaf)
     if function.has_free():
         free = ", ".join(str(symbol) for symbol in function.get_free())
-        yield "fault", f"{leaf.name} moves with {free}; a desired trajectory is a function of time and parameters alone"
+        text = f" moves with {free}; a desired trajectory is a function of time and parameters alone"
+        yield "fault", Text(Label(leaf.name), text)
         return
     if not _switches(function):
         return
@@ -331,12 +334,12 @@ def _course(leaf: Leaf, course: Course) -> Findings:
     if course.jump is not None:
         jump = course.jump
         change = f"from {float(jump.before):.6g} to {float(jump.after):.6g} at t = {float(jump.time):.6g} s"
-        yield "fault", f"{leaf.name}[{jump.element}] jumps {change}; {NEEDED}"
+        yield "fault", Text(Label(f"{leaf.name}[{jump.element}]"), f" jumps {change}; ", NEEDED)
     elif course.until is not None:
-        seen = f"{leaf.name} is continuous; it is at its first {count} switching instants"
-        yield "assumed", f"{seen}, up to t = {float(course.until):.6g} s"
+        seen = f" is continuous; it is at its first {count} switching instants, up to t = {float(course.until):.6g} s"
+        yield "assumed", Text(Label(leaf.name), seen)
     elif count:
-        yield "note", f"{leaf.name} is continuous at its {count} switching instants, and smooth between"
+        yield "note", Text(Label(leaf.name), f" is continuous at its {count} switching instants, and smooth between")
 
 
 def _looked_at(leaf: Leaf, function: ca.Function, p: np.ndarray) -> Findings:
@@ -345,9 +348,10 @@ def _looked_at(leaf: Leaf, function: ca.Function, p: np.ndarray) -> Findings:
     if found is not None:
         element, time, before, after = found
         change = f"jumps from {before:.6g} to {after:.6g}" if np.isfinite(after - before) else "has no real value"
-        yield "fault", f"{leaf.name}[{element}] {change} at t = {time:.6g} s; {NEEDED}"
+        yield "fault", Text(Label(f"{leaf.name}[{element}]"), f" {change} at t = {time:.6g} s; ", NEEDED)
     else:
-        yield "assumed", f"{leaf.name} is continuous; no jump was seen at {SAMPLES} instants up to t = {HORIZON:g} s"
+        text = f" is continuous; no jump was seen at {SAMPLES} instants up to t = {HORIZON:g} s"
+        yield "assumed", Text(Label(leaf.name), text)
 
 
 def _step(function: ca.Function, p: np.ndarray) -> tuple[int, float, float, float] | None:

@@ -21,6 +21,7 @@ from dmframe.diagram.closed_loop import Variable
 from dmframe.diagram.projection import Bodies
 from dmframe.exact import zero_test
 from dmframe.names import symbol
+from dmframe.text import Label, Text, Written, around, name_of, sentence, square_of, text_of
 
 T = TypeVar("T", bound=Positive)
 
@@ -33,10 +34,10 @@ class Statement:
     `concludes`: it is about a signal for whose sake the loop is built, an error that goes to zero.
     """
 
-    signal: str
+    signal: Text
     says: str
-    step: str
-    assumes: tuple[str, ...] = ()
+    step: Text
+    assumes: tuple[Text, ...] = ()
     concludes: bool = False
 
 
@@ -86,19 +87,27 @@ def bases_of(claim: Claim, symbols: Symbols, signs: Signs) -> Bases:
 def _memory(term: Gathered) -> Driven:
     """What is gathered is forgotten: it obeys a stable equation."""
     memory = ca.vec(ca.densify(term.memory))
-    return Driven((memory,), ((-term.forgetting,),), (memory,), of=(f"G of |{term.of}|_G^2",))
+    return Driven(
+        (memory,), ((-term.forgetting,),), (memory,), of=(Text(name_of("G"), " of ", square_of(term.of, "G")),)
+    )
 
 
-IN_V = "V holds it with a positive weight and does not grow"
-INSIDE = "V holds its divergence, which grows beyond all bounds at the edge of the positive definite matrices"
-SPENT = "dV/dt dissipates it, and the total dissipation is at most V(0)"
-DRIVEN = "a stable linear equation with the servo's true gains drives it, and its input is bounded"
-CLOSED = "it is made of bounded signals, sines and cosines"
-BARBALAT = "a square-integrable signal with a bounded derivative goes to zero [Barbalat's lemma]"
-AGAIN = "a signal that converges, with a bounded second derivative, comes to rest [Barbalat's lemma]"
-ULTIMATELY = "dV/dt dissipates each square of V, or a projection bounds it: dV/dt <= -lambda V + constant, lambda > 0"
-IN_THE_MEAN = "over a long time, the mean dissipation is at most the bounded residual"
-PROJECTED = "a projection keeps the estimate in its set"
+IN_V = sentence("{V} holds it with a positive weight and does not grow")
+INSIDE = sentence(
+    "{V} holds its divergence, which grows beyond all bounds at the edge of the positive definite matrices"
+)
+SPENT = sentence("{dV/dt} dissipates it, and the total dissipation is at most {V(0)}")
+DRIVEN = Text("a stable linear equation with the servo's true gains drives it, and its input is bounded")
+CLOSED = Text("it is made of bounded signals, sines and cosines")
+BARBALAT = Text("a square-integrable signal with a bounded derivative goes to zero [Barbalat's lemma]")
+BEYOND = sentence("{dV/dt} dissipates at least the square of its part beyond the dead zone [Barbalat's lemma]")
+AGAIN = Text("a signal that converges, with a bounded second derivative, comes to rest [Barbalat's lemma]")
+ULTIMATELY = sentence(
+    "{dV/dt} dissipates each square of {V}, or a projection bounds it: {dV/dt} <= {bound}, {lambda} > 0",
+    bound=Written("-lambda V + constant", "−λ V + constant", r"-\lambda V + \text{constant}"),
+)
+IN_THE_MEAN = Text("over a long time, the mean dissipation is at most the bounded residual")
+PROJECTED = Text("a projection keeps the estimate in its set")
 
 
 def statements_of(claim: Claim, symbols: Symbols, signs: Signs, closure: Closure) -> list[Statement]:
@@ -126,15 +135,19 @@ def statements_of(claim: Claim, symbols: Symbols, signs: Signs, closure: Closure
     vanishing = _vanishing(claim, closure, spent)
     wanted = _wanted(claim, closure)
     for item in vanishing:
-        assumes = () if item.proved else (f"the derivative of {item.of} is bounded",)
+        assumes = () if item.proved else (_smooth(item.of),)
         found.append(Statement(item.of, "goes to zero", BARBALAT, assumes, item.proved and item.of in wanted))
     return [*found, *_conclusions(claim, closure, vanishing), *_into_dead_zones(claim, signs)]
 
 
-def _given(closure: Closure) -> dict[int, tuple[str, ...]]:
+def _smooth(of: Text) -> Text:
+    return Text("the derivative of ", of, " is bounded")
+
+
+def _given(closure: Closure) -> dict[int, tuple[Text, ...]]:
     """What is assumed of the inputs of what is driven, by identity."""
     found = ((item, item.otherwise) for _, item in closure.given)
-    return {id(item): tuple(c.text for c in stated if isinstance(c, Assumption)) for item, stated in found}
+    return {id(item): tuple(text_of(c.text) for c in stated if isinstance(c, Assumption)) for item, stated in found}
 
 
 def _stored(claim: Claim) -> Iterator[tuple[Part, Positive]]:
@@ -155,9 +168,9 @@ def _distinct(terms: Sequence[T]) -> list[T]:
     return list({term.of: term for term in terms}.values())
 
 
-def _vectors(claim: Claim) -> dict[str, SX]:
+def _vectors(claim: Claim) -> dict[Text, SX]:
     """Each name that a certificate gives to a vector; `dmframe.certify.labels` gives one name to one vector."""
-    found = dict[str, SX]()
+    found = dict[Text, SX]()
     for part in claim.parts:
         certificate = part.certificate
         for term in (*certificate.storage, *certificate.dissipation, *certificate.excess, *certificate.errors):
@@ -184,13 +197,14 @@ def _states(claim: Claim, closure: Closure, stated: set[str]) -> list[Statement]
     ]
 
 
-def _state_name(claim: Claim, variable: Variable, known: Mapping[str, SX]) -> str:
+def _state_name(claim: Claim, variable: Variable, known: Mapping[Text, SX]) -> Text:
     """A state's name, with its block where another state, or another vector, has it."""
     states = (*claim.loop.plant, *claim.loop.controller)
     single = all(other.name != variable.name or other.label == variable.label for other in states)
-    names = [variable.name] * single + [f"{variable.name} ({variable.block})"]
+    name = name_of(variable.name)
+    names = [Text(name)] * single + [Text(name, f" ({variable.block})")]
     free = (name for name in names if name not in known or _equal(variable.symbol, known[name]))
-    return next(free, variable.label)
+    return next(free, Text(Label(variable.label)))
 
 
 def _equal(one: SX, other: SX) -> bool:
@@ -228,10 +242,10 @@ def _conclusions(claim: Claim, closure: Closure, vanishing: Sequence[Vanishing])
         if goal.of in wanted and (made is not None or goal.of in names):
             speed = _second(claim, goal.vector)
             if speed is not None and all(closure.bounds([speed])):
-                yield Statement(f"d({goal.of})/dt", "goes to zero", AGAIN, concludes=True)
+                yield Statement(_rate_of(goal.of), "goes to zero", AGAIN, concludes=True)
 
 
-def _wanted(claim: Claim, closure: Closure) -> set[str]:
+def _wanted(claim: Claim, closure: Closure) -> set[Text]:
     """Errors for whose sake the loop is built: of the task level or driven by it, and about the robot."""
     task = {term.of: term.vector for part, term in _stored(claim) if part.cascade}
     task |= {term.of: term.vector for part in claim.parts for term in part.certificate.errors}
@@ -254,16 +268,21 @@ def _at_rest(claim: Claim, closure: Closure, vanishing: Sequence[Vanishing]) -> 
     return found
 
 
-def _rate_name(claim: Claim, of: str, rate: SX) -> str:
+def _rate_name(claim: Claim, of: Text, rate: SX) -> Text:
     """``dx``, unless something else prints like that; else ``d(x)/dt``."""
-    short = f"d{of}"
+    short, full = Text(name_of(f"d{of}")), _rate_of(of)
     known = _vectors(claim)
     if not of.isidentifier() or (short in known and not _equal(rate, known[short])):
-        return f"d({of})/dt"
+        return full
     blocks = claim.diagram.blocks.values()
     taken = {name for block in blocks for name in (*names_of(type(block)), *(port.name for port in block.truth))}
     taken |= {line.name for law in claim.laws.values() for line in law.definitions}
-    return short if short in known or symbol(short) not in {*map(symbol, taken)} else f"d({of})/dt"
+    return short if short in known or symbol(short) not in {*map(symbol, taken)} else full
+
+
+def _rate_of(of: Text) -> Text:
+    """``d(x - x_d)/dt``."""
+    return around(of, "d({})/dt", r"\tfrac{d}{dt} ({})")
 
 
 def _second(claim: Claim, vector: SX) -> SX | None:
@@ -283,8 +302,7 @@ def _into_dead_zones(claim: Claim, signs: Signs) -> Iterator[Statement]:
         for term in part.certificate.dissipation:
             dead = isinstance(term, Lemma) and term.phi == "beyond"
             if dead and isinstance(term, Lemma) and term.second.is_zero() and signs.dissipates(term):
-                step = "dV/dt dissipates at least the square of its part beyond the dead zone [Barbalat's lemma]"
-                yield Statement(term.of, "goes into its dead zone", step, (f"the derivative of {term.of} is bounded",))
+                yield Statement(term.of, "goes into its dead zone", BEYOND, (_smooth(term.of),))
 
 
 def _up_to_a_residual(claim: Claim, symbols: Symbols, signs: Signs) -> Iterator[Statement]:
@@ -305,7 +323,9 @@ def _bodies(claim: Claim) -> Iterator[Statement]:
     for projection in claim.loop.projections:
         if isinstance(projection.set, Bodies):
             yield Statement(
-                projection.of, "is made of bodies, each at its share of the nominal one or above", PROJECTED
+                Text(name_of(projection.of)),
+                "is made of bodies, each at its share of the nominal one or above",
+                PROJECTED,
             )
 
 
@@ -325,13 +345,13 @@ def ultimate(claim: Claim, symbols: Symbols, signs: Signs) -> bool:
     return not tuple(_assumed(claim)) and all(_is_spent(claim, square, symbols, signs) for square in left)
 
 
-def _assumed(claim: Claim) -> Iterator[str]:
+def _assumed(claim: Claim) -> Iterator[Text]:
     for part in claim.parts:
         for term in part.certificate.excess:
             if isinstance(term, NormSquare):
-                yield f"the dissipation of {term.by_of} outgrows |{term.by_of}|"
+                yield sentence("the dissipation of {a} outgrows {size}", a=term.by_of, size=around(term.by_of, "|{}|"))
             elif isinstance(term, Clipped):
-                yield f"{term.of} is bounded"
+                yield Text(term.of, " is bounded")
 
 
 def _is_projected(claim: Claim, square: Square) -> bool:

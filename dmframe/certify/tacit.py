@@ -25,7 +25,7 @@ from dmframe.certify.conditions import load_labels
 from dmframe.certify.contradicted import kept_above
 from dmframe.certify.definite import Number
 from dmframe.certify.divisors import written
-from dmframe.certify.memories import pivots_at_start, reads_of
+from dmframe.certify.memories import gathered_from_start, pivots_at_start, reads_of
 from dmframe.certify.positive import Signs
 from dmframe.certify.projections import ROUNDED, begun_in, rooms_on_path
 from dmframe.certify.reach import kept_within
@@ -41,6 +41,7 @@ from dmframe.linalg import ldl, square
 from dmframe.program import DIVISIONS, JUMPS, OPERATIONS
 from dmframe.robot.parameters import INERTIAL
 from dmframe.robot.pseudo_inertia import pseudo_inertia
+from dmframe.text import Label, Text, joined, name_of, sentence
 
 ROUNDING: Final = 1e-9 / 4
 """Of a load's trace: less than the share of its largest eigenvalue that `verify` takes for rounding."""
@@ -67,7 +68,7 @@ class Tacit:
         `verify` decides it over intervals, too.
     """
 
-    name: str
+    name: Text
     margin: SX | None = None
     reads: SX | None = None
     strict: bool = True
@@ -110,9 +111,9 @@ def _domain(name: str, risks: Sequence[tuple[int, SX]], moving: set[int]) -> Ite
             continue
         if code in (*DIVISIONS, ca.OP_FMOD, ca.OP_REMAINDER):
             # of an interval it has to be of one sign, which its square does not forget
-            yield Tacit(f"{name}: {written(part)} is not zero", part * part, over=True)
+            yield Tacit(Text(f"{name}: ", written(part), " is not zero"), part * part, over=True)
             continue
-        text = f"{name}: {OPERATIONS[code].name} of {written(part)} is defined"
+        text = Text(f"{name}: {OPERATIONS[code].name} of ", written(part), " is defined")
         if code == ca.OP_SQRT:
             yield Tacit(text, part, strict=False, over=True)
         elif code == ca.OP_ACOSH:
@@ -128,7 +129,7 @@ def _widths(claim: Claim) -> Iterator[Tacit]:
     for part in claim.parts:
         for term in part.certificate.excess:
             if isinstance(term, Clipped):
-                yield Tacit(f"{part.block}: width of the clipped {term.of} > 0", ca.SX(term.width), over=True)
+                yield Tacit(Text(f"{part.block}: width of the clipped ", term.of, " > 0"), ca.SX(term.width), over=True)
 
 
 def _replaced(item: Driven) -> bool:
@@ -141,7 +142,7 @@ def _stable(claim: Claim) -> Iterator[Tacit]:
     for part in claim.parts:
         for item in part.certificate.driven:
             if _replaced(item):
-                text = f"{part.block}: the linear equation of {', '.join(item.of)} is stable"
+                text = Text(f"{part.block}: the linear equation of ", joined(item.of), " is stable")
                 yield Tacit(text, _stability(item), opens=True, over=True)
 
 
@@ -169,7 +170,8 @@ def _follows(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
             used = symbols_in(symbol for expression in own.read for symbol in ca.symvar(expression))
             given = [p.symbol for p in claim.loop.parameters if (p.label in zeros if labels else _fixed(numbers, p))]
             known = [symbol for symbol in ca.vertsplit(stack(given)) if symbol.element_hash() in used]
-            yield Tacit(f"what V bounds follows at {text} too", reads=ca.vertcat(ca.SX(0, 1), *known))
+            name = sentence("what {V} bounds follows at {text} too", text=text)
+            yield Tacit(name, reads=ca.vertcat(ca.SX(0, 1), *known))
 
 
 def _fixed(numbers: Numbers, parameter: Parameter) -> bool:
@@ -197,7 +199,7 @@ def _left(closure: Closure) -> list[list[str]]:
 def _sets(claim: Claim) -> Iterator[Tacit]:
     """A projection's law is the same wherever its set lies, as long as that has an inside."""
     for projection in claim.loop.projections:
-        name = f"{projection.name}: the {projection.kind} has an inside"
+        name = Text(Label(projection.name), f": the {projection.kind} has an inside")
         yield Tacit(name, _inside(projection.set), strict=not isinstance(projection.set, Box), opens=True)
 
 
@@ -224,12 +226,13 @@ def _absent(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
     """The identity was tested with the plant's zeros as zeros: `symbols_of`."""
     for group in symbols_of(claim, numbers.uncertain).groups:
         if group.kind == "parameter" and group.values is not None and not any(group.values):
-            yield Tacit(f"{group.label} is zero, as the proof takes it", reads=ca.vec(group.symbol))
+            name = Text(Label(group.label), " is zero, as the proof takes it")
+            yield Tacit(name, reads=ca.vec(group.symbol))
 
 
 def _paths(claim: Claim) -> Iterator[Tacit]:
     for name, read in followed_by_numbers(claim.diagram, claim):
-        yield Tacit(f"{name} is continuous", reads=read)
+        yield Tacit(Text(Label(name), " is continuous"), reads=read)
 
 
 def _loads(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
@@ -238,9 +241,9 @@ def _loads(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
         (leaf,) = (leaf for leaf in claim.diagram.resolver.trajectories.values() if leaf.name == label)
         pieces, rest = pieces_of(claim, numbers, claim.loop.on_path(leaf.symbol))
         if pieces:
-            name = f"{label} is the inertia of a rigid body"
+            name = Text(Label(label), " is the inertia of a rigid body")
             yield Tacit(name, ca.vertcat(*_pivots(ca.vertcat(*pieces), floor=True)), opens=True)
-        yield Tacit(f"{label} changes when it does in the graph", reads=rest)
+        yield Tacit(Text(Label(label), " changes when it does in the graph"), reads=rest)
 
 
 def _rooms(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
@@ -248,8 +251,8 @@ def _rooms(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
     for name, room in rooms_on_path(claim, numbers):
         pieces, rest = pieces_of(claim, numbers, room)
         if pieces:
-            yield Tacit(f"{name}, as a source has it", ca.vertcat(*pieces) + ROUNDED, strict=False)
-        yield Tacit(f"{name} changes when it does in the graph", reads=rest)
+            yield Tacit(Text(name, ", as a source has it"), ca.vertcat(*pieces) + ROUNDED, strict=False)
+        yield Tacit(Text(name, " changes when it does in the graph"), reads=rest)
 
 
 def pieces_of(claim: Claim, numbers: Numbers, expression: SX) -> tuple[list[SX], SX]:
@@ -293,20 +296,21 @@ def _starts(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
     for part in claim.parts:
         for term in (*part.certificate.storage, *part.certificate.dissipation):
             if isinstance(term, Gathered):
-                yield _gathers(f"{part.block}: start of what G gathers for |{term.of}|_G^2 >= 0", term.memory, numbers)
+                yield _gathers(gathered_from_start(part, term), term.memory, numbers)
             if isinstance(term, LogDet):
                 begun = pivots_at_start(claim, numbers, {}, term.matrix)
-                yield Tacit(f"{part.block}: {term.of} starts positive definite", ca.SX(0, 1), begun=begun)
+                name = Text(f"{part.block}: ", term.of, " starts positive definite")
+                yield Tacit(name, ca.SX(0, 1), begun=begun)
     for variable in claim.loop.variables:
         if variable.label in claim.memories:
-            yield _gathers(f"{variable.block}: start of {variable.name}", variable.symbol, numbers)
+            yield _gathers(Text(f"{variable.block}: start of ", name_of(variable.name)), variable.symbol, numbers)
 
 
 def _started(projection: Projection, numbers: Numbers) -> Tacit:
     begun = begun_in(projection, numbers, {})
-    name = f"{projection.name}: starts inside the {projection.kind}"
+    name = Text(Label(projection.name), f": starts inside the {projection.kind}")
     return Tacit(name, ca.SX(0, 1), strict=False, begun=begun)
 
 
-def _gathers(name: str, memory: SX, numbers: Numbers) -> Tacit:
+def _gathers(name: Text, memory: SX, numbers: Numbers) -> Tacit:
     return Tacit(name, reads=reads_of(numbers, {}, memory))

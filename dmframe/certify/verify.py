@@ -39,6 +39,7 @@ from dmframe.prove.faults import Control, inject_faults
 from dmframe.prove.identity import empty, identity
 from dmframe.prove.reals import doubt
 from dmframe.prove.refute import Refutation, refute
+from dmframe.text import DV, UNNAMED, Text, Written, joined, sentence
 
 Outcome = Literal["proved", "refuted", "not_applicable"]
 
@@ -75,7 +76,7 @@ class Verdict:
     """
 
     outcome: Outcome
-    reason: str
+    reason: Text
     claim: Claim | None = None
     test: ZeroTest | None = None
     refutation: Refutation | None = None
@@ -158,10 +159,10 @@ def verify(
     try:
         found = _verified(diagram, trials, seed, uncertain or {}, start or {}, clock)
     except NotApplicableError as error:
-        return Verdict("not_applicable", error.text, build=clock.build, check=clock.check)
+        return Verdict("not_applicable", Text(error.text), build=clock.build, check=clock.check)
     if found.outcome == "proved" and diagram.unit_faults:
         texts = "; ".join(fault.text for fault in diagram.unit_faults)
-        return replace(found, outcome="not_applicable", reason=f"the units do not agree: {texts}")
+        return replace(found, outcome="not_applicable", reason=Text(f"the units do not agree: {texts}"))
     return found
 
 
@@ -204,16 +205,16 @@ def _verified(
     smooth = None if examiner is None else examiner.found()
     clock.built()
 
-    def ends(outcome: Outcome, reason: str, **found: Any) -> Verdict:
+    def ends(outcome: Outcome, reason: Text, **found: Any) -> Verdict:
         return Verdict(outcome, reason, claim, build=clock.build, check=clock.check, exact=exact, **found)
 
     if smooth is not None and smooth.faults:
-        return ends("not_applicable", "; ".join(smooth.faults))
+        return ends("not_applicable", joined(smooth.faults, "; "))
     try:
         test = replace(identity(exact, trials=trials, seed=seed), seed=own)
     except ValueFault as error:
-        return ends("not_applicable", error.text)
-    of = "what a sample does" if claim.over_samples else "dV/dt"
+        return ends("not_applicable", Text(error.text))
+    of = "what a sample does" if claim.over_samples else DV
     if not test.zero and (reason := doubt(exact, seed, of)):
         return ends("not_applicable", reason, test=test)
     numbers = Numbers(claim, uncertain)
@@ -261,7 +262,7 @@ class _Found:
     states: States | None = None
     bounds: tuple[Bound, ...] = ()
     undefined: bool = False
-    fault: str = ""
+    fault: Text = UNNAMED
 
 
 def _in_continuous_time(
@@ -281,7 +282,7 @@ def _in_continuous_time(
     conditions += [replace(item, sufficient=bool(numbers.open)) for item in needed]
     smooth = examiner.found()  # with residuals, true values, barriers and linear subsystems, all differentiated by now
     if smooth.faults:
-        return _Found(fault="; ".join(smooth.faults))
+        return _Found(fault=joined(smooth.faults, "; "))
     statements = [*statements_of(claim, symbols, signs, closure), *barrier_statements(kept)]
     smooth = examiner.found()
     if smooth.faults:  # of a trajectory that the statements have differentiated once more
@@ -326,21 +327,23 @@ def drawn(claim: data.Claim, fingerprint: str, seed: int) -> int:
     return int.from_bytes(found[:8], "big")
 
 
-def _blame(claim: Claim, refutation: Refutation, lacking: Sequence[str]) -> str:
+def _blame(claim: Claim, refutation: Refutation, lacking: Sequence[Text]) -> Text:
+    says, where = refutation.says, ", ".join(refutation.blame)
     if lacking:
-        return f"{refutation.says} is not what the blocks claim; {'; '.join(lacking)}"
-    where = ", ".join(refutation.blame)
+        return Text(DV if says == DV.text else says, " is not what the blocks claim; ", joined(lacking, "; "))
     if claim.over_samples:
-        return f"{refutation.says} is not what the block claims"
-    if refutation.says != "dV/dt":
-        return f"{refutation.says} is not what the block claims, though dV/dt of the diagram is; to blame: {where}"
+        return Text(f"{says} is not what the block claims")
+    if says != DV.text:
+        text = " is not what the block claims, though {dV/dt} of the diagram is; to blame: "
+        return Text(says, sentence(text), where)
     if where:
-        return f"dV/dt is not what the blocks claim; to blame: {where}"
-    supplies = {name: law.supply.text for name, law in claim.laws.items() if law.supply is not None}
-    exchanged = "; ".join(f"{name} {text}" for name, text in supplies.items() if text != "0")
-    return (
-        "dV/dt is not what the blocks claim; to blame: no single block: each keeps its own claim, but what they "
-        f"exchange does not cancel: {exchanged}"
+        return sentence("{dV/dt} is not what the blocks claim; to blame: {where}", where=where)
+    supplies = {name: law.supply for name, law in claim.laws.items() if law.supply is not None}
+    exchanged = [Text(f"{name} ", supply) for name, supply in supplies.items() if supply.text != "0"]
+    return sentence(
+        "{dV/dt} is not what the blocks claim; to blame: no single block: each keeps its own claim, but what they "
+        "exchange does not cancel: {exchanged}",
+        exchanged=joined(exchanged, "; "),
     )
 
 
@@ -350,25 +353,25 @@ def _judge(
     controls: Sequence[Control],
     empty: Sequence[str],
     bounds: Sequence[Bound],
-) -> tuple[Outcome, str]:
+) -> tuple[Outcome, Text]:
     if empty:
-        return "not_applicable", f"identically zero, so that nothing would be proved: {'; '.join(empty)}"
+        return "not_applicable", Text("identically zero, so that nothing would be proved: ", joined(empty, "; "))
     missed = [control.fault for control in controls if not control.refuted]
     if not controls or missed:
-        return "not_applicable", f"seeded faults were not refuted: {', '.join(missed) or 'there are none'}"
+        return "not_applicable", Text("seeded faults were not refuted: ", joined(missed) or "there are none")
     if failing := failing_of(conditions):
         return "not_applicable", failing
     if claim.over_samples:
         plus = " plus the residual" if claim.left else ""
-        return "proved", (
-            f"V(next) - V equals minus what is lost{plus}, for all measurements, commands, gains and sampling "
-            "periods; every condition holds"
+        return "proved", sentence(
+            "{difference} equals minus what is lost{plus}, for all measurements, commands, gains and sampling periods; "
+            "every condition holds",
+            difference=Written("V(next) - V", "V(next) − V", r"V(\text{next}) - V"),
+            plus=plus,
         )
-    unbounded = [f"{bound.block}: {bound.of}" for bound in bounds if not bound.known]
+    unbounded = [Text(f"{bound.block}: ", bound.of) for bound in bounds if not bound.known]
     if unbounded:
-        return "not_applicable", f"the identity holds, but nothing bounds the residual: {'; '.join(unbounded)}"
-    residual = " plus a residual" if bounds else ""
-    return (
-        "proved",
-        f"dV/dt equals minus the dissipation{residual}, for all values of the symbols; every condition holds",
-    )
+        text = Text("the identity holds, but nothing bounds the residual: ", joined(unbounded, "; "))
+        return "not_applicable", text
+    says = "{dV/dt} equals minus the dissipation{residual}, for all values of the symbols; every condition holds"
+    return "proved", sentence(says, residual=" plus a residual" if bounds else "")

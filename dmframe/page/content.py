@@ -23,18 +23,17 @@ from dmframe.page.periods import Periods
 from dmframe.page.scene import meshes_of
 from dmframe.page.sliders import sliders_of
 from dmframe.report.command import command
-from dmframe.report.notation import spelled
 from dmframe.report.verdict_text import verdict_text
 from dmframe.results.dataset import axis_labels, elements
 from dmframe.results.resolved import resolved_text, robot_source
 from dmframe.simulate.bounds import bounds_of
 from dmframe.simulate.start import start_state
 from dmframe.simulate.step import MOST_SUBSTEPS, PLAIN_STEP, RK4_STABLE
+from dmframe.text import text_of
 from dmframe.version import version
 
 HORIZON = 20.0
 """Maximum simulated time of a page [s]."""
-KAPPA = ", with any kappa above"
 """Suffix of the small-gain condition with the least kappa, which a page shows separately."""
 
 
@@ -206,12 +205,12 @@ def _verdict(name: str, verdict: Verdict, functions: Functions) -> dict[str, Any
         "outcome": verdict.outcome,
         "headline": verdict.headline,
         "sampled": verdict.samples is not None,
-        "reason": spelled(verdict.reason),
+        "reason": verdict.reason.unicode,
         "text": verdict_text(name, verdict),
-        "conclusions": [spelled(f"{item.signal} {item.says}") for item in verdict.statements if item.concludes]
+        "conclusions": [f"{item.signal.unicode} {item.says}" for item in verdict.statements if item.concludes]
         if verdict.outcome == "proved"
         else [],
-        "assumptions": [spelled(item.text) for item in verdict.assumptions],
+        "assumptions": [text_of(item.text).unicode for item in verdict.assumptions],
         "kappa": functions.kappa,
         "uncertain": list(verdict.uncertain),
         "bounded": verdict.states is not None and not verdict.states.open and not verdict.bounds,
@@ -229,7 +228,7 @@ def _verdict(name: str, verdict: Verdict, functions: Functions) -> dict[str, Any
 def _condition(condition: Checked, place: Place | None, reads: tuple[int, ...] | None) -> dict[str, Any]:
     """Condition at the parameter values of the file, position of its margins, or the values it depends on."""
     return {
-        "name": spelled(condition.name.removesuffix(KAPPA)),
+        "name": condition.name.unicode,
         "how": condition.how,
         "strict": condition.strict,
         "value": None if condition.value is None else _finite(condition.value),

@@ -11,6 +11,7 @@ from dmframe.exact import Evaluation, Trial, ZeroDivision, random_prime
 from dmframe.prove.claim import Claim
 from dmframe.prove.identity import ATTEMPTS, BITS, inputs_at
 from dmframe.prove.point import Equality, Point, equalities
+from dmframe.text import Label, Text
 
 
 @final
@@ -18,7 +19,7 @@ from dmframe.prove.point import Equality, Point, equalities
 class Control:
     """A seeded fault, and whether the test refuted it."""
 
-    fault: str
+    fault: Text
     refuted: bool
 
 
@@ -61,7 +62,9 @@ class _Faults:
         for label in claim.reversed:
             if self._matters(label):
                 moves = self._moves | self._point.moves({label: claim.moves[label]}, [label])
-                name = f"{label}: its move reversed" if claim.over_samples else f"sign of d {label}/dt flipped"
+                name = Text("sign of ", Label(f"d {label}/dt"), " flipped")
+                if claim.over_samples:
+                    name = Text(Label(label), ": its move reversed")
                 yield Control(name, self._refuted(moves))
 
     def _matters(self, label: str) -> bool:
@@ -87,7 +90,7 @@ class _Faults:
             values = self._evaluation.changed({place: others})
             moves = Point(claim, self._trial, self._point.inputs, values).moves(claim.moves)
             if any(self._some(a - b for a, b in zip(moves[at], self._moves[at], strict=True)) for at in claim.moves):
-                yield Control(f"{label} changed in the equations only", self._refuted(moves))
+                yield Control(Text(Label(label), " changed in the equations only"), self._refuted(moves))
 
     def _compared(self, moves: Mapping[str, Sequence[Any]]) -> list[Equality]:
         """The equalities that a fault may break: D V of the diagram, or all of a sample's."""

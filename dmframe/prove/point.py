@@ -14,6 +14,7 @@ from dmframe.exact import Tape, Trial
 from dmframe.exact.ring import compute
 from dmframe.prove.claim import Claim, Line, Out, Part, Steps, Term, made_of
 from dmframe.prove.rules import Taken, form, pushed, taken
+from dmframe.text import UNNAMED, Text, sentence, text_of
 
 Numbers = Sequence[Any]
 Known = dict[tuple[str, str], tuple[dict[str, list[Any]], Taken]]
@@ -22,7 +23,7 @@ Known = dict[tuple[str, str], tuple[dict[str, list[Any]], Taken]]
 class Summand(NamedTuple):
     """A column that an equality adds, and what it is called where a fault drops it."""
 
-    name: str
+    name: Text
     column: list[Any]
 
 
@@ -150,9 +151,9 @@ def differences(point: Point, moves: Mapping[str, Numbers], part: Part) -> list[
         return []
     if point.claim.over_samples:
         then = point.at(moves)
-        return [Summand(term.name, [point.half(then.value(term) - point.value(term))]) for term in part.stored]
+        return [Summand(text_of(term.name), [point.half(then.value(term) - point.value(term))]) for term in part.stored]
     along = point.derivatives(moves)
-    return [Summand(term.name, [_rate(point, term, along)]) for term in part.stored]
+    return [Summand(text_of(term.name), [_rate(point, term, along)]) for term in part.stored]
 
 
 def _rate(point: Point, term: Term, along: Mapping[Out, list[Any]]) -> Any:
@@ -176,14 +177,14 @@ def equalities(point: Point, moves: Mapping[str, Numbers]) -> Iterator[Equality]
         yield _whole(point, own)
     for part, summands in own:
         if part.stores or not claim.over_samples:
-            exchanged = Summand("", [-x for x in point.out(part.supply)]) if part.supply else Summand("", [0])
+            exchanged = Summand(UNNAMED, [-x for x in point.out(part.supply)]) if part.supply else Summand(UNNAMED, [0])
             yield Equality(part.block, "dS/dt" if not claim.over_samples else claim.D, [*summands, exchanged])
         yield from _of_a_sample(point, moves, part)
     if not claim.over_samples:
         yield from _memories(point, moves)
         yield from _symmetric(point)
     for dominating, consuming, composed, wanted in claim.composed:
-        summands = [Summand("", point.out(composed)), Summand("", [-x for x in point.out(wanted)])]
+        summands = [Summand(UNNAMED, point.out(composed)), Summand(UNNAMED, [-x for x in point.out(wanted)])]
         yield Equality(dominating, f"the vector that it dominates is that of {consuming}", summands)
 
 
@@ -191,23 +192,23 @@ def _own(point: Point, moves: Mapping[str, Numbers], part: Part) -> Iterator[Sum
     """D S + dissipation - residual - lemma - cross term of one block, by the faults that drop them."""
     block, ring = part.block, point.ring
     for term, found in zip(part.stored, differences(point, moves, part), strict=True):
-        yield Summand(f"{block}: storage of {term.name} dropped", found.column)
+        yield Summand(Text(f"{block}: storage of ", term.name, " dropped"), found.column)
     if point.claim.over_samples:
         steps = [point.taken[block, item.estimate] for item in part.steps]
-        yield Summand("", [ring.reduced(sum((item.moved for item in steps), 0))])
+        yield Summand(UNNAMED, [ring.reduced(sum((item.moved for item in steps), 0))])
         lost = sum((point.value(term) for term in part.dissipation), 0) + sum((item.lost for item in steps), 0)
         gained = sum((point.value(term) for term in part.residual), 0) + sum((item.gained for item in steps), 0)
-        yield Summand(f"{block}: what V loses dropped", [lost])
-        yield Summand(f"{block}: what V gains dropped", [-gained])
+        yield Summand(sentence("{block}: what {V} loses dropped", block=block), [lost])
+        yield Summand(sentence("{block}: what {V} gains dropped", block=block), [-gained])
         return
     for term in part.dissipation:
-        yield Summand(f"{block}: dissipation of {term.name} dropped", [point.value(term)])
+        yield Summand(Text(f"{block}: dissipation of ", term.name, " dropped"), [point.value(term)])
     for term in part.residual:
-        yield Summand(f"{block}: bounded residual of {term.name} dropped", [-point.value(term)])
+        yield Summand(Text(f"{block}: bounded residual of ", term.name, " dropped"), [-point.value(term)])
     if part.lemma:
-        yield Summand("", [-x for x in point.out(part.lemma)])
+        yield Summand(UNNAMED, [-x for x in point.out(part.lemma)])
     if part.consumed is not None:
-        yield Summand("", [-point.value(part.consumed)])
+        yield Summand(UNNAMED, [-point.value(part.consumed)])
 
 
 def _whole(point: Point, own: Sequence[tuple[Part, Sequence[Summand]]]) -> Equality:
@@ -217,7 +218,7 @@ def _whole(point: Point, own: Sequence[tuple[Part, Sequence[Summand]]]) -> Equal
         for part, summands in own
         for name, column in summands
     ]
-    return Equality("", point.claim.D, found or [Summand("", [0])])
+    return Equality("", point.claim.D, found or [Summand(UNNAMED, [0])])
 
 
 def _of_a_sample(point: Point, moves: Mapping[str, Numbers], part: Part) -> Iterator[Equality]:
@@ -232,10 +233,10 @@ def _of_a_sample(point: Point, moves: Mapping[str, Numbers], part: Part) -> Iter
         along = point.plant_derivatives()
         for place, relation in enumerate(part.plant, start=1):
             which = "its relation" if len(part.plant) == 1 else f"its relation {place}"
-            rest = Summand(f"{block}: the rest of {which} dropped", point.out(relation.rest))
-            yield Equality(block, "what the plant's motion obeys", [Summand("", along[relation.momentum]), rest])
+            rest = Summand(Text(f"{block}: the rest of {which} dropped"), point.out(relation.rest))
+            yield Equality(block, "what the plant's motion obeys", [Summand(UNNAMED, along[relation.momentum]), rest])
     for left in part.solved:
-        yield Equality(block, "the equation that its output solves", [Summand("", point.out(left))])
+        yield Equality(block, "the equation that its output solves", [Summand(UNNAMED, point.out(left))])
 
 
 def _kept(point: Point, line: Line) -> list[Any]:
@@ -250,7 +251,7 @@ def _shape(claim: Claim, out: Out) -> tuple[int, int]:
 
 
 def _equal(block: str, says: str, one: Numbers, other: Numbers) -> Equality:
-    return Equality(block, says, [Summand("", list(one)), Summand("", [-x for x in other])])
+    return Equality(block, says, [Summand(UNNAMED, list(one)), Summand(UNNAMED, [-x for x in other])])
 
 
 def _memories(point: Point, moves: Mapping[str, Numbers]) -> Iterator[Equality]:

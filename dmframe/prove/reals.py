@@ -19,6 +19,7 @@ from dmframe.exact.literal import computed, literal
 from dmframe.program import BY_NAME
 from dmframe.prove.claim import Claim, Symbol
 from dmframe.prove.point import Point, equalities
+from dmframe.text import DV, UNNAMED, Piece, Text, sentence
 
 POINTS = 4
 """Points of each kind at which a residual is looked at."""
@@ -55,7 +56,7 @@ NOWHERE = (
 
 
 @precise()
-def doubt(claim: Claim, seed: int, of: str = "dV/dt") -> str:
+def doubt(claim: Claim, seed: int, of: Piece = DV) -> Text:
     """Why a claim that fails in the field is not refuted yet; empty where a real point refutes it. `of` names it.
 
     Points are drawn of both signs, above zero (where roots and powers are real), and with some signals at zero (where
@@ -67,9 +68,9 @@ def doubt(claim: Claim, seed: int, of: str = "dV/dt") -> str:
         for point, residuals in look.defined(draw, count):
             differs = not all(residual.is_zero() for residual in residuals)
             if differs and not look.is_rounding(point, residuals):
-                return ""
+                return UNNAMED
             reason = BY_ROUNDING if differs else reason or BY_A_FUNCTION
-    return (reason or NOWHERE).format(of=of)
+    return sentence(reason or NOWHERE, of=of)
 
 
 Numbers = list[list[arb]]

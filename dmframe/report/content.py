@@ -19,11 +19,12 @@ from dmframe.formula.where import where
 from dmframe.parameter import specs
 from dmframe.report.linear import LinearView, linear_view
 from dmframe.report.measured import Measured, measure
-from dmframe.report.notation import marked, marked_prose, signal_latex
+from dmframe.report.notation import marked_prose
 from dmframe.report.parts import Row
 from dmframe.report.planar import RobotModel, robot_model
 from dmframe.report.terms import Terms, parameter_text, rows_of_lines, terms_of
 from dmframe.report.words import Meaning, meaning_of
+from dmframe.text import Text, text_of
 from dmframe.units import plain
 
 
@@ -152,14 +153,13 @@ class Content:
 
 def opening(experiment: Experiment, verdict: Verdict) -> Opening:
     """First page of a report, without a simulation."""
-    laws = verdict.flow_claim.laws if verdict.flow_claim is not None else {}
     last = [item for item in verdict.statements if item.concludes]
     return Opening(
         name=experiment.name,
         title=experiment.file.title,
         outcome=verdict.outcome,
         meaning=meaning_of(verdict, experiment.file.clock),
-        follows=tuple(_follows(last, laws)) if verdict.outcome == "proved" else (),
+        follows=tuple(_follows(last)) if verdict.outcome == "proved" else (),
         assumptions=_assumptions(verdict),
     )
 
@@ -193,8 +193,8 @@ def gather(
         terms=terms_of(verdict.flow_claim) if verdict.flow_claim is not None else None,
         conditions=tuple(map(_condition, verdict.conditions)),
         assumptions=_assumptions(verdict),
-        follows=tuple(_follows(verdict.statements, laws)) if verdict.outcome == "proved" else (),
-        controls=tuple((marked(control.fault), control.refuted) for control in verdict.controls),
+        follows=tuple(_follows(verdict.statements)) if verdict.outcome == "proved" else (),
+        controls=tuple((control.fault.marked, control.refuted) for control in verdict.controls),
         witness=_witness(verdict),
         uncertain=tuple((label, str(ends)) for label, ends in experiment.file.uncertain.items()),
         measured=measure(experiment, diagram, verdict, tell),
@@ -208,7 +208,7 @@ def gather(
 
 
 def _assumptions(verdict: Verdict) -> tuple[tuple[str, str], ...]:
-    return tuple((marked(item.text), item.source) for item in verdict.assumptions)
+    return tuple((text_of(item.text).marked, text_of(item.source).marked) for item in verdict.assumptions)
 
 
 def _facts(experiment: Experiment, diagram: Diagram) -> list[tuple[str, str]]:
@@ -247,21 +247,22 @@ def _law(diagram: Diagram, name: str, printed: PrintedLaw) -> BlockLaw:
 
 def _condition(checked: Checked) -> Condition:
     margin = f"{checked.value:.4g}" if checked.value is not None else "" if checked.holds else "not found"
-    said = "" if checked.expression in checked.name else f": {checked.expression}"
-    return Condition(marked(checked.name + said), margin, checked.holds, checked.how, marked(checked.source))
+    said = "" if checked.expression in checked.name else Text(": ", checked.expression)
+    text, source = Text(checked.name, said), text_of(checked.source)
+    return Condition(text.marked, margin, checked.holds, checked.how, source.marked)
 
 
-def _follows(statements: Sequence[Statement], laws: Mapping[str, PrintedLaw]) -> list[Follows]:
+def _follows(statements: Sequence[Statement]) -> list[Follows]:
     """Statements grouped by text and proof step; conclusions last."""
-    grouped = dict[tuple[str, str, bool], list[Statement]]()
+    grouped = dict[tuple[str, Text, bool], list[Statement]]()
     for item in sorted(statements, key=lambda item: item.concludes):
         grouped.setdefault((item.says, item.step, item.concludes), []).append(item)
     return [
         Follows(
             says,
-            marked(step),
-            tuple(signal_latex(item.signal, laws) for item in items),
-            tuple(dict.fromkeys(marked(text) for item in items for text in item.assumes)),
+            step.marked,
+            tuple(item.signal.latex for item in items),
+            tuple(dict.fromkeys(text.marked for item in items for text in item.assumes)),
         )
         for (says, step, _), items in grouped.items()
     ]

@@ -25,10 +25,10 @@ from dmframe.parameter import specs
 from dmframe.port import Access, Side
 from dmframe.report.command import command
 from dmframe.report.explained import BlockFacts, exchange, facts_of
-from dmframe.report.notation import spelled
 from dmframe.report.sentences import Said, described, signal, supplies
 from dmframe.report.verdict_text import HARD
 from dmframe.report.words import everywhere, meaning_of
+from dmframe.text import text_of
 from dmframe.units import plain
 
 _INDENT: Final = 2
@@ -172,12 +172,12 @@ class Explanation:
                 f"The proof holds in continuous time; the effect of sampling every {plain(clock, 's')} is not proved."
             )
         if verdict.conditions:
-            failing = [spelled(item.name) for item in verdict.conditions if not item.holds]
+            failing = [item.name.unicode for item in verdict.conditions if not item.holds]
             met = f"All {len(verdict.conditions)} conditions hold {unmarked(everywhere(verdict))}."
             yield Said(f"Conditions that fail: {listed(failing)}." if failing else met)
         if verdict.assumptions:
             yield Said("Assumptions:")
-            yield from (Said(f"- {spelled(item.text)}") for item in verdict.assumptions)
+            yield from (Said(f"- {text_of(item.text).unicode}") for item in verdict.assumptions)
 
     def _energy(self) -> Iterator[str]:
         claim = self.verdict.flow_claim

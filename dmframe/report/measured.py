@@ -16,7 +16,6 @@ from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
 from dmframe.exact.rational import as_float
 from dmframe.plotting import figure_svg
-from dmframe.report.notation import latex
 from dmframe.results.metrics import tracking_error, turn_error
 from dmframe.results.storage_figure import storage_picture
 from dmframe.simulate import Log, Recording
@@ -78,7 +77,7 @@ def measure(
         sentence=f"{_sentence(clock, verdict)} {_judged_over_samples(found) if over else _judged(found, clock)}",
         facts=(*facts, *more),
         numbers={**numbers, **v_numbers},
-        figure=figure_svg(storage_picture(found, [rf"${latex(term.of)}$ ({term.block})" for term in found.terms], run)),
+        figure=figure_svg(storage_picture(found, [rf"${term.of.latex}$ ({term.block})" for term in found.terms], run)),
         caption="$V$ along the simulated run (above), and its largest terms, each with its weight (below).",
         table=tuple((float(found.time[k]), float(found.V[k])) for k in kept),
     )
@@ -154,7 +153,7 @@ def _run_facts(run: Recording) -> tuple[list[tuple[str, str]], dict[str, Any]]:
     numbers: dict[str, Any] = {"simulated": float(run.time[-1]), "diverged": run.divergence is not None}
     if error is not None:
         rms = [f"{value:.3g}" if value is not None else "-" for value in error.rms_by_eighth]
-        facts.append((f"RMS of $|{latex(error.signal)}|$ over each eighth of the run, {error.unit}", ", ".join(rms)))
+        facts.append((f"RMS of $|{error.signal.latex}|$ over each eighth of the run, {error.unit}", ", ".join(rms)))
         numbers["rms_by_eighth"] = list(error.rms_by_eighth)
     if turn is not None:
         rms = [f"{value:.3g}" if value is not None else "-" for value in turn.rms_by_eighth]

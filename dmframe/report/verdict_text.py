@@ -12,7 +12,8 @@ from dmframe.certify.checked import Checked
 from dmframe.columns import columns
 from dmframe.diagram.fingerprint import short
 from dmframe.diagram.wiring import Wire
-from dmframe.report.notation import spelled
+from dmframe.names import unicode_name
+from dmframe.text import DV, KAPPA, Text, joined, text_of
 
 HARD: Final = "\N{NO-BREAK SPACE}"
 WIDEST: Final = 116
@@ -20,7 +21,7 @@ WIDEST: Final = 116
 
 def verdict_text(name: str, verdict: Verdict) -> str:
     """Terminal page; `name` is the name of the graph."""
-    parts = [f"{name}: {verdict.headline}", fill(f"  {spelled(verdict.reason)}", **_wrapped())]
+    parts = [f"{name}: {verdict.headline}", fill(f"  {verdict.reason.unicode}", **_wrapped())]
     if verdict.claim is not None:
         parts.append(f"  model {short(verdict.claim.diagram.fingerprint)}: runs, exports and pages store this hash")
     if verdict.test is not None and verdict.test.zero:
@@ -29,13 +30,13 @@ def verdict_text(name: str, verdict: Verdict) -> str:
             f"  wrong with probability below 2^{bound:.0f}, over {verdict.test.trials} random points and primes"
         )
     if verdict.bounds:
-        parts += [spelled("  dV/dt may exceed minus the dissipation by"), columns(_bounds(verdict), "    ")]
+        parts += [f"  {DV.unicode} may exceed minus the dissipation by", columns(_bounds(verdict), "    ")]
     if verdict.refutation is not None:
         signals = ", ".join(verdict.refutation.signals)
         parts.append(f"  smallest set of non-zero signals: {signals or 'empty; refuted with all signals zero'}")
         parts.append("  exact point: see --json")
     if verdict.conditions:
-        rows = [(spelled(c.name), "" if c.value is None else f"{c.value:.4g}", _mark(c)) for c in verdict.conditions]
+        rows = [(c.name.unicode, "" if c.value is None else f"{c.value:.4g}", _mark(c)) for c in verdict.conditions]
         parts.append(f"  conditions{_over(verdict)}; a margin must be positive (with ≥: not negative)")
         parts.append(columns(rows, "    "))
     if verdict.controls:
@@ -44,11 +45,11 @@ def verdict_text(name: str, verdict: Verdict) -> str:
     if verdict.flow_claim is not None:
         parts.append("  printed laws: compared with the code at two points; `dmframe check` compares them in full")
     if verdict.assumptions:
-        parts += ["  assumptions", *(_line(item.text) for item in verdict.assumptions)]
+        parts += ["  assumptions", *(_line(text_of(item.text)) for item in verdict.assumptions)]
     if verdict.statements and verdict.outcome == "proved":
         parts += ["  conclusions", *_followed(verdict)]
     if verdict.flow_claim is not None:
-        parts.append(spelled(f"  {verdict.build:.2f} s to build V and dV/dt, {verdict.check:.2f} s to decide"))
+        parts.append(f"  {verdict.build:.2f} s to build V and {DV.unicode}, {verdict.check:.2f} s to decide")
     return "\n".join(parts)
 
 
@@ -59,10 +60,11 @@ def _followed(verdict: Verdict) -> Iterator[str]:
         grouped = dict[tuple[str, ...], list[str]]()
         for item in found:
             own = item.assumes == (f"the derivative of {item.signal} is bounded",)
-            grouped.setdefault(("its own derivative is bounded",) if own else item.assumes, []).append(item.signal)
+            assumes = ("its own derivative is bounded",) if own else tuple(text.unicode for text in item.assumes)
+            grouped.setdefault(assumes, []).append(item.signal.unicode)
         for assumes, signals in grouped.items():
             given = f", each if {' and '.join(assumes)}" if assumes else ""
-            yield _items(f"{says.removeprefix('is ')}{given}: ", map(spelled, dict.fromkeys(signals)))
+            yield _items(f"{says.removeprefix('is ')}{given}: ", dict.fromkeys(signals))
     states = verdict.states
     if states is not None and states.unfelt:
         yield _items(
@@ -76,12 +78,12 @@ def _followed(verdict: Verdict) -> Iterator[str]:
         named = dict.fromkeys(
             line.whole.unicode + (f" ({block})" if len(meanings[line.name]) > 1 else "") for block, line in lines
         )
-        named |= dict.fromkeys(f"{name} of {block} is {spelled(goal)}" for block, name, goal in _led(verdict))
+        named |= dict.fromkeys(f"{name} of {block} is {goal}" for block, name, goal in _led(verdict))
         if named:
             yield _items("where ", named)
     for item in (item for item in verdict.statements if item.concludes):
-        assumed = f", assuming that {' and '.join(item.assumes)}" if item.assumes else ""
-        yield _line(f"=> {item.signal} {item.says}: {item.step}{assumed}")
+        assumed = Text(", assuming that ", joined(item.assumes, " and ")) if item.assumes else ""
+        yield _line(Text("=> ", item.signal, f" {item.says}: ", item.step, assumed))
 
 
 def _led(verdict: Verdict) -> Iterator[tuple[str, str, str]]:
@@ -89,7 +91,7 @@ def _led(verdict: Verdict) -> Iterator[tuple[str, str, str]]:
     diagram = verdict.flow_claim.diagram if verdict.flow_claim is not None else None
     for (block, port), source in diagram.sources.items() if diagram is not None else ():
         if isinstance(source, Wire) and port.endswith("_d") and source.port != port:
-            yield block, port, f"{source.port} ({source.block})"
+            yield block, port, f"{unicode_name(source.port)} ({source.block})"
 
 
 def _items(lead: str, items: Iterable[str]) -> str:
@@ -97,9 +99,9 @@ def _items(lead: str, items: Iterable[str]) -> str:
     return fill(f"    {lead}{kept}", **_wrapped()).replace(HARD, " ")
 
 
-def _line(text: str) -> str:
+def _line(text: Text) -> str:
     """Indented, wrapped sentence."""
-    return fill(f"    {spelled(text)}", **_wrapped())
+    return fill(f"    {text.unicode}", **_wrapped())
 
 
 def _wrapped() -> dict[str, Any]:
@@ -116,11 +118,11 @@ def _bounds(verdict: Verdict) -> list[tuple[str, str]]:
     """Terms of the residual with their bounds."""
     rows = []
     for bound in verdict.bounds:
-        kappa = "kappa * " if bound.weight == "kappa" else ""
+        kappa = f"{KAPPA.unicode}·" if bound.weight == "kappa" else ""
         unknown = "a constant of the motion" if bound.constant else "no known bound"
-        number = unknown if bound.value is None else f"<= {kappa}{bound.value:.4g}"
-        value = f"{number} {'times ' if bound.value is None and bound.times else ''}{bound.times}".strip()
-        rows.append((spelled(f"{bound.block}: {bound.term}"), spelled(value)))
+        number = unknown if bound.value is None else f"≤ {kappa}{bound.value:.4g}"
+        value = f"{number} {'times ' if bound.value is None and bound.times else ''}{bound.times.unicode}".strip()
+        rows.append((f"{bound.block}: {bound.term.unicode}", value))
     return rows
 
 

@@ -9,7 +9,6 @@ from dmframe.certify import Verdict
 from dmframe.certify.claim import Claim
 from dmframe.certify.states import held_in_v
 from dmframe.errors import listed
-from dmframe.report.notation import marked, signal_latex
 from dmframe.units import plain
 
 _UNDER: Final = "under the conditions checked and the assumptions listed below."
@@ -108,13 +107,10 @@ def _open(verdict: Verdict) -> str:
 
 def _sentence(verdict: Verdict) -> str:
     """Consequences of V and its derivative, and whether they include stability of the whole loop."""
-    laws = verdict.flow_claim.laws if verdict.flow_claim is not None else {}
-    signals = [f"${signal_latex(item.signal, laws)}$" for item in verdict.statements if item.concludes]
+    signals = [f"${item.signal.latex}$" for item in verdict.statements if item.concludes]
     if not signals:
         signals = [
-            f"${signal_latex(item.signal, laws)}$"
-            for item in verdict.statements
-            if item.says == "goes to zero" and not item.assumes
+            f"${item.signal.latex}$" for item in verdict.statements if item.says == "goes to zero" and not item.assumes
         ]
     goes = f" {listed(signals)} {'goes' if len(signals) == 1 else 'go'} to zero," if signals else ""
     if left_open := _open(verdict):
@@ -148,7 +144,7 @@ def _other_terms(verdict: Verdict) -> str:
 def _sentence_with_residual(verdict: Verdict) -> str:
     """Sentence on a loop with a bounded residual: V may grow, no convergence to zero."""
     ultimate = any(item.says == "is ultimately bounded" for item in verdict.statements)
-    assumed = list(dict.fromkeys(marked(text) for item in verdict.statements for text in item.assumes))
+    assumed = list(dict.fromkeys(text.marked for item in verdict.statements for text in item.assumes))
     provided = f", if {listed(assumed)}," if assumed else ","
     follows = (
         "every signal in $V$ is ultimately bounded"
@@ -223,29 +219,29 @@ def _refuted(verdict: Verdict) -> Meaning:
 
 
 def _not_applicable(verdict: Verdict) -> Meaning:
-    failing = [condition.name for condition in verdict.conditions if not condition.holds]
+    failing = [condition.name.marked for condition in verdict.conditions if not condition.holds]
     means: tuple[str, ...]
     if verdict.flow_claim is None:
         means = (
             "A proof requires a certificate (storage function and dissipation) from every block. It is missing for the "
             "reason given, so nothing was tested.",
         )
-        why = f"this graph has no certificate to test: {marked(verdict.reason)}."
+        why = f"this graph has no certificate to test: {verdict.reason.marked}."
     elif failing:
         means = (
             f"The identity for $\\dot V$ is exact. {_decided(verdict)}",
             f"But {somewhere(verdict)} these conditions of the theorem fail: "
-            f"{'; '.join(map(marked, failing))}. The table lists their margins.",
+            f"{'; '.join(failing)}. The table lists their margins.",
         )
         count = f"{len(failing)} of its {len(verdict.conditions)} conditions"
         fails = "fails" if len(failing) == 1 else "fail"
         why = (
             f"the formula for $\\dot V$ is right, but {count} {fails} {somewhere(verdict)}, the first being "
-            f"{marked(failing[0])}."
+            f"{failing[0]}."
         )
     else:
         means = ("The test did not detect all injected faults, so its result is not valid.",)
-        why = f"{marked(verdict.reason)}."
+        why = f"{verdict.reason.marked}."
     not_means = (
         "That the loop is unstable, or that the blocks are wrong.",
         "That the loop is stable.",

@@ -11,8 +11,11 @@ import numpy as np
 
 from dmframe.certificate import SX
 from dmframe.diagram.closed_loop import ClosedLoop, Followed
+from dmframe.formula import Formula, tree
+from dmframe.formula.tree import SCALAR, Name
 from dmframe.simulate import Recording
 from dmframe.simulate.keep import apart_of
+from dmframe.text import Text
 from dmframe.units import plain
 
 EIGHTHS = 8
@@ -44,7 +47,7 @@ class TrackingError:
         Labels ``block.port`` of the two signals.
     """
 
-    signal: str
+    signal: Text
     unit: str
     times: np.ndarray
     values: np.ndarray
@@ -127,12 +130,12 @@ def tracking_error(run: Recording) -> TrackingError | None:
     if goal is None:
         return None
     desired, actual = goal.desired, goal.actual
-    name = actual.split(".", 1)[1]
+    names = [label.split(".", 1)[1] for label in (actual, desired)]
     values = np.asarray(run[actual] - run[desired])
     norm = euclidean(values)
     signal = next(signal for signal in run.diagram.loop.outputs if signal.label == actual)
     return TrackingError(
-        signal=f"{name} - {desired.split('.', 1)[1]}",
+        signal=Text(Formula(tree.subtract(Name(names[0]), Name(names[1]), SCALAR))),
         unit=signal.unit,
         times=run.time,
         values=values,

@@ -32,7 +32,7 @@ def storage_figure(name: str, run: RunLike) -> Any:
     except DmframeError:
         return None
     found = storage.along
-    names = [f"{term.drawn} ({verbatim(term.block)})" for term in found.terms]
+    names = [f"{term.of.unicode} ({verbatim(term.block)})" for term in found.terms]
     title = run_label(name, run.recording)
     return storage_picture(found, names, run.recording, title, storage.notice, storage.unit.unit)
 

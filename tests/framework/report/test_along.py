@@ -5,6 +5,7 @@ import pytest
 
 from dmframe.certify.along import Along, TermAlong, along
 from dmframe.errors import ValueFault
+from dmframe.text import Text
 from dmframe_plants.arm2.closed_form import mass_matrix
 
 
@@ -66,7 +67,7 @@ def test_the_largest_increase_is_told_with_its_time():
 
 @pytest.mark.parametrize("V", [[3.0, 2.0, 2.0], [1.0]])
 def test_a_v_that_never_rises_has_no_increase(V):
-    found = Along(np.arange(float(len(V))), 1.0, np.array(V), (TermAlong("a", "x", np.array(V)),))
+    found = Along(np.arange(float(len(V))), 1.0, np.array(V), (TermAlong("a", Text("x"), np.array(V)),))
     assert (found.largest_increase, found.increase_at, found.rises) == (0.0, None, 0)
 
 
