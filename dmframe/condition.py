@@ -1,4 +1,7 @@
-"""Conditions of a block's proof: inequalities that values decide, and assumptions that a graph cannot decide."""
+"""Conditions of a block's proof: inequalities that values decide, and assumptions that a graph cannot decide.
+
+Their texts are words; a text with formulas is a `dmframe.text.sentence`.
+"""
 
 from __future__ import annotations
 
@@ -21,11 +24,11 @@ class Inequality:
     such a condition, so the message is also printed for a refuted diagram.
     """
 
-    name: str
+    name: Text | str
     expression: SX
-    source: str
+    source: Text | str
     strict: bool = True
-    otherwise: str = ""
+    otherwise: Text | str = ""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -40,10 +43,10 @@ class CommonLyapunov:
     corners. `a` and `b` are (rows, 2): lower and upper bounds, one row per joint.
     """
 
-    name: str
+    name: Text | str
     a: SX
     b: SX
-    source: str
+    source: Text | str
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -54,6 +54,8 @@ class Symbol:
 def symbol(name: str) -> Symbol:
     """Take a name apart. A name of words alone, ``maker_gravity``, stays one word."""
     start = name.endswith(_START)
+    if "." in name:  # the label of a signal
+        return Symbol(name)
     head, *tail = name.removesuffix(_START).split("_")
     above = [ACCENTS[word] for word in tail if word in ACCENTS]
     below = tuple(word for word in tail if word not in ACCENTS)

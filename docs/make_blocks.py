@@ -30,8 +30,8 @@ from dmframe.formula.where import sizes_show, where
 from dmframe.names import latex_name
 from dmframe.parameter import PAIRS, Spec, specs
 from dmframe.port import Access, Input, Output, Side, Signal
-from dmframe.report.notation import marked
 from dmframe.report.references import reference
+from dmframe.text import text_of
 
 sys.path.insert(0, str(Path(__file__).parent))
 from block_examples import Example, diagram_of, example, trials
@@ -264,8 +264,9 @@ def _conditions(shown: Example | None) -> Iterator[str]:
     seen = view(diagram, shown.block, stated)
     items = list(diagram.blocks[shown.block].conditions(seen.p, seen.truth))
     for item in items:
-        lead = f"Assumed: {marked(item.text)}" if isinstance(item, Assumption) else marked(item.name)
-        yield f"- {lead}" + f" ({marked(item.source)})" * bool(item.source)
+        assumed = isinstance(item, Assumption)
+        lead = f"Assumed: {text_of(item.text).marked}" if assumed else text_of(item.name).marked
+        yield f"- {lead}" + f" ({text_of(item.source).marked})" * bool(item.source)
     if not items:
         yield "None of its own."
 
@@ -302,7 +303,7 @@ def _what_if(kind: type[AbstractBlock], shown: Example) -> Iterator[str]:
         yield f"## What happens if `{name}` changes"
         yield f"`{name}` at multiples of its value in `{shown.graph}`, each run for {found.until:g} s:"
         heads = ("", f"`{found.label}`", "RMS error, first eighth", "last eighth", "")
-        yield _table(heads, [(*row[:-1], marked(row[-1])) for row in found.rows])
+        yield _table(heads, found.rows)
 
 
 def _said(text: str) -> str:

@@ -10,12 +10,23 @@ from typing import Any, Final
 
 import casadi as ca
 
-from dmframe.block import SX, Assumption, operation
+from dmframe.block import SX, Assumption, Written, operation, sentence
 
 LESS_THAN_HALF_A_TURN: Final = Assumption(
-    "the tool stays less than half a turn from its orientation, |R - R_d|^2 < 8: V(0) < 4 lever^2 is enough; half a "
-    "turn away e_R is zero too, an equilibrium that the least disturbance leaves",
-    "e_R goes to zero, and |e_R|^2 = |R - R_d|^2 (8 - |R - R_d|^2)/4",
+    sentence(
+        "the tool stays less than half a turn from its orientation, {apart} < 8: {V(0)} < {most} is enough; half a "
+        "turn away {e_R} is zero too, an equilibrium that the least disturbance leaves",
+        apart=Written("|R - R_d|^2", "|R − R_d|²", "|R - R_d|^2"),
+        most=Written("4 lever^2", "4 lever²", r"4\,\mathrm{lever}^2"),
+    ),
+    sentence(
+        "{e_R} goes to zero, and {size}",
+        size=Written(
+            "|e_R|^2 = |R - R_d|^2 (8 - |R - R_d|^2)/4",
+            "|e_R|² = |R − R_d|² (8 − |R − R_d|²)/4",
+            "|e_R|^2 = |R - R_d|^2\\, (8 - |R - R_d|^2)/4",
+        ),
+    ),
 )
 
 

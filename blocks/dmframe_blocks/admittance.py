@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import Final, final
 
 from dmframe.block import (
     AbstractBlock,
@@ -16,7 +16,10 @@ from dmframe.block import (
     Positive,
     Signals,
     State,
+    sentence,
 )
+
+FORCE: Final = sentence("the environment's force {f_ext} stays bounded")
 
 
 @final
@@ -88,7 +91,9 @@ class Admittance(AbstractBlock):
                     vectors=(x.x_a, x.v_a),
                     rates=((0, 1), (-p.K_a / p.M_a, -p.D_a / p.M_a)),
                     bounded=(x.x_a, x.v_a),
-                    otherwise=(Assumption("the environment's force f_ext stays bounded", "a passive environment"),),
+                    otherwise=(
+                        Assumption(sentence("the environment's force {f_ext} stays bounded"), "a passive environment"),
+                    ),
                     inputs=(0, u.f_ext / p.M_a),
                 ),
             ),

@@ -21,6 +21,7 @@ from dmframe.block import (
     Signals,
     Square,
     named,
+    sentence,
 )
 
 
@@ -95,8 +96,8 @@ class ComputedTorque(AbstractBlock):
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
         """(4) names no error where the adaptation is indirect: it is the prediction error that vanishes."""
         if truth.direct.is_zero():
-            text = (
-                "M_hat stays uniformly positive definite, so that where the prediction error vanishes the tracking "
+            text = sentence(
+                "{M_hat} stays uniformly positive definite, so that where the prediction error vanishes the tracking "
                 "error obeys its stable linear equation"
             )
             return (Assumption(text, "eqs. (54), (58)"),)

@@ -21,6 +21,7 @@ from dmframe.block import (
     PositiveDefinite,
     Signals,
     TrueValue,
+    sentence,
     solve_spd,
 )
 
@@ -91,4 +92,5 @@ class DirectAdaptation(AdaptingBlock):
 
     def conditions(self, p: Signals, truth: Signals) -> tuple[Condition, ...]:
         """M-hat stays invertible."""
-        return (Assumption("M_hat stays uniformly positive definite (a_d_hat_box can keep it so)", "eq. (60)"),)
+        text = sentence("{M_hat} stays uniformly positive definite (a_d_hat_box can keep it so)")
+        return (Assumption(text, "eq. (60)"),)

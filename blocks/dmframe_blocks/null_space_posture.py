@@ -17,6 +17,7 @@ from dmframe.block import (
     Positive,
     Real,
     Signals,
+    sentence,
 )
 
 
@@ -65,4 +66,4 @@ class NullSpacePosture(AbstractBlock):
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
         """V bounds the task, not a redundant robot's joints."""
-        return (Assumption("the joints stay bounded along the self-motion, which V does not weigh"),)
+        return (Assumption(sentence("the joints stay bounded along the self-motion, which {V} does not weigh")),)

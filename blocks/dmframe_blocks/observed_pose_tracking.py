@@ -131,7 +131,7 @@ class ObservedPoseTracking(AbstractBlock):
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
         """The observer must be fast enough for the task; half a turn from its orientation the tool feels no error."""
-        fast_enough = Inequality("beta > 4 gamma / 9", truth.beta - 4 * p.gamma / 9, "eqs. (26), (31)")
+        fast_enough = Inequality("beta > 4 gamma/9", truth.beta - 4 * p.gamma / 9, "eqs. (26), (31)")
         return fast_enough, LESS_THAN_HALF_A_TURN
 
     def _turn(self, u: Signals, R_d: SX) -> SX:

@@ -107,4 +107,4 @@ class ObservedTracking(AbstractBlock):
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
         """The observer must be fast enough for the task."""
-        return (Inequality("beta > 4 gamma / 9", truth.beta - 4 * p.gamma / 9, "eqs. (26), (31)"),)
+        return (Inequality("beta > 4 gamma/9", truth.beta - 4 * p.gamma / 9, "eqs. (26), (31)"),)

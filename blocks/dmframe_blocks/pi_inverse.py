@@ -28,6 +28,7 @@ from dmframe.block import (
     State,
     TrueValue,
     named,
+    sentence,
 )
 
 
@@ -168,4 +169,5 @@ class PiInverse(AdaptingBlock):
         """(1) itself is stable while w_I stays above zero, which a box guarantees."""
         if "w_I_box" in p:
             return (Inequality("w_I_box: lower end > 0", p.w_I_box[:, 0], "Theorem 1, K_I-hat uniformly positive"),)
-        return (Assumption("w_I stays uniformly above zero (give w_I_box to make sure of it)", "Theorem 1"),)
+        text = sentence("{w_I} stays uniformly above zero (give w_I_box to make sure of it)")
+        return (Assumption(text, "Theorem 1"),)

@@ -26,6 +26,7 @@ from dmframe.block import (
     Signals,
     TrueValue,
     named,
+    sentence,
 )
 
 
@@ -131,4 +132,5 @@ class PiTorqueInverse(AdaptingBlock):
         """The distance from q to q_c in (1) decays while w_I stays above zero, which a box guarantees."""
         if "w_I_box" in p:
             return (Inequality("w_I_box: lower end > 0", p.w_I_box[:, 0], "Section IV, K_I-hat uniformly positive"),)
-        return (Assumption("w_I stays uniformly above zero (give w_I_box to make sure of it)", "Section IV"),)
+        text = sentence("{w_I} stays uniformly above zero (give w_I_box to make sure of it)")
+        return (Assumption(text, "Section IV"),)

@@ -28,7 +28,9 @@ from dmframe.block import (
     Square,
     State,
     TrueValue,
+    Written,
     named,
+    sentence,
 )
 
 
@@ -201,10 +203,13 @@ class PidInverse(AdaptingBlock):
 
     def _otherwise(self, p: Signals) -> tuple[Condition, ...]:
         """(2) itself is stable while w_P and w_I move in boxes that keep it so."""
-        moving = "z'' + w_P z' + w_I z = 0 stays exponentially stable"
+        equation = Written("z'' + w_P z' + w_I z = 0", "z̈ + w_P ż + w_I z = 0", r"\ddot z + w_P \dot z + w_I z = 0")
+        moving = sentence("{equation} stays exponentially stable", equation=equation)
         if "w_P_box" in p and "w_I_box" in p:
             return (CommonLyapunov(moving, p.w_P_box, p.w_I_box, "eq. (43)"),)
-        return (Assumption(f"{moving} (give w_P_box and w_I_box to have it checked)", "eq. (43)"),)
+        return (
+            Assumption(sentence("{moving} (give w_P_box and w_I_box to have it checked)", moving=moving), "eq. (43)"),
+        )
 
     def _M_bar(self, p: Signals, truth: Signals) -> SX:
         return named("M_bar", (truth.K_D + truth.B / truth.K) * p.K_c + truth.K_P - truth.K_I / p.K_c)

@@ -60,6 +60,7 @@ from dmframe.parameter import (
     Vector,
 )
 from dmframe.port import ANY, PERIOD, TIME, Access, Adapted, Element, Input, Output, Side, State
+from dmframe.text import Written, sentence
 
 __all__ = [
     "ANY",
@@ -115,6 +116,7 @@ __all__ = [
     "Table",
     "TrueValue",
     "Vector",
+    "Written",
     "beyond",
     "clip",
     "derivative",
@@ -125,6 +127,7 @@ __all__ = [
     "names_of",
     "norm",
     "operation",
+    "sentence",
     "soft_between",
     "soft_clip",
     "soft_min",

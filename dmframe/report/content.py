@@ -19,7 +19,6 @@ from dmframe.formula.where import where
 from dmframe.parameter import specs
 from dmframe.report.linear import LinearView, linear_view
 from dmframe.report.measured import Measured, measure
-from dmframe.report.notation import marked_prose
 from dmframe.report.parts import Row
 from dmframe.report.planar import RobotModel, robot_model
 from dmframe.report.terms import Terms, parameter_text, rows_of_lines, terms_of
@@ -236,11 +235,11 @@ def _law(diagram: Diagram, name: str, printed: PrintedLaw) -> BlockLaw:
         if key in model.values:
             spec = specs(type(block))[key]
             text = parameter_text(model.values[key], spec)
-            values.append(Value(key, text, units[key], marked_prose(law.parameters.get(key, ""))))
+            values.append(Value(key, text, units[key], law.parameters.get(key, "")))
         elif key not in units:
             option = getattr(block, key)
             text = ", ".join(map(str, option)) if isinstance(option, tuple) else str(option)
-            values.append(Value(key, text or "none", "", marked_prose(law.parameters.get(key, ""))))
+            values.append(Value(key, text or "none", "", law.parameters.get(key, "")))
     rows = [replace(row, tag=str(place)) for place, row in enumerate(rows_of_lines(printed.lines), start=1)]
     return BlockLaw(name, diagram.type_of(name), block.side.value, law, tuple(rows), tuple(values))
 

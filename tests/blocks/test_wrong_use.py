@@ -29,7 +29,7 @@ def test_an_observer_too_slow_for_the_task_is_not_proved(beta: str) -> None:
         load_experiment("theorem_3", [f"observer.beta={beta}"]).diagram()
     )  # gamma is 2: 4 gamma / 9 = 0.889
     assert verdict.outcome == "not_applicable"
-    assert verdict.reason.startswith("the identity holds, but a condition fails: task: beta > 4 gamma / 9")
+    assert verdict.reason.startswith("the identity holds, but a condition fails: task: beta > 4 gamma/9")
 
 
 def test_an_observer_just_fast_enough_is_proved() -> None:
