@@ -123,7 +123,8 @@ class NormalisedSteps:
     @property
     def residual(self) -> SX:
         r"""The sum of :math:`\eta^2 / n`, never negative."""
-        return self._taken[3]
+        explained = ((y - summed(self.parts, h * self.true), self._size(h)) for h, y in self.rows)
+        return sum((ca.sum1(eta**2 / size) for eta, size in explained), ca.SX(0))
 
     @property
     def sizes(self) -> tuple[SX, ...]:
@@ -134,17 +135,16 @@ class NormalisedSteps:
         return self.floor + summed(self.parts, h * h * self.gain)
 
     @cached_property
-    def _taken(self) -> tuple[SX, SX, SX, SX]:
-        theta, moved, lost, gained = self.theta, ca.SX(0), ca.SX(0), ca.SX(0)
+    def _taken(self) -> tuple[SX, SX, SX]:
+        theta, moved, lost = self.theta, ca.SX(0), ca.SX(0)
         for h, y in self.rows:
             size = self._size(h)
             missed, error = y - summed(self.parts, h * theta), summed(self.parts, h * (theta - self.true))
             lost += ca.sum1(error**2 / size + self.floor * missed**2 / size**2)
-            gained += ca.sum1((missed + error) ** 2 / size)
             after = stepped(self.parts, theta, h, y, self.gain, self.floor)
             moved += ca.dot(after - theta, (after + theta - 2 * self.true) / self.gain)
             theta = ca.fmin(ca.fmax(after, self.box[0]), self.box[1]) if self.box else after
-        return theta, moved, lost, gained
+        return theta, moved, lost
 
 
 def stepped(parts: Sequence[int], theta: SX, h: SX, y: SX, gain: SX, floor: SX) -> SX:
@@ -280,7 +280,7 @@ class LeastSquaresSteps:
     @property
     def residual(self) -> SX:
         r"""The sum of :math:`\eta^2 / \nu`, never negative."""
-        return self._taken.gained
+        return sum((ca.sumsqr(y - summed(self.parts, h * self.true)) / self.floor for h, y in self.rows), ca.SX(0))
 
     @property
     def sizes(self) -> tuple[SX, ...]:
@@ -293,7 +293,7 @@ class LeastSquaresSteps:
 
     @cached_property
     def _taken(self) -> _Taken:
-        theta, moved, lost, gained = list[SX](), ca.SX(0), ca.SX(0), ca.SX(0)
+        theta, moved, lost = list[SX](), ca.SX(0), ca.SX(0)
         memories, sizes = list(unpacked(self.parts, self.gathered)), list[SX]()
         for j in range(len(self.parts)):
             now, true, gain = (self._part(column, j) for column in (self.theta, self.true, self.gain))
@@ -305,7 +305,6 @@ class LeastSquaresSteps:
                 after, next_W = now + learnt * missed / size, _metric(gain, memories[j])
                 moved += _form(after - true, next_W) - _form(error, W)
                 lost += missed**2 / size
-                gained += (missed + ca.dot(h, error)) ** 2 / self.floor
                 sizes += [*ldl(W)[1], size]
                 now = after
                 if self.box:
@@ -313,7 +312,7 @@ class LeastSquaresSteps:
                     sizes += [*ldl(next_W)[1], ca.diag(P)]
                     now, memories[j] = _put_back(now, memories[j], P, *(self._part(end, j) for end in self.box))
             theta.append(now)
-        return _Taken(ca.vertcat(*theta), tuple(memories), moved, lost, gained, tuple(sizes))
+        return _Taken(ca.vertcat(*theta), tuple(memories), moved, lost, tuple(sizes))
 
 
 @final
@@ -325,7 +324,6 @@ class _Taken:
     gathered: tuple[SX, ...]
     moved: SX
     lost: SX
-    gained: SX
     sizes: tuple[SX, ...]
 
 

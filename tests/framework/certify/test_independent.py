@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 from closed_loops import loop_of
 
-from dmframe.certify import claim_of
+from dmframe.certify import Claim, claim_of
+from dmframe.certify.claim import total
 from dmframe.certify.symbols import symbols_of
 from dmframe.robot.library import load
 
@@ -126,6 +127,12 @@ def translated(f: Any, inputs: list[list[Any]], circle: dict[Any, tuple[Any, Any
     return found
 
 
+def residual_of(claim: Claim) -> Any:
+    """dV/dt plus the dissipation, less all that V may gain, by CasADi's derivatives."""
+    own = [claim.weight(part) * (part.dissipation - part.excess - part.lemma) for part in claim.parts]
+    return claim.flow.unrecorded(claim.V) + total(own) - claim.consumption
+
+
 def residual_in_sympy(kept: set[str], factor: int = 1) -> Any:
     """dmframe's residual with the first element of some signals left as symbols, all else random fractions."""
     import sympy as sp
@@ -134,7 +141,7 @@ def residual_in_sympy(kept: set[str], factor: int = 1) -> Any:
     claim = claim_of(diagram)
     symbols = symbols_of(claim)
     (adapting,) = (part for part in claim.parts if part.block == "dynamics")
-    residual = claim.residual + (factor - 1) * adapting.rate
+    residual = residual_of(claim) + (factor - 1) * claim.flow.unrecorded(adapting.storage)
     f = symbols.function("residual", [residual])
     rng = random.Random(3)
     inputs: list[list[Any]] = []

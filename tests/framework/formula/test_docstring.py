@@ -129,7 +129,7 @@ SEEDED = {
     ),
     "a rate of another state": (r"\dot w &=", r"\dot v &=", "no state v"),
     "the second derivative": (r"\dot w &=", r"\ddot w &=", r"\ddot{w}"),
-    "a wrong weight in S": (r"K_\star/\Lambda}", r"K_\star \Lambda}", "S: the docstring's law is not what the cert"),
+    "a wrong weight in S": (r"K_\star/\Lambda}", r"K_\star \Lambda}", "S: the docstring's law is not that of the cert"),
     "a missing half in S": (r"S &= \tfrac12 |\tilde w|", r"S &= |\tilde w|", "S: the docstring"),
     "a weight of the dissipation": (r"-|\tilde w|^2_{K_\star}", r"-|\tilde w|^2_{K}", r"\dot{S}"),
     "a supply's sign": (r"(\tau_{dc} - K \sigma)", r"(\tau_{dc} + K \sigma)", r"\dot{S}"),
@@ -143,7 +143,7 @@ SEEDED = {
     "a function of too few arguments": (r"\dot w &= -\Lambda", r"\dot w &= \max \Lambda", "cannot be read"),
     "a left side that ends too early": (r"\dot w &=", r"\dot &=", "cannot be read"),
     "a number that is none": (r"\dot w &= -\Lambda", r"\dot w &= \sqrt{-1} \Lambda", r"\dot{w}"),
-    "no equation at all": (r"\dot w &= -\Lambda", r"-\Lambda", "no equation"),
+    "no equation at all": (r"\dot w &= -\Lambda", r"-\Lambda", "not an equation"),
     "another order of the product": (r"-\Gamma Y_d^\top \sigma  ", r"-Y_d^\top \Gamma \sigma  ", "cannot be"),
 }
 

@@ -1,0 +1,195 @@
+"""A second look at a residual that does not vanish in the field: at real points, in ball arithmetic.
+
+The field knows no function but sin and cos, takes every sign for possible, and reads literals as exact numbers; so a
+residual that is not zero there can still be zero at every real point. A claim is called refuted only if the residual is
+proved to be other than zero at some real point, and by more than the rounding of literals can explain.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterator, Sequence
+from fractions import Fraction
+from typing import Final, final
+
+from flint import arb
+
+from dmframe.exact.balls import ONE, RULES, ZERO, UndecidedError, ball, enclosed, precise
+from dmframe.exact.literal import computed, literal
+from dmframe.program import BY_NAME
+from dmframe.prove.claim import Claim, Symbol
+from dmframe.prove.point import Point, equalities
+
+POINTS = 4
+"""Points of each kind at which a residual is looked at."""
+
+TRIES = 100
+"""Points drawn to find one at which everything is defined."""
+
+VANISHED: Final = 1e-35
+"""A residual that is at most this, in proportion to its terms, is taken for zero."""
+
+NUDGES = 6
+"""Times that the computed literals are moved within their rounding."""
+
+FOLDED = 16
+"""Operations on literals that may have been carried out, and rounded, while the equations were written."""
+
+BY_A_FUNCTION = (
+    "not decided: {of} is what the blocks claim at every real point that was tried, to 35 digits, but only by a "
+    "property of a function (tanh, sqrt, sin of a sum) that the exact test does not know, or only away from where a "
+    "sign or a comparison switches"
+)
+BY_ROUNDING = (
+    "not decided: {of} differs from what the blocks claim, but by no more than the rounding of numbers in the code "
+    "that were computed with before they came into an equation (0.1 + 0.2 is 0.30000000000000004); write 0.3, or make "
+    "them parameters"
+)
+NOWHERE = (
+    f"not decided: what the blocks claim has a real value at none of {TRIES} random points; a root, power or logarithm "
+    "needs a region that was not found"
+)
+
+
+@precise()
+def doubt(claim: Claim, seed: int, of: str = "dV/dt") -> str:
+    """Why a claim that fails in the field is not refuted yet; empty where a real point refutes it. `of` names it.
+
+    Points are drawn of both signs, above zero (where roots and powers are real), and with some signals at zero (where
+    signs are); one at which something is not defined is drawn again, and is no difference.
+    """
+    look = _Look(claim, random.Random(seed))
+    reason = ""
+    for draw in (look.any_sign, look.positive, look.some_zero):
+        for point, residuals in look.defined(draw, POINTS):
+            differs = not all(residual.is_zero() for residual in residuals)
+            if differs and not look.is_rounding(point, residuals):
+                return ""
+            reason = BY_ROUNDING if differs else reason or BY_A_FUNCTION
+    return (reason or NOWHERE).format(of=of)
+
+
+Numbers = list[list[arb]]
+
+
+@final
+class Balls:
+    """The ring of real balls. Raises `UndecidedError` where an operation is not defined on a whole ball."""
+
+    def number(self, value: Fraction | int) -> arb:
+        """An exact number."""
+        return ball(Fraction(value))
+
+    def reduced(self, value: arb) -> arb:
+        """The ball itself."""
+        return value
+
+    def inverse(self, value: arb) -> arb:
+        """1 / value."""
+        return _defined(ONE / value)
+
+    def power(self, value: arb, exponent: int) -> arb:
+        """A whole power."""
+        return _defined(value**exponent)
+
+    def call(self, name: str, *arguments: arb) -> arb:
+        """A function's value."""
+        return _defined(RULES[BY_NAME[name].code](*map(arb, arguments)))
+
+
+def _defined(value: arb) -> arb:
+    if not value.is_finite():
+        raise UndecidedError("an operation that is not defined on a whole ball")
+    return value
+
+
+@final
+class _Look:
+    """Residuals and their scales at real points."""
+
+    def __init__(self, claim: Claim, rng: random.Random) -> None:
+        self._claim, self._rng = claim, rng
+        self._has_computed = any(map(computed, claim.tape.numbers.values()))
+
+    def defined(self, draw: Callable[[Symbol], list[arb]], wanted: int) -> Iterator[tuple[Numbers, list[arb]]]:
+        """So many points, or fewer, at which everything has a value; with the residuals, zero where they vanish."""
+        for _ in range(TRIES):
+            point = [self._drawn(group, draw) for group in self._claim.symbols]
+            try:
+                found = self._left(self._elements(point))
+            except UndecidedError:
+                continue
+            yield point, found
+            wanted -= 1
+            if not wanted:
+                return
+
+    def _drawn(self, group: Symbol, draw: Callable[[Symbol], list[arb]]) -> list[arb]:
+        if group.values is not None:
+            return [ball(value) for value in group.values]
+        return self._numbers(group, Fraction(1, 2), Fraction(2)) if group.kind == "parameter" else draw(group)
+
+    def any_sign(self, group: Symbol) -> list[arb]:
+        """Signals between -1.5 and 1.5; parameters are always between 0.5 and 2."""
+        return self._numbers(group, Fraction(-3, 2), Fraction(3, 2))
+
+    def positive(self, group: Symbol) -> list[arb]:
+        """Signals between 0.1 and 1.5."""
+        return self._numbers(group, Fraction(1, 10), Fraction(3, 2))
+
+    def some_zero(self, group: Symbol) -> list[arb]:
+        """Each signal zero with probability one half."""
+        zero = self._rng.random() < 0.5
+        return [ZERO] * group.size if zero else self.any_sign(group)
+
+    def _numbers(self, group: Symbol, low: Fraction, high: Fraction) -> list[arb]:
+        steps = (self._rng.getrandbits(64) for _ in range(group.size))
+        return [ball(low + (high - low) * Fraction(step, 2**64)) for step in steps]
+
+    def is_rounding(self, point: Numbers, residuals: Sequence[arb]) -> bool:
+        """True where no residual is larger than what it moves by when computed literals move within their rounding."""
+        if not self._has_computed:
+            return False
+        own, spread = self._elements(point), [ZERO] * len(residuals)
+        for _ in range(NUDGES):
+            try:
+                moved = self._elements(point, self._nudged())
+            except UndecidedError:
+                continue
+            spread = [max(s, (a - b).abs_upper()) for s, (a, _), (b, _) in zip(spread, moved, own, strict=True)]
+        return all(abs(residual) <= FOLDED * reach for residual, reach in zip(residuals, spread, strict=True))
+
+    def _nudged(self) -> Callable[[float], arb]:
+        """Each computed literal moved by up to half a unit of its last place, the same one by the same amount."""
+        moves = dict[float, float]()
+
+        def worth(constant: float) -> arb:
+            if not computed(literal(constant)):
+                return ball(constant)
+            share = moves.setdefault(constant, self._rng.uniform(-1, 1))
+            return ball(constant) * (1 + share * arb((1, -53)))
+
+        return worth
+
+    @staticmethod
+    def _left(elements: Sequence[tuple[arb, arb]]) -> list[arb]:
+        """The residuals, those that vanish among their terms as zero. Raises `UndecidedError`."""
+        found = list[arb]()
+        for residual, scale in elements:
+            vanishes = abs(residual) <= VANISHED * scale
+            if not vanishes and not abs(residual) > VANISHED * scale:
+                raise UndecidedError("a residual that is known too coarsely")
+            found.append(ZERO if vanishes else residual)
+        return found
+
+    def _elements(self, point: Numbers, constant: Callable[[float], arb] = ball) -> list[tuple[arb, arb]]:
+        """Each element of a residual, with the sum of the absolute values of its terms."""
+        claim = self._claim
+        inputs = [*point, *(point[claim.inputs[label]] for label in claim.gains)]
+        at = Point(claim, Balls(), inputs, enclosed(claim.program, claim.program.elements(inputs), constant))
+        pairs = list[tuple[arb, arb]]()
+        for equality in equalities(at, at.moves(claim.moved)):
+            terms = [list(map(arb, row)) for row in zip(*(s.column for s in equality.summands), strict=True)]
+            scales = [sum(map(abs, row), ZERO) for row in terms]
+            pairs += zip((sum(row, ZERO) for row in terms), scales, strict=True)
+        return pairs
