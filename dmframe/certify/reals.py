@@ -1,23 +1,25 @@
-"""A second look at a residual that does not vanish in the field: at real points, with so many digits as it takes.
+"""A second look at a residual that does not vanish in the field: at real points, in ball arithmetic.
 
 The field knows no function but sin and cos, takes every sign for possible, and reads literals as exact numbers; so a
-residual that is not zero there can still be zero at every real point. A claim is called refuted only if some real point
-shows it, by more than rounding can explain.
+residual that is not zero there can still be zero at every real point. A claim is called refuted only if the residual is
+proved to be other than zero at some real point, and by more than the rounding of literals can explain.
 """
 
 from __future__ import annotations
 
 import random
 from collections.abc import Callable, Iterator, Sequence
-from decimal import Decimal
 from fractions import Fraction
-from typing import final
+from functools import reduce
+from typing import Final, final
+
+from flint import arb
 
 from dmframe.certify.identity import Equality
 from dmframe.certify.symbols import Group, Symbols
 from dmframe.exact import Tape
-from dmframe.exact.digits import UndefinedHere, at_point, decimal_of
-from dmframe.exact.literal import computed
+from dmframe.exact.balls import ZERO, UndecidedError, ball, enclosed, precise
+from dmframe.exact.literal import computed, literal
 
 POINTS = 4
 """Points of each kind at which a residual is looked at."""
@@ -25,8 +27,8 @@ POINTS = 4
 TRIES = 100
 """Points drawn to find one at which everything is defined."""
 
-VANISHED = Decimal("1e-35")
-"""What 60 digits may leave of a residual that is zero, in proportion to its terms."""
+VANISHED: Final = 1e-35
+"""A residual that is at most this, in proportion to its terms, is taken for zero."""
 
 NUDGES = 6
 """Times that the computed literals are moved within their rounding."""
@@ -50,6 +52,7 @@ NOWHERE = (
 )
 
 
+@precise()
 def doubt(stated: Sequence[Equality], symbols: Symbols, seed: int, of: str = "dV/dt") -> str:
     """Why a claim that fails in the field is not refuted yet; empty where a real point refutes it. `of` names it.
 
@@ -59,15 +62,15 @@ def doubt(stated: Sequence[Equality], symbols: Symbols, seed: int, of: str = "dV
     look = _Look(stated, symbols, random.Random(seed))
     reason = ""
     for draw in (look.any_sign, look.positive, look.some_zero):
-        for point in look.defined(draw, POINTS):
-            found = look.difference(point)
-            if found and not look.is_rounding(point):
+        for point, residuals in look.defined(draw, POINTS):
+            differs = not all(residual.is_zero() for residual in residuals)
+            if differs and not look.is_rounding(point, residuals):
                 return ""
-            reason = BY_ROUNDING if found else reason or BY_A_FUNCTION
+            reason = BY_ROUNDING if differs else reason or BY_A_FUNCTION
     return (reason or NOWHERE).format(of=of)
 
 
-Point = list[list[Decimal]]
+Point = list[list[arb]]
 
 
 @final
@@ -76,88 +79,88 @@ class _Look:
 
     def __init__(self, stated: Sequence[Equality], symbols: Symbols, rng: random.Random) -> None:
         expressions = [equality.expression for equality in stated] + [equality.scale for equality in stated]
-        self._tape = Tape.from_function(symbols.function("residual", expressions))
-        self._has_computed = any(map(computed, self._tape.numbers.values()))
+        tape = Tape.from_function(symbols.function("residual", expressions))
+        self._program, self._has_computed = tape.program, any(map(computed, tape.numbers.values()))
         self._groups, self._rng = symbols.groups, rng
 
-    def defined(self, draw: Callable[[Group], list[Decimal]], wanted: int) -> Iterator[Point]:
-        """So many points, or fewer, at which everything has a value."""
+    def defined(self, draw: Callable[[Group], list[arb]], wanted: int) -> Iterator[tuple[Point, list[arb]]]:
+        """So many points, or fewer, at which everything has a value; with the residuals, zero where they vanish."""
         for _ in range(TRIES):
             point = [self._values(group, draw) for group in self._groups]
             try:
-                at_point(self._tape, point)
-            except UndefinedHere:
+                found = self._left(self._elements(point))
+            except UndecidedError:
                 continue
-            yield point
+            yield point, found
             wanted -= 1
             if not wanted:
                 return
 
-    def _values(self, group: Group, draw: Callable[[Group], list[Decimal]]) -> list[Decimal]:
+    def _values(self, group: Group, draw: Callable[[Group], list[arb]]) -> list[arb]:
         if group.values is not None:
-            return [decimal_of(value) for value in group.values]
-        return self._numbers(group, Decimal("0.5"), 2) if group.kind == "parameter" else draw(group)
+            return [ball(value) for value in group.values]
+        return self._numbers(group, Fraction(1, 2), Fraction(2)) if group.kind == "parameter" else draw(group)
 
-    def any_sign(self, group: Group) -> list[Decimal]:
+    def any_sign(self, group: Group) -> list[arb]:
         """Signals between -1.5 and 1.5; parameters are always between 0.5 and 2."""
-        return self._numbers(group, Decimal("-1.5"), Decimal("1.5"))
+        return self._numbers(group, Fraction(-3, 2), Fraction(3, 2))
 
-    def positive(self, group: Group) -> list[Decimal]:
+    def positive(self, group: Group) -> list[arb]:
         """Signals between 0.1 and 1.5."""
-        return self._numbers(group, Decimal("0.1"), Decimal("1.5"))
+        return self._numbers(group, Fraction(1, 10), Fraction(3, 2))
 
-    def some_zero(self, group: Group) -> list[Decimal]:
+    def some_zero(self, group: Group) -> list[arb]:
         """Each signal zero with probability one half."""
         zero = self._rng.random() < 0.5
-        return [Decimal(0)] * group.symbol.numel() if zero else self.any_sign(group)
+        return [ZERO] * group.symbol.numel() if zero else self.any_sign(group)
 
-    def _numbers(self, group: Group, low: Decimal, high: Decimal | int) -> list[Decimal]:
-        share = Decimal(2) ** -64
-        return [low + (high - low) * self._rng.getrandbits(64) * share for _ in range(group.symbol.numel())]
+    def _numbers(self, group: Group, low: Fraction, high: Fraction) -> list[arb]:
+        steps = (self._rng.getrandbits(64) for _ in range(group.symbol.numel()))
+        return [ball(low + (high - low) * Fraction(step, 2**64)) for step in steps]
 
-    def difference(self, point: Point) -> bool:
-        """True where some residual is not zero."""
-        return any(self._left(at_point(self._tape, point)))
-
-    def is_rounding(self, point: Point) -> bool:
+    def is_rounding(self, point: Point, residuals: Sequence[arb]) -> bool:
         """True where no residual is larger than what it moves by when computed literals move within their rounding."""
         if not self._has_computed:
             return False
-        outputs = at_point(self._tape, point)
-        honest, own = self._left(outputs), self._elements(outputs)
-        spread = [Decimal(0)] * len(honest)
+        own, spread = self._elements(point), [ZERO] * len(residuals)
         for _ in range(NUDGES):
             try:
-                moved = self._elements(at_point(self._tape, point, self._nudged()))
-            except UndefinedHere:
+                moved = self._elements(point, self._nudged())
+            except UndecidedError:
                 continue
-            spread = [max(s, abs(a - b)) for s, (a, _), (b, _) in zip(spread, moved, own, strict=True)]
-        return all(abs(residual) <= FOLDED * reach for residual, reach in zip(honest, spread, strict=True))
+            spread = [max(s, (a - b).abs_upper()) for s, (a, _), (b, _) in zip(spread, moved, own, strict=True)]
+        return all(abs(residual) <= FOLDED * reach for residual, reach in zip(residuals, spread, strict=True))
 
-    def _nudged(self) -> Callable[[Fraction], Decimal]:
+    def _nudged(self) -> Callable[[float], arb]:
         """Each computed literal moved by up to half a unit of its last place, the same one by the same amount."""
-        moves = dict[Fraction, Decimal]()
+        moves = dict[float, float]()
 
-        def worth(constant: Fraction) -> Decimal:
-            if not computed(constant):
-                return decimal_of(constant)
-            share = moves.setdefault(constant, Decimal(self._rng.uniform(-1, 1)) * Decimal(2) ** -53)
-            return decimal_of(constant) * (1 + share)
+        def worth(constant: float) -> arb:
+            if not computed(literal(constant)):
+                return ball(constant)
+            share = moves.setdefault(constant, self._rng.uniform(-1, 1))
+            return ball(constant) * (1 + share * arb((1, -53)))
 
         return worth
 
-    def _left(self, outputs: list[list[Decimal]]) -> list[Decimal]:
-        """The residuals, those that vanish among their terms as zero."""
-        return [
-            residual if abs(residual) > VANISHED * scale else Decimal(0) for residual, scale in self._elements(outputs)
-        ]
+    @staticmethod
+    def _left(elements: Sequence[tuple[arb, arb]]) -> list[arb]:
+        """The residuals, those that vanish among their terms as zero. Raises `UndecidedError`."""
+        found = list[arb]()
+        for residual, scale in elements:
+            vanishes = abs(residual) <= VANISHED * scale
+            if not vanishes and not abs(residual) > VANISHED * scale:
+                raise UndecidedError("a residual that is known too coarsely")
+            found.append(ZERO if vanishes else residual)
+        return found
 
-    def _elements(self, outputs: list[list[Decimal]]) -> list[tuple[Decimal, Decimal]]:
+    def _elements(self, point: Point, constant: Callable[[float], arb] = ball) -> list[tuple[arb, arb]]:
         """Each element of a residual, with its scale."""
+        program = self._program
+        outputs = program.dense(enclosed(program, program.elements(point), constant), ZERO)
         half = len(outputs) // 2
-        pairs = list[tuple[Decimal, Decimal]]()
+        pairs = list[tuple[arb, arb]]()
         for residuals, scales in zip(outputs[:half], outputs[half:], strict=True):
-            pairs += zip(
-                residuals, scales if len(scales) == len(residuals) else [max(scales)] * len(residuals), strict=True
-            )
+            own = scales if len(scales) == len(residuals) else [reduce(arb.max, scales)] * len(residuals)
+            pairs += zip(residuals, own, strict=True)
         return pairs
