@@ -9,10 +9,10 @@ storage function; from that single statement come the simulation, the C code and
 >>> print(g.verify().headline)
 proved
 
-These names are the public interface. Those who write blocks import `dmframe.block`, `dmframe.certificate`,
-`dmframe.parameter`, `dmframe.port`, `dmframe.linalg` and `dmframe.naming` too; all else is the inside of the house. The
-framework knows no block and no robot by name: they come from packages that register themselves under the entry-point
-groups ``dmframe.blocks`` and ``dmframe.robots``.
+These names are the public interface. Modules that define blocks also import `dmframe.block`, `dmframe.certificate`,
+`dmframe.parameter`, `dmframe.port`, `dmframe.linalg` and `dmframe.naming`; every other module is internal. The
+framework contains no block and no robot: packages register them under the entry-point groups ``dmframe.blocks`` and
+``dmframe.robots``.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ _HOMES: Final = {
     "tune": "study.tune",
     "verify": "graph.shortcuts",
 }
-"""Where each name lives: it is imported when someone asks for it, for some take a second."""
+"""The module of each name. A module is imported when its name is first used, since some imports take a second."""
 
 __all__ = [
     "DmframeError",

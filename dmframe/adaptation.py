@@ -1,25 +1,26 @@
-r"""Laws by which an estimate is adapted, and what each adds to dS/dt; options of every `dmframe.block.AdaptingBlock`.
+r"""Adaptation laws and their terms in dS/dt: gradient, sigma and e modification, dead zone, composite, forgetting.
 
-A block's estimate :math:`\hat\theta` of a constant :math:`\theta` is driven by an error s, through a gradient:
+Each is an option of every `dmframe.block.AdaptingBlock`. An error s drives the estimate :math:`\hat\theta` of a
+constant :math:`\theta` through a gradient:
 
 .. math::
 
     \dot{\hat\theta} = -\Gamma\, \Phi(\mathrm{beyond}(s, \mathrm{dead\_zone}))
                        - (\mathrm{leak} + \mathrm{error\_leak}\, |s|) (\hat\theta - \theta_0)
 
-:math:`\Phi` is linear, :math:`\theta_0` where the estimate starts. With all three left out it is the gradient law.
+:math:`\Phi` is linear and :math:`\theta_0` is the initial estimate. Without these three options it is the gradient law.
 
 ============== =======================================================================================================
-parameter      what it does
+parameter      effect
 ============== =======================================================================================================
-leak           sigma modification: pulls the estimate back to its start, so that it cannot drift away
-error_leak     e modification: the same, in proportion to the error: no pull once the error has gone
-dead_zone      a width v, :math:`\mathrm{beyond}(s, v) = s - \mathrm{clip}(s, v)`: no adaptation where the error is
+leak           sigma modification: the estimate decays towards its initial value, which prevents parameter drift
+error_leak     e modification: the same, proportional to the norm of the error; it vanishes with the error
+dead_zone      a width v, :math:`\mathrm{beyond}(s, v) = s - \mathrm{clip}(s, v)`: no adaptation while the error is
                within the noise
 ============== =======================================================================================================
 
 With :math:`S = \tfrac12 |\tilde\theta|^2_Q`, :math:`\tilde\theta = \hat\theta - \theta`, and
-:math:`\tilde\theta^\top Q \Gamma\, \Phi(s) = s^\top b` (b is what the error of the estimate does to the loop):
+:math:`\tilde\theta^\top Q \Gamma\, \Phi(s) = s^\top b` (b is the effect of the estimation error on the loop):
 
 .. math::
 
@@ -27,13 +28,13 @@ With :math:`S = \tfrac12 |\tilde\theta|^2_Q`, :math:`\tilde\theta = \hat\theta -
              - \tfrac12 (\mathrm{leak} + \mathrm{error\_leak}\, |s|)
              (|\tilde\theta|^2_Q + |\hat\theta - \theta_0|^2_Q - |\theta - \theta_0|^2_Q)
 
-so a leak dissipates two squares and leaves one that is constant, :math:`\tfrac12 \mathrm{leak}\, |\theta -
-\theta_0|^2_Q`: zero if the start was right. A dead zone leaves a term of either sign, at most the sum of its elements
-times :math:`|b_i|`. The literature's sigma is :math:`\Gamma^{-1} \mathrm{leak}`: as a rate, a leak has one unit for
-all estimates.
+A leak dissipates two squares and leaves a constant residual, :math:`\tfrac12 \mathrm{leak}\, |\theta -
+\theta_0|^2_Q`, which is zero if the initial estimate is the true value. A dead zone leaves a residual of either sign,
+bounded by the sum of its widths times :math:`|b_i|`. The sigma of the literature is :math:`\Gamma^{-1}
+\mathrm{leak}`; `leak` is a rate, so its unit is the same for all estimates.
 
-Where a prediction error :math:`e = W \tilde\theta` can be computed, of this estimate's error alone, a block may fit it
-too (`Fit`):
+A block that can compute a prediction error :math:`e = W \tilde\theta` of this estimation error alone may use it as a
+second driving signal (`Fit`):
 
 .. math::
 
@@ -41,15 +42,14 @@ too (`Fit`):
     P = (\Gamma^{-1} + G)^{-1}, \quad \dot G = -\mathrm{forgetting}\, G + W^\top R\, W, \quad G(0) = 0
 
 ============== =======================================================================================================
-parameter      what it does
+parameter      effect
 ============== =======================================================================================================
-R              composite: adapts by the prediction error too; without forgetting P = Gamma
-forgetting     bounded-gain forgetting: least squares over the last 1/forgetting seconds: each direction of theta
-               converges at about the rate of forgetting while W excites it, and has the gain Gamma where nothing is
-               known
+R              composite adaptation: the prediction error drives the estimate too; without forgetting P = Gamma
+forgetting     bounded-gain forgetting, least squares over about the last 1/forgetting seconds: each direction of theta
+               that W excites converges at about the rate of forgetting; a direction without data keeps the gain Gamma
 ============== =======================================================================================================
 
-P is at most :math:`\Gamma`, the bound of the gain. With :math:`c P^{-1}` as the weight of V, c a constant,
+:math:`P \le \Gamma`, so the gain is bounded. With the weight :math:`c P^{-1}` in V, c a constant,
 
 .. math::
 
@@ -57,9 +57,10 @@ P is at most :math:`\Gamma`, the bound of the gain. With :math:`c P^{-1}` as the
         \Phi(\mathrm{beyond}(s, \mathrm{dead\_zone})) - \tfrac c2 |e|^2_R
         - \tfrac c2 \mathrm{forgetting}\, |\tilde\theta|^2_G
 
-and without forgetting :math:`-c |e|^2_R`. Of a single estimate this is :math:`\dot P^{-1} = -\lambda P^{-1} +
-W^\top R W`, the book's law, with its :math:`\lambda = \mathrm{forgetting}\, (1 - P/\Gamma)` [SlotineLi1991]_. Of more,
-theirs scales all directions of P by the norm of P; this one bounds each by itself, and is rational.
+and without forgetting the fit dissipates :math:`c |e|^2_R`. For a scalar estimate this is :math:`\dot P^{-1} =
+-\lambda P^{-1} + W^\top R W`, the law of [SlotineLi1991]_ with its :math:`\lambda = \mathrm{forgetting}\,
+(1 - P/\Gamma)`. For several parameters the law of the book scales all directions of P by the norm of P. The law here
+bounds each direction separately, and it is rational in the states.
 
 References
 ----------
@@ -93,7 +94,7 @@ from dmframe.naming import named
 @final
 @dataclass(frozen=True)
 class Terms:
-    """What an adaptation adds to its block's certificate."""
+    """Terms of an adaptation in the certificate of its block."""
 
     dissipation: tuple[Dissipated, ...] = ()
     excess: tuple[Bounded, ...] = ()
@@ -107,14 +108,14 @@ class Terms:
 @final
 @dataclass(frozen=True)
 class Estimate:
-    """One estimate with what its certificate needs.
+    """One estimate, with the true value, initial value and weight of its storage function.
 
     Parameters
     ----------
     value, truth, nominal
-        The estimate, what it estimates, and where it starts.
+        The estimate, its true value and its initial value.
     weight
-        Q: S is half of |value - truth|_Q^2; a matrix, or a column for a diagonal.
+        Q: S is half of |value - truth|_Q^2; a matrix, or a column for a diagonal matrix.
     """
 
     value: SX
@@ -136,7 +137,7 @@ class Estimate:
 @final
 @dataclass(frozen=True)
 class Adaptation:
-    """The law that a block's parameters choose; None where they do not."""
+    """The adaptation law chosen by a block's parameters; None for each modification that is not used."""
 
     leak: SX | None
     error_leak: SX | None
@@ -148,7 +149,7 @@ class Adaptation:
         return self.leak is None and self.error_leak is None and self.width is None
 
     def drive(self, error: SX) -> SX:
-        """What the gradient takes for the error: what it has beyond the dead zone."""
+        """The error after the dead zone, which drives the gradient."""
         return error if self.width is None else beyond(error, self.width)
 
     def rate(self, gradient: SX, value: SX, nominal: SX, error: SX) -> SX:
@@ -159,7 +160,7 @@ class Adaptation:
         gradient
             :math:`-\Gamma \Phi(\mathrm{beyond}(s, \mathrm{dead\_zone}))`, of `drive`.
         value, nominal
-            The estimate, and where it starts.
+            The estimate and its initial value.
         error
             s.
         """
@@ -170,7 +171,7 @@ class Adaptation:
         return gradient
 
     def terms(self, estimates: Sequence[Estimate], error: SX) -> Terms:
-        """What the leaks of a block's estimates dissipate, and what they leave."""
+        """Dissipation and residual of the leaks of a block's estimates."""
         found = Terms()
         for estimate in estimates:
             if self.leak is not None:
@@ -184,7 +185,7 @@ class Adaptation:
         return found
 
     def idle(self, error: SX, effect: SX) -> Terms:
-        """What the dead zone leaves of s'b: b is what the errors of the block's estimates do."""
+        """Residual of the dead zone, clip(s, dead_zone)' b; b is the effect of the block's estimation errors."""
         if self.width is None:
             return Terms()
         return Terms(excess=(Clipped(error, self.width, effect),))
@@ -193,7 +194,7 @@ class Adaptation:
 @final
 @dataclass(frozen=True)
 class Fit:
-    """A prediction error that an estimate fits beside the error that drives it.
+    """A prediction error that drives an estimate in addition to the tracking error (composite adaptation).
 
     Parameters
     ----------
@@ -206,7 +207,7 @@ class Fit:
     forgetting
         None for composite adaptation without forgetting.
     state
-        The state that gathers G, a square matrix; read where there is forgetting.
+        The information matrix G, a square matrix; used with forgetting only.
     """
 
     error: SX
@@ -221,19 +222,19 @@ class Fit:
         return self.regressor.T @ (self.by * self.error)
 
     def gained(self, gain: SX, gradient: SX) -> SX:
-        """P times a gradient, with Gamma the `gain`: a matrix, or a column for a diagonal."""
+        """P times a gradient; `gain` is Gamma: a matrix, or a column for a diagonal matrix."""
         if self.forgetting is None:
             return times(gain, gradient)
         return solve_spd(square(metric(gain)) + self._memory, gradient)
 
     def rates(self, state: str) -> dict[str, SX]:
-        """The rate of G, if there is forgetting, by the state's name."""
+        """The rate of G by the state's name; empty without forgetting."""
         if self.forgetting is None:
             return {}
         return {state: gathered(self._memory, self.regressor, self.by, self.forgetting)}
 
     def terms(self, estimate: Estimate, c: SX) -> Terms:
-        """What V holds more than the estimate's own square, whose weight is c over Gamma, and what the fit spends."""
+        """Dissipation of the fit, and its storage in addition to the square with weight c / Gamma."""
         if self.forgetting is None:
             return Terms((Square(self.error, c * self.by),))
         spent = Square(self.error, c * self.by / 2), self._gathered(estimate, c * self.forgetting / 2)
@@ -241,7 +242,7 @@ class Fit:
 
     @property
     def _memory(self) -> SX:
-        """G: symmetric, whatever the state's symbols are."""
+        """The symmetric part of the state: rounding does not make G asymmetric."""
         assert self.state is not None
         return named("G", (self.state + self.state.T) / 2)
 
@@ -250,7 +251,7 @@ class Fit:
 
 
 def adaptation(p: Any) -> Adaptation:
-    """The law that the parameters `leak`, `error_leak` and `dead_zone` of a block choose."""
+    """The adaptation law chosen by the parameters `leak`, `error_leak` and `dead_zone` of a block."""
     return Adaptation(
         p.leak if "leak" in p else None,
         p.error_leak if "error_leak" in p else None,

@@ -1,4 +1,4 @@
-"""What keeps a position inside its limits while a reference velocity is followed well enough: a claim about a tube."""
+"""Reference velocities that respect position limits, and the bound by which the position may exceed them."""
 
 from __future__ import annotations
 
@@ -15,51 +15,51 @@ from dmframe.naming import operation
 
 @operation
 def soft_min(first: SX, second: SX, width: SX) -> SX:
-    """The smaller of both, element by element, and a little less where they are less than some widths apart."""
+    """Smooth minimum, element by element; it is less than the minimum where the arguments differ by a few widths."""
     return (first + second - _rounded(first - second, width)) / 2
 
 
 @operation
 def soft_between(wish: SX, lower: SX, upper: SX, width: SX) -> SX:
-    """The wish where it is well between both ends, smoothly led to an end elsewhere; always between them."""
+    """Smooth saturation of `wish` between `lower` and `upper`; the value always lies between them."""
     return (lower + upper + _rounded(wish - lower, width) - _rounded(wish - upper, width)) / 2
 
 
 def _rounded(x: SX, width: SX) -> SX:
-    """The absolute value, rounded off about zero; what stands under the root is 1 or more."""
+    """Smooth absolute value. The radicand is at least 1, so the root is differentiable everywhere."""
     return width * ca.sqrt(1 + (x / width) ** 2)
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Barrier:
-    r"""A reference velocity that leads no position beyond its limits, and the tube in which the position then stays.
+    r"""A reference velocity that respects position limits, and the tube in which the position stays.
 
-    With the room :math:`h = \mathrm{upper} - q` and :math:`h_2 = q - \mathrm{lower}`, the reference is
+    With the distances :math:`h = \mathrm{upper} - q` and :math:`h_2 = q - \mathrm{lower}`, the reference is
 
     .. math::
 
         \dot q_r = \mathrm{soft\_between}(\mathrm{wish}, -\mathrm{soft\_min}(v, a h_2), \mathrm{soft\_min}(v, a h))
 
-    so that :math:`-a h_2 \le \dot q_r \le a h`, and :math:`|\dot q_r| \le v`, whatever is wished. With
+    so that :math:`-a h_2 \le \dot q_r \le a h` and :math:`|\dot q_r| \le v` for every `wish`. With
     :math:`s = \dot q - \dot q_r`
 
     .. math:: \dot h \ge -a h - |s| \quad\Rightarrow\quad h(t) \ge e^{-a t} h(0) - |s|_{L_2} / \sqrt{2 a}
 
-    and V, which spends :math:`|s|^2`, has no more than V(0) to spend.
+    V dissipates :math:`|s|^2`, so V(0) bounds its integral :math:`|s|_{L_2}^2`.
 
     Parameters
     ----------
     position
         q, a column of states of the plant.
     wish
-        The velocity that would be followed without limits.
+        The reference velocity without limits.
     lower, upper
-        Where the reference stops: columns of parameters.
+        Positions at which the reference stops: columns of parameters.
     speed, rate, width
-        v, a and the width of the soft minima: columns or scalars of parameters, above zero.
+        v, a and the width of the smooth minima: columns or scalars of parameters, > 0.
     margin
-        By how much `lower` and `upper` lie inside the true limits.
+        Distance of `lower` and `upper` from the true limits, inwards.
     """
 
     position: SX
@@ -97,6 +97,6 @@ class Barrier:
         return soft_between(self.wish, lower, upper, self.width)
 
     def with_pieces(self, pieces: Sequence[SX]) -> Barrier:
-        """The same of other expressions."""
+        """The same barrier with other expressions."""
         position, wish, lower, upper, speed, rate, width, margin = pieces
         return Barrier(position, wish, lower, upper, speed, rate, width, margin, self.of)

@@ -1,7 +1,8 @@
-"""Finds block types and packaged graphs: in the packages registered for it, and in a user's own files.
+"""Find block types and packaged graphs in the registered packages and in the user's files.
 
-A package joins by an entry point in the group ``dmframe.blocks`` whose value names it. Every public module of it holds
-one block: ``pid_inverse.py`` holds ``PidInverse``, of ``type: pid_inverse``. Its folder ``graphs`` holds graph files.
+A package registers itself by an entry point in the group ``dmframe.blocks`` whose value is the package's name. Each of
+its public modules defines one block: ``pid_inverse.py`` defines ``PidInverse``, for ``type: pid_inverse``. Its folder
+``graphs`` contains graph files.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _LOADED = "__dmframe_source__"
 
 
 def packages() -> Iterator[ModuleType]:
-    """The registered block packages. Raises `BlockError` for one that cannot be imported, or where there is none."""
+    """The registered block packages. Raises `BlockError` if one cannot be imported, or if there is none."""
     found = {point.value: point for point in _points(tuple(sys.path))}  # an editable install may be listed twice
     if not found:
         raise BlockError(f"no package is registered under the entry-point group {GROUP}; install dmframe first")
@@ -43,7 +44,7 @@ def packages() -> Iterator[ModuleType]:
 
 @functools.lru_cache(maxsize=8)
 def _points(path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
-    """The entry points of what is installed along a path, which takes milliseconds to read."""
+    """The entry points of the distributions on a path. Reading them takes milliseconds, so they are cached."""
     return tuple(entry_points(group=GROUP))
 
 
@@ -52,12 +53,12 @@ def _imported(module: str, what: str) -> ModuleType:
         return importlib.import_module(module)
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # whatever it raises, SystemExit too, one line says whose fault it is
+    except BaseException as error:  # SystemExit included: the message names the package
         raise BlockError(f"{what} cannot be imported: {type(error).__name__}: {error}") from error
 
 
 def block_modules() -> dict[str, str]:
-    """Block types with the modules that hold them, ``{"circle": "dmframe_blocks.circle"}``."""
+    """Block types and the modules that define them, ``{"circle": "dmframe_blocks.circle"}``."""
     modules = dict[str, str]()
     for package in packages():
         folders = tuple(package.__path__)
@@ -71,7 +72,7 @@ def block_modules() -> dict[str, str]:
 
 @functools.lru_cache(maxsize=8)
 def _listed(folders: tuple[str, ...], changed: tuple[int, ...]) -> tuple[str, ...]:
-    """The modules in a package's folders, read again where one of them has changed."""
+    """The modules in a package's folders; `changed`, their times of modification, is a part of the cache's key."""
     found = pkgutil.iter_modules(folders)
     return tuple(module.name for module in found if not (module.name.startswith("_") or module.ispkg))
 
@@ -82,7 +83,7 @@ def block_types() -> dict[str, type[AbstractBlock]]:
 
 
 def find_block(name: str, base: Path | None = None, where: str = "type") -> type[AbstractBlock]:
-    """The block of a type, or of ``file.py:Class`` beside the graph (`base` is the graph's folder)."""
+    """The class of a block type, or of ``file.py:Class`` in the folder of the graph, `base`."""
     file, colon, class_name = name.rpartition(":")
     if colon and file.endswith(".py"):
         return _from_file(base or Path(), file, class_name, where)
@@ -120,7 +121,7 @@ def _from_file(base: Path, file: str, class_name: str, where: str) -> type[Abstr
 
 
 def _load(path: Path, source: bytes, where: str) -> ModuleType:
-    """A user's file as a module of its own name, so that it can shadow nothing; loaded once."""
+    """A user's file as a module, loaded once; its unique name shadows no other module."""
     digest = hashlib.sha256(str(path.resolve()).encode() + source).hexdigest()[:16]
     name = f"dmframe_file_{path.stem}_{digest}"
     if name in sys.modules:
@@ -134,7 +135,7 @@ def _load(path: Path, source: bytes, where: str) -> ModuleType:
     try:
         # not by the loader: it trusts a cached compilation of a file that has the same size and second
         exec(compile(source, path, "exec"), vars(module))
-    except BaseException as error:  # whatever a user's file raises, SystemExit too, is told with its line
+    except BaseException as error:  # SystemExit included: the message gives the line in the user's file
         del sys.modules[name]
         if isinstance(error, KeyboardInterrupt):
             raise
@@ -147,7 +148,7 @@ def _load(path: Path, source: bytes, where: str) -> ModuleType:
 
 
 def loaded_digest(module: ModuleType | None) -> str | None:
-    """SHA-256 of the source that was run of a user's file, whatever lies there by now; None for any other module."""
+    """SHA-256 of a user's file as it was executed, even if it has changed since; None for any other module."""
     found = vars(module).get(_LOADED) if module is not None else None
     return found if isinstance(found, str) else None
 
@@ -174,7 +175,7 @@ def find_graph(name: str) -> Path:
 
 
 def realities() -> dict[str, Path]:
-    """Packaged sets of what stands between controller and robot, by name."""
+    """Packaged sets of channel models (delays, noise, limits between controller and robot), by name."""
     found = dict[str, Path]()
     for package in packages():
         for folder in package.__path__:
@@ -183,7 +184,7 @@ def realities() -> dict[str, Path]:
 
 
 def find_reality(name: str) -> Path:
-    """The file of a packaged set."""
+    """The file of a packaged set of channel models."""
     known = realities()
     if name not in known:
         raise UnknownNameError(f"reality {name}", "set", name, [*known, "none"])

@@ -1,11 +1,11 @@
-"""What a block claims about energy: storage, dissipation, supply, and the conditions under which it holds.
+"""Certificate of a block: storage function, dissipation, supply rate, and the conditions under which they hold.
 
-A block with storage S, dissipations d_i and supply s claims, along the closed loop,
+A block with storage S, dissipation terms d_i and supply rate s states, along the closed loop,
 
-    dS/dt = s - d_1 - d_2 - ... (+ e_1 + ..., bounded terms, of a robust adaptation)
+    dS/dt = s - d_1 - d_2 - ... (+ e_1 + ..., bounded residual terms of a robust adaptation)
 
-The supplies of the blocks of a diagram cancel, so that V, the weighted sum of the storages, falls by the dissipations.
-Squares and lemmas are kept apart, term by term, so that boundedness and integrability can be read off mechanically.
+The supply rates of the blocks of a diagram cancel, so that the weighted sum of the storage functions, V, decreases by
+the dissipation. Each term is a separate object, so that boundedness and integrability follow from the list of terms.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ from dmframe.terms import (
 @final
 @dataclass(frozen=True, eq=False)
 class Consumed:
-    r"""What a cascade takes from the servo level: :math:`c\,|a|^2`; some block there has to pay for it.
+    r"""Cross term of a cascade, :math:`c\,|a|^2`; the dissipation of a block on the servo level has to dominate it.
 
     Parameters
     ----------
     vector
-        a, a column: the error with which the servo level follows the cascade's reference.
+        a, a column: the error with which the servo level tracks the reference of the cascade.
     c
         A scalar of parameters.
     """
@@ -72,13 +72,13 @@ class Consumed:
 @final
 @dataclass(frozen=True, eq=False)
 class Driven:
-    r"""Signals that V does not weigh, and that stay bounded because a stable linear equation drives them.
+    r"""A stable linear subsystem: signals that V does not contain and that are bounded because their input is.
 
     .. math:: \dot z_j = \sum_k A_{jk} z_k + r_j, \quad j, k = 1 \dots N
 
-    one such equation a joint. That every remainder r is bounded is decided from the closed loop's equations, and that A
-    is stable at the graph's numbers, also while a state that it holds moves anywhere in its box. The signals that
-    follow, `bounded`, are the z plus something bounded; and where r vanishes, the z do.
+    holds for each joint. `verify` decides from the equations of the closed loop whether every r is bounded, and at the
+    graph's values whether A is stable, also for arbitrary motions of the states in A within their boxes. The signals
+    in `bounded` are the z plus bounded signals. If r vanishes, the z converge to zero.
 
     Parameters
     ----------
@@ -87,14 +87,14 @@ class Driven:
     rates
         A, row by row: columns or scalars of parameters, or of states with a box.
     bounded
-        What is bounded with them: columns.
+        Signals that are bounded if z is: columns.
     otherwise
-        Conditions that have to take its place where it is not shown.
+        Conditions that replace it where boundedness is not shown.
     of
-        How a reader writes what is bounded; printed from the expressions.
+        Printed names of the bounded signals; the framework makes them from the expressions.
     inputs
-        What comes from where nothing is known, such as the force of an environment, one an equation: where a remainder
-        is not shown to be bounded, it has to be without its input, and `otherwise` says what is assumed of that.
+        Unknown external inputs, one per equation, such as the force of an environment. If r is not shown to be bounded,
+        r without its input has to be, and `otherwise` states the assumption on the input.
     """
 
     vectors: tuple[SX, ...]
@@ -113,7 +113,7 @@ class Driven:
         return (*self.vectors, *(rate for row in self.rates for rate in row), *self.bounded, *self.inputs)
 
     def with_pieces(self, pieces: Sequence[SX]) -> Driven:
-        """The same equations of other expressions."""
+        """The same equations with other expressions."""
         left, count = list(pieces), len(self.vectors)
         vectors, left = left[:count], left[count:]
         rows = tuple(tuple(left[k * count : (k + 1) * count]) for k in range(count))
@@ -125,14 +125,14 @@ class Driven:
 @final
 @dataclass(frozen=True, eq=False)
 class TrueValue:
-    r"""What a state estimates, and what V weighs its error with: S holds :math:`\tfrac12 |\theta - \theta_{true}|_W^2`.
+    r"""True value of an estimate, and the weight of its error in S, :math:`\tfrac12 |\theta - \theta_{true}|_W^2`.
 
     Parameters
     ----------
     value
         The true value, a column; no function of the state.
     weight
-        W; of an `dmframe.block.AdaptingBlock`, a column or a scalar that stands beside the inverse of the gain.
+        W; for an `dmframe.block.AdaptingBlock`, a column or a scalar that multiplies the inverse of the gain.
     """
 
     value: SX
@@ -147,17 +147,17 @@ class TrueValue:
         return self.value, self.weight
 
     def with_pieces(self, pieces: Sequence[SX]) -> TrueValue:
-        """The same of other expressions."""
+        """The same with other expressions."""
         return TrueValue(*pieces)
 
 
 @final
 @dataclass(frozen=True)
 class Certificate:
-    r"""One block's part of the Lyapunov function.
+    r"""One block's contribution to the Lyapunov function.
 
-    With D the derivative d/dt along the closed loop, or, for a block whose stored states are sampled, the difference
-    over a sample, a block with storage S, dissipation d, supply s and residual e claims, identically,
+    D is the derivative d/dt along the closed loop; for a block with sampled states it is the difference over a sample.
+    A block with storage S, dissipation d, supply rate s and residual e states the identity
 
     .. math:: D S = s - \sum d + \sum e, \quad S = \tfrac12 \sum \mathrm{storage}
 
@@ -166,46 +166,46 @@ class Certificate:
     storage
         S is *half* the sum of these terms. Over samples it holds sampled states of the block and parameters alone.
     dissipation
-        What is lost, each term non-negative.
+        Dissipation; each term is non-negative.
     supply
-        The supply rate from the other blocks, besides the cross term.
+        The supply rate from the other blocks, without the cross term.
     consumes
         For a cascade: its cross term, which the servo level has to dominate.
     dominates
-        For the block that dominates a cross term: coefficients with which the vector of that term is composed of the
-        first dissipated squares' vectors, elementwise; none for another block.
+        For the block that dominates a cross term: elementwise coefficients with which the vector of that term is the
+        sum of the vectors of the first dissipated squares; empty for other blocks.
     task
-        The block stands on the task level: its storage has the weight 1 where the servo level has kappa.
+        The block belongs to the task level: its storage has the weight 1, that of the servo level has kappa.
     truth
-        True values that other blocks' estimates have: ``{"a_d": ...}``.
+        True values of other blocks' estimates: ``{"a_d": ...}``.
     excess
-        What dS/dt may have above minus the dissipation: terms that are not dissipated but bounded, such as a leak
-        leaves behind. A claim with one is proved up to a bounded residual.
+        The residual: bounded terms of dS/dt that are not dissipated, such as those of a leak. A claim with such a term
+        is proved up to a bounded residual.
     driven
-        Signals that stay bounded although V does not weigh them.
+        Stable linear subsystems: signals that are bounded although V does not contain them.
     estimates
-        The block's states that are estimates, with what they estimate. Their squares are added to the storage.
+        The block's states that are estimates, with their true values. Their squares are added to the storage.
     errors
-        Errors that the block is there to take away, where its storage holds them in another form; V does not count
-        them. That they go to zero is concluded if what is dissipated says so.
+        Errors that the block regulates and that its storage contains in another form; they are not added to V. Their
+        convergence to zero is concluded if it follows from the dissipation.
     filters
-        Inputs that the block changes before anybody follows them. What the block stores that gives one has no part in
-        V: its word is about a reference that is followed.
+        Inputs that the block modifies before another block tracks them. The storage of the block that outputs such an
+        input is left out of V, since it assumes that its reference is tracked unmodified.
     barriers
-        Limits that the reference velocity keeps which the block outputs; how far the robot does follows from V.
+        Limits that the reference velocity of the block respects; V bounds how far the robot exceeds them.
     steps
-        Estimates that take normalised steps, or steps of least squares, from sample to sample. What they store, lose
-        and gain is added to the storage, the dissipation and the residual.
+        Estimates that take normalised steps, or steps of least squares, from sample to sample. Their storage, decrease
+        and residual are added to those of the block.
     delay_lines
         Sampled states that store earlier samples.
     plant
-        Identities of the plant between two samples, on which the rows of the steps rest.
+        Identities of the plant between two samples, from which the rows of the steps are derived.
     solved
         Columns that are zero because the block has solved an equation for its output.
     acted
-        What rows hold as the command of a sample, with the plant's signal that it has to be: a configured delay.
+        Commands used in the rows of the steps, with the plant's signals that they have to equal: a configured delay.
     unknown
-        Free symbols for true constants with unknown values, such as where a servo's integrator started.
+        Free symbols for true constants with unknown values, such as the initial value of a servo's integrator.
     """
 
     storage: tuple[Stored, ...] = ()
@@ -233,7 +233,7 @@ class Certificate:
 
     @property
     def _parts(self) -> tuple[Any, ...]:
-        """All that is made of expressions, but for bare ones."""
+        """All objects that contain expressions; bare expressions are not among them."""
         terms = (*self.storage, *self.dissipation, *self.excess, *self.errors, *self.driven, *self.estimates.values())
         return (*terms, *self.barriers, *self.steps, *self.delay_lines, *self.plant, *self.acted)
 

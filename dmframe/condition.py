@@ -1,4 +1,4 @@
-"""What a block's proof needs: conditions that numbers decide, and assumptions that nothing in a graph can."""
+"""Conditions of a block's proof: inequalities that values decide, and assumptions that a graph cannot decide."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ SX = Any
 @final
 @dataclass(frozen=True)
 class Inequality:
-    """A condition: every element of `expression` is above zero (or not below, if not `strict`).
+    """A condition: every element of `expression` is > 0 (>= 0 if not `strict`).
 
-    `otherwise` is what to say where it fails, of one that the diagram itself must fulfil: the remedy, by name. The
-    identity may need it, so that it is told of a diagram that is refuted too.
+    `otherwise` is the message for a condition on the diagram itself: it names the remedy. The identity may depend on
+    such a condition, so the message is also printed for a refuted diagram.
     """
 
     name: str
@@ -33,10 +33,10 @@ class Inequality:
 @final
 @dataclass(frozen=True)
 class CommonLyapunov:
-    r"""A condition: :math:`\ddot z + a \dot z + b z = 0` is stable while a and b move anywhere in their boxes.
+    r"""A condition: :math:`\ddot z + a \dot z + b z = 0` is stable for arbitrary motions of a and b in their boxes.
 
-    It is enough that one P > 0 has :math:`A^\top P + P A < 0`, :math:`A = [[0, 1], [-b, -a]]`, at the four corners.
-    `a` and `b` are (rows, 2): lower and upper ends, one row a joint.
+    It is sufficient that one P > 0 satisfies :math:`A^\top P + P A < 0`, :math:`A = [[0, 1], [-b, -a]]`, at the four
+    corners. `a` and `b` are (rows, 2): lower and upper bounds, one row per joint.
     """
 
     name: str
@@ -59,7 +59,7 @@ class CommonLyapunov:
 @final
 @dataclass(frozen=True)
 class Assumption:
-    """Something that a proof needs and that nobody can check from the graph."""
+    """A fact that a proof uses and that cannot be checked from the graph."""
 
     text: str
     source: str = ""
@@ -69,4 +69,4 @@ class Assumption:
 
 
 Condition = Inequality | CommonLyapunov | Assumption
-"""What a block's proof needs."""
+"""A condition or an assumption of a block's proof."""

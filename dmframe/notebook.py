@@ -1,6 +1,6 @@
-"""HTML that a notebook shows of an object: a heading, tables, pictures; every text of others is escaped.
+"""HTML of an object for a notebook: headings, tables, pictures; all texts are escaped.
 
-An SVG that becomes a part of a page has no names that clash, no style that leaks, and no address of anything outside.
+An embedded SVG has unique ids, styles that apply to itself only, and no external references.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ _FIT = '<svg style="max-width:100%;height:auto" '
 
 
 def heading(name: str, says: str = "") -> str:
-    """A name in bold, and what is said of it."""
+    """A name in bold, with an optional text."""
     said = f": {escape(says)}" if says else ""
     return f"<p><b>{escape(name)}</b>{said}</p>"
 
 
 def table(rows: Iterable[Sequence[str]], heads: Sequence[str] = ()) -> str:
-    """Rows of plain texts; all columns to the left."""
+    """Table of plain texts; all columns are aligned to the left."""
     head = "".join(f'<th style="{_LEFT}">{escape(text)}</th>' for text in heads)
     body = "".join(
         "<tr>" + "".join(f'<td style="{_LEFT}">{escape(text)}</td>' for text in row) + "</tr>" for row in rows
@@ -32,12 +32,12 @@ def table(rows: Iterable[Sequence[str]], heads: Sequence[str] = ()) -> str:
 
 
 def paragraphs(texts: Iterable[str]) -> str:
-    """Plain texts, each a paragraph."""
+    """One paragraph for each plain text."""
     return "".join(f"<p>{escape(text)}</p>" for text in texts)
 
 
 def picture(figure: Any, about: str) -> str:
-    """A matplotlib figure as a PNG within the page."""
+    """A matplotlib figure as an inline PNG."""
     held = io.BytesIO()
     figure.savefig(held, format="png", dpi=120)
     code = base64.b64encode(held.getvalue()).decode()
@@ -45,13 +45,13 @@ def picture(figure: Any, about: str) -> str:
 
 
 def framed(page: str, about: str, height: int) -> str:
-    """A whole page as a part of another, which its scripts cannot reach; as high as so many pixels."""
+    """A page in a sandboxed iframe, whose scripts cannot reach the page around it; `height` in pixels."""
     style = f"width:100%;height:{height}px;border:0"
     return f'<iframe sandbox="allow-scripts" title="{escape(about)}" style="{style}" srcdoc="{escape(page)}"></iframe>'
 
 
 def embedded(svg: str, prefix: str) -> str:
-    """A stand-alone SVG as an element of HTML; `prefix` sets its names apart from those of other pictures."""
+    """A stand-alone SVG as an HTML element; `prefix` makes its ids unique on the page."""
     svg = re.sub(r"<\?xml.*?\?>|<!DOCTYPE.*?>|<!--.*?-->|<metadata>.*?</metadata>", "", svg, flags=re.DOTALL).strip()
     svg = re.sub(r"\s+xmlns(?::\w+)?=\"[^\"]*\"", "", svg).replace("xlink:href", "href")
     svg = re.sub(r"\bid=\"([^\"]+)\"", rf'id="{prefix}-\1"', svg)
@@ -62,7 +62,7 @@ def embedded(svg: str, prefix: str) -> str:
 
 
 def _scoped(style: str, prefix: str) -> str:
-    """Each rule of a picture's style, for this picture alone."""
+    """The style of a picture, with each selector restricted to this picture."""
     rules = list[str]()
     for selectors, body in re.findall(r"([^{}]+)\{([^{}]*)\}", style):
         own = ", ".join(f"#{prefix} {selector.strip()}" for selector in selectors.split(","))
@@ -71,6 +71,6 @@ def _scoped(style: str, prefix: str) -> str:
 
 
 def fitted(svg: str, prefix: str) -> str:
-    """An SVG as a part of a page, no wider than the page."""
+    """An SVG as an HTML element that is no wider than the page."""
     held = embedded(svg, prefix)
     return f'<div style="overflow-x:auto">{held.replace("<svg ", _FIT, 1)}</div>'

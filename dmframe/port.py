@@ -1,4 +1,4 @@
-"""What a block shows of itself: ports and states, with shape, unit and access."""
+"""Declarations of a block: inputs, outputs and states, with shape, unit and access."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Access(StrEnum):
 
 @final
 class Side(StrEnum):
-    """Which signals a block may read. In which time its states move, each `State` says."""
+    """Which signals a block may read. Each `State` declares whether it is continuous or sampled."""
 
     SOURCE = "source"
     """A function of time alone: a desired trajectory."""
@@ -39,7 +39,7 @@ class Side(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """What an input and an output have in common.
+    """Fields that inputs and outputs share.
 
     Parameters
     ----------
@@ -52,8 +52,8 @@ class Signal:
         Factors separated by blanks, ``"N m s/rad"``; for a prismatic joint read m for rad and N for N m.
     derivative_of
         The port of the same block whose time derivative this one is. Such an input needs no wire: the diagram derives
-        it. Such an output is what the chain rule takes for the rate of the other output, or of the signal that drives
-        the other input.
+        it. The chain rule uses such an output as the rate of the other output, or of the signal that drives the other
+        input.
     optional
         Of an input: it is zero where it has no wire. Of an output: the block may leave it out.
     """
@@ -93,7 +93,7 @@ class Output(Signal):
     Parameters
     ----------
     access
-        Who may read it. An output of a plant is hidden unless it says otherwise.
+        Which blocks may read it. An output of a plant is hidden by default.
     full_rank
         Of a matrix: blocks that read it assume independent rows. A run reports how close it came to losing rank.
     instead_of
@@ -102,16 +102,16 @@ class Output(Signal):
         that replace one signal form a chain in the order of the file.
     rounded_by
         Of an output with `instead_of`: the parameter that holds the steps to which that input is rounded,
-        step floor(input / step + 1/2), as by an encoder. `analyse` takes its mean, and says so; any other rounding is a
-        switch.
+        step floor(input / step + 1/2), as by an encoder. `analyse` uses the mean of the rounding and reports it; it
+        treats any other rounding as a switch.
     notice
-        Of an output that is zero in normal operation, the notice of a run in which it is not.
+        Of an output that is zero in normal operation, the notice printed for a run in which it is not zero.
     steps
-        Of an output of a source: it is piecewise constant. Its derivative is zero, and a proof is one of the time
-        between two steps.
+        Of an output of a source: it is piecewise constant. Its derivative is zero, and a proof holds between two
+        steps.
     shown
-        Of an output of a controller, its name in words: a run then reports its mean over the last eighth, and how much
-        of the estimate behind it was excited.
+        Of an output of a controller, its name in words: a run then reports its mean over the last eighth, and how well
+        the estimate from which it is computed was excited.
     """
 
     access: Access = Access.INTERNAL
@@ -168,32 +168,34 @@ class Port:
 @final
 @dataclass(frozen=True, slots=True)
 class State:
-    """A quantity that a block integrates, or moves from sample to sample.
+    """A continuous or sampled state of a block.
 
-    A parameter of the same name, if the block has one, is the state's start; else it starts at zero or where the
-    block's `start` says. On a clock, a continuous state of a controller is emulated: one explicit Euler step a sample,
-    with the second term that `Equations.second` may say.
+    Its initial value is the parameter of the same name, if the block has one; otherwise the value from the block's
+    `start`, or zero. On a clock, a continuous state of a controller is emulated: one explicit Euler step per sample,
+    with the second-order term of `Equations.second`, if there is one.
 
     Parameters
     ----------
     recorded
-        A run records it unless the log names other signals; false for a long memory.
+        A run records it unless the log names other signals; false for large states such as delay lines.
     sampled
-        It keeps its value between samples, and `Equations.next` says what it is at the next one. Without it the state
-        moves in continuous time, as `Equations.rates` says.
+        It is constant between samples, and `Equations.next` gives its value at the next sample. Otherwise the state is
+        continuous, and `Equations.rates` gives its derivative.
     box
         Name of the parameter that holds the interval onto which the state is projected, where there is one.
     ball
         Name of the parameter that holds the ball onto which the state is projected, where there is one.
     gain
-        Of a state with a ball, the name of the parameter that is its adaptation gain, in whose metric it is projected.
+        Of a state with a ball, the name of the parameter that is its adaptation gain; the projection uses the metric
+        of its inverse.
     bodies
-        Of the estimates of a robot's links, ten inertial parameters each, in front of all others: name of the parameter
-        that holds the share of its nominal pseudo-inertia below which no link's is let, where there is one.
+        Of a state that starts with the inertial parameters of the robot's links, ten per link: name of the parameter
+        that holds the fraction of the nominal pseudo-inertia that is the lower bound of each link's pseudo-inertia,
+        where there is one.
     nominal
-        The input that holds the nominal estimates, which may not move, of a state with bodies.
+        Of a state with `bodies`, the input that holds the nominal estimates; they have to be constant.
     optional
-        The block may leave it out, by not stating its rate.
+        The block may omit it, by not stating its rate.
     """
 
     name: str
@@ -210,11 +212,11 @@ class State:
 
 
 DISTRIBUTIONS = ("normal", "uniform")
-"""What the numbers of an input can be drawn from."""
+"""Distributions of a random input."""
 
 
 class Element(NamedTuple):
-    """One of what a letter of a shape counts, such as a dynamic parameter: its name in results, and its unit."""
+    """One element of a dimension of a shape, such as one dynamic parameter: its name in results, and its unit."""
 
     name: str
     unit: str = ""
@@ -225,20 +227,21 @@ class Element(NamedTuple):
 class Adapted:
     """An estimate: a state that an `dmframe.block.AdaptingBlock` adapts.
 
-    It starts at the parameter of its name, if the block has one, else where `AdaptingBlock.nominal` says, or at zero.
+    Its initial value is the parameter of its name, if the block has one; otherwise that of `AdaptingBlock.nominal`,
+    or zero.
 
     Parameters
     ----------
     name, shape, unit, optional
         As of a `State`.
     gain
-        The parameter that is its adaptation gain. V weighs its error with the inverse.
+        The parameter that is its adaptation gain. Its inverse is the weight of the estimation error in V.
     nominal
-        The input at which it starts where no parameter says.
+        The input that gives its initial value where no parameter does.
     box, ball
         Whether it may be projected onto an interval, and onto a ball: the parameters ``w_box`` and ``w_ball`` of w.
     memory
-        The state that gathers what a fit with forgetting has seen.
+        The state that is the information matrix of a fit with forgetting.
     """
 
     name: str
@@ -253,17 +256,17 @@ class Adapted:
 
     @property
     def states(self) -> tuple[State, ...]:
-        """The state, and its memory."""
+        """The state, and its information matrix if it has one."""
         box, ball = f"{self.name}_box" * self.box, f"{self.name}_ball" * self.ball
         own = State(self.name, self.shape, self.unit, box, ball, self.gain, optional=self.optional)
         return (own, State(self.memory, f"{self.shape} {self.shape}", optional=True)) if self.memory else (own,)
 
 
 ANY = "*"
-"""The unit of an input that takes any unit: an error that drives an adaptation, say."""
+"""The unit of an input that accepts any unit, such as an error that drives an adaptation."""
 
 TIME = Input("t", "", "s")
-"""The input that every block may declare without a wire: the time."""
+"""The time, an input that every block may declare; it needs no wire."""
 
 PERIOD = Input("T", "", "s")
-"""The same for the sampling period; a block that reads it runs on a clock alone."""
+"""The sampling period, an input without a wire; a block that reads it runs only on a clock."""

@@ -1,6 +1,7 @@
-"""Estimates that move from sample to sample: what their steps store, lose and gain, and where they end.
+"""Sampled adaptation laws: the storage, decrease and residual of their steps, and the estimates that result.
 
-Each kind builds its own identity of its parts, so that nobody can call a term non-negative that is not.
+Each class computes these terms from the elements of its law, so that a block cannot declare a term non-negative that
+is not.
 """
 
 from __future__ import annotations
@@ -23,20 +24,20 @@ from dmframe.terms import Square
 class NormalisedSteps:
     r"""Steps of the normalised gradient (projection algorithm, NLMS) that an estimate takes from sample to sample.
 
-    For row after row (h, y), each output j with parameters of its own, with the floor :math:`\nu > 0` and the diagonal
+    For each row (h, y) in turn, with separate parameters for each output j, the floor :math:`\nu > 0` and the diagonal
     gain :math:`\Gamma > 0`:
 
     .. math:: \varepsilon_j = y_j - h_j^\top \theta_j, \quad n_j = \nu + h_j^\top \Gamma_j h_j, \quad
         \theta_j \leftarrow \theta_j + \Gamma_j h_j \varepsilon_j / n_j
 
-    With :math:`\tilde\theta = \theta - \theta_{true}` and :math:`\eta = y - h^\top \theta_{true}`, each step moves
+    With :math:`\tilde\theta = \theta - \theta_{true}` and :math:`\eta = y - h^\top \theta_{true}`, each step changes
     :math:`\tilde\theta^\top \Gamma^{-1} \tilde\theta` by exactly
 
     .. math:: - (h^\top \tilde\theta)^2 / n - \nu \varepsilon^2 / n^2 + \eta^2 / n
 
-    whatever the rows are, a textbook property of the projection algorithm [GoodwinSin1984]_: the first two are never
-    positive, and the third is what no :math:`\theta_{true}` explains. Put back into a box that holds the true value, an
-    estimate comes no farther from it.
+    for arbitrary rows. This is the standard property of the projection algorithm [GoodwinSin1984]_. The first two terms
+    are never positive; :math:`\eta` is the part of the data that :math:`\theta_{true}` does not explain. Projection
+    onto a box that contains the true value does not increase the estimation error.
 
     Parameters
     ----------
@@ -45,13 +46,13 @@ class NormalisedSteps:
     theta, true, gain
         Columns: the parameters of all outputs, one below the other.
     parts
-        How many parameters each output has.
+        Number of parameters of each output.
     floor
         A scalar of parameters.
     rows
-        Pairs of h, a column like theta, and y, a column with one element an output; in their order.
+        Pairs of h, a column like theta, and y, a column with one element per output; in their order.
     box
-        Nothing, or the least and the greatest values, columns, into which the estimate is put back after each step.
+        Empty, or the lower and upper bounds, columns, onto which the estimate is projected after each step.
     """
 
     estimate: str
@@ -81,7 +82,7 @@ class NormalisedSteps:
 
     @property
     def storage(self) -> Square:
-        r""":math:`|\theta - \theta_{true}|^2` weighed with the inverse of the gain."""
+        r""":math:`|\theta - \theta_{true}|^2` with the inverse of the gain as its weight."""
         return Square(self.theta - self.true, 1 / self.gain)
 
     @property
@@ -111,7 +112,7 @@ class NormalisedSteps:
 
     @property
     def change(self) -> SX:
-        """By what all steps together move what is stored, but for what the box takes away from it."""
+        """Change of the storage over all steps, without the decrease due to the projection onto the box."""
         return self._taken[1]
 
     @property
@@ -122,28 +123,28 @@ class NormalisedSteps:
     @property
     def residual(self) -> SX:
         r"""The sum of :math:`\eta^2 / n`, never negative."""
-        return self._taken[3]
+        explained = ((y - summed(self.parts, h * self.true), self._size(h)) for h, y in self.rows)
+        return sum((ca.sum1(eta**2 / size) for eta, size in explained), ca.SX(0))
 
     @property
     def sizes(self) -> tuple[SX, ...]:
-        """What the steps divide by, columns that are positive: the norms n of each row."""
+        """Positive divisors of the steps, columns: the n of each row."""
         return tuple(self._size(h) for h, _ in self.rows)
 
     def _size(self, h: SX) -> SX:
         return self.floor + summed(self.parts, h * h * self.gain)
 
     @cached_property
-    def _taken(self) -> tuple[SX, SX, SX, SX]:
-        theta, moved, lost, gained = self.theta, ca.SX(0), ca.SX(0), ca.SX(0)
+    def _taken(self) -> tuple[SX, SX, SX]:
+        theta, moved, lost = self.theta, ca.SX(0), ca.SX(0)
         for h, y in self.rows:
             size = self._size(h)
             missed, error = y - summed(self.parts, h * theta), summed(self.parts, h * (theta - self.true))
             lost += ca.sum1(error**2 / size + self.floor * missed**2 / size**2)
-            gained += ca.sum1((missed + error) ** 2 / size)
             after = stepped(self.parts, theta, h, y, self.gain, self.floor)
             moved += ca.dot(after - theta, (after + theta - 2 * self.true) / self.gain)
             theta = ca.fmin(ca.fmax(after, self.box[0]), self.box[1]) if self.box else after
-        return theta, moved, lost, gained
+        return theta, moved, lost
 
 
 def stepped(parts: Sequence[int], theta: SX, h: SX, y: SX, gain: SX, floor: SX) -> SX:
@@ -162,43 +163,43 @@ def summed(parts: Sequence[int], column: SX) -> SX:
 @final
 @dataclass(frozen=True, eq=False)
 class LeastSquaresSteps:
-    r"""Steps of recursive least squares that an estimate takes from sample to sample, and forgets.
+    r"""Steps of recursive least squares with forgetting that an estimate takes from sample to sample.
 
-    For row after row (h, y), each output j with parameters and a matrix :math:`G_j` of its own, which starts at zero or
-    positive semidefinite:
+    For each row (h, y) in turn, with separate parameters and a separate matrix :math:`G_j` for each output j, which
+    starts at zero or at a positive semidefinite matrix:
 
     .. math:: W = \Gamma^{-1} + G, \quad \varepsilon = y - h^\top \theta, \quad n = \nu + h^\top W^{-1} h, \quad
         \theta \leftarrow \theta + W^{-1} h \varepsilon / n, \quad G \leftarrow G + h h^\top / \nu
 
-    With :math:`\tilde\theta = \theta - \theta_{true}` and :math:`\eta = y - h^\top \theta_{true}`, each step moves
+    With :math:`\tilde\theta = \theta - \theta_{true}` and :math:`\eta = y - h^\top \theta_{true}`, each step changes
     :math:`\tilde\theta^\top W \tilde\theta` by exactly
 
     .. math:: - \varepsilon^2 / n + \eta^2 / \nu
 
-    whatever the rows are. What follows only takes away from it:
+    for arbitrary rows. The operations that follow can only decrease it:
 
-    - Element after element, an estimate outside its box is put onto the face along the nearest line in the norm of W,
-      :math:`\theta \leftarrow \theta - W^{-1} e_i (\theta_i - b_i) / (W^{-1})_{ii}`. Where it then is outside still,
-      since one face may lead it out of another, :math:`G \leftarrow 0` and each element is cut at its end: W is then
-      diagonal. So it ends in its box at each sample.
+    - Element by element, an estimate outside its box is projected onto the face in the norm of W,
+      :math:`\theta \leftarrow \theta - W^{-1} e_i (\theta_i - b_i) / (W^{-1})_{ii}`. The projection onto one face may
+      lead out of another. If the estimate is still outside its box after the last element, :math:`G \leftarrow 0`, so
+      that W is diagonal, and each element is clipped. The estimate is therefore in its box at each sample.
     - After all rows :math:`G \leftarrow \lambda G`, with :math:`0 \le \lambda \le 1`.
 
     Parameters
     ----------
     estimate, memory
-        The states' names. The memory holds the lower triangles of all G, column by column, one below the other.
+        The states' names. The memory contains the lower triangles of all G, column by column, one below the other.
     theta, gathered
         These states, columns.
     true, gain
         Columns: the parameters of all outputs, one below the other.
     parts
-        How many parameters each output has.
+        Number of parameters of each output.
     floor, retention
         :math:`\nu > 0` and :math:`\lambda`, scalars of parameters.
     rows
-        Pairs of h, a column like theta, and y, a column with one element an output; in their order.
+        Pairs of h, a column like theta, and y, a column with one element per output; in their order.
     box
-        Nothing, or the least and the greatest values, columns.
+        Empty, or the lower and upper bounds, columns.
     """
 
     estimate: str
@@ -232,7 +233,7 @@ class LeastSquaresSteps:
 
     @property
     def storage(self) -> Square:
-        r""":math:`|\theta - \theta_{true}|^2` weighed with W."""
+        r""":math:`|\theta - \theta_{true}|^2` with the weight W."""
         metrics = (_metric(self._part(self.gain, j), G) for j, G in enumerate(unpacked(self.parts, self.gathered)))
         return Square(self.theta - self.true, ca.diagcat(*metrics))
 
@@ -268,7 +269,7 @@ class LeastSquaresSteps:
 
     @property
     def change(self) -> SX:
-        """By what all steps together move what is stored, but for what box and forgetting take away from it."""
+        """Change of the storage over all steps, without the decrease due to the box and to forgetting."""
         return self._taken.moved
 
     @property
@@ -279,11 +280,11 @@ class LeastSquaresSteps:
     @property
     def residual(self) -> SX:
         r"""The sum of :math:`\eta^2 / \nu`, never negative."""
-        return self._taken.gained
+        return sum((ca.sumsqr(y - summed(self.parts, h * self.true)) / self.floor for h, y in self.rows), ca.SX(0))
 
     @property
     def sizes(self) -> tuple[SX, ...]:
-        """What the steps divide by, columns that are positive: pivots of W, norms n, diagonals of W^-1."""
+        """Positive divisors of the steps, columns: pivots of W, the n of each row, diagonals of W^-1."""
         return self._taken.sizes
 
     def _part(self, column: SX, j: int) -> SX:
@@ -292,7 +293,7 @@ class LeastSquaresSteps:
 
     @cached_property
     def _taken(self) -> _Taken:
-        theta, moved, lost, gained = list[SX](), ca.SX(0), ca.SX(0), ca.SX(0)
+        theta, moved, lost = list[SX](), ca.SX(0), ca.SX(0)
         memories, sizes = list(unpacked(self.parts, self.gathered)), list[SX]()
         for j in range(len(self.parts)):
             now, true, gain = (self._part(column, j) for column in (self.theta, self.true, self.gain))
@@ -304,7 +305,6 @@ class LeastSquaresSteps:
                 after, next_W = now + learnt * missed / size, _metric(gain, memories[j])
                 moved += _form(after - true, next_W) - _form(error, W)
                 lost += missed**2 / size
-                gained += (missed + ca.dot(h, error)) ** 2 / self.floor
                 sizes += [*ldl(W)[1], size]
                 now = after
                 if self.box:
@@ -312,19 +312,18 @@ class LeastSquaresSteps:
                     sizes += [*ldl(next_W)[1], ca.diag(P)]
                     now, memories[j] = _put_back(now, memories[j], P, *(self._part(end, j) for end in self.box))
             theta.append(now)
-        return _Taken(ca.vertcat(*theta), tuple(memories), moved, lost, gained, tuple(sizes))
+        return _Taken(ca.vertcat(*theta), tuple(memories), moved, lost, tuple(sizes))
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class _Taken:
-    """What steps of least squares come to."""
+    """Results of the steps of least squares."""
 
     theta: SX
     gathered: tuple[SX, ...]
     moved: SX
     lost: SX
-    gained: SX
     sizes: tuple[SX, ...]
 
 
@@ -337,33 +336,33 @@ def _form(vector: SX, W: SX) -> SX:
 
 
 def _put_back(theta: SX, gathered: SX, P: SX, lower: SX, upper: SX) -> tuple[SX, SX]:
-    """Onto one face after the other in the norm of W = P^-1; else into the box by force, and nothing remembered."""
+    """Projection onto one face after the other in the norm of W = P^-1; if that fails, clipping and G = 0."""
     for i in range(theta.numel()):
         face = ca.fmin(ca.fmax(theta[i], lower[i]), upper[i])
         theta = theta - P[:, i] * ((theta[i] - face) / P[i, i])
-        theta[i] = face  # which it is, but for rounding
+        theta[i] = face  # exactly, without the rounding error of the line above
     cut = ca.fmin(ca.fmax(theta, lower), upper)
-    for i in range(theta.numel() - 1):  # the last is where it was just put
+    for i in range(theta.numel() - 1):  # the last element has just been projected
         gathered = gathered * (theta[i] == cut[i])
     return cut, gathered
 
 
 def packed(matrices: Sequence[SX]) -> SX:
-    """The lower triangles of symmetric matrices, column by column, one below the other."""
+    """Lower triangles of symmetric matrices, column by column, one below the other."""
     return ca.vertcat(*(ca.densify(G)[ca.Sparsity.lower(G.shape[0])].nz[:] for G in matrices))
 
 
 def unpacked(parts: Sequence[int], column: SX) -> Sequence[SX]:
-    """The symmetric matrices of these sizes whose lower triangles the column holds."""
+    """The symmetric matrices of these sizes from the column of their lower triangles."""
     sizes = [count * (count + 1) // 2 for count in parts]
     pieces = ca.vertsplit(column, [sum(sizes[:j]) for j in range(len(sizes) + 1)])
     return [ca.tril2symm(ca.SX(ca.Sparsity.lower(n), piece)) for n, piece in zip(parts, pieces, strict=True)]
 
 
 def packed_size(parts: Sequence[int]) -> int:
-    """How many numbers the lower triangles hold."""
+    """Number of elements of the lower triangles."""
     return sum(count * (count + 1) // 2 for count in parts)
 
 
 Steps = NormalisedSteps | LeastSquaresSteps
-"""Steps of which a proof over samples knows what they do to V."""
+"""Sampled adaptation laws whose effect on V is known in closed form."""

@@ -1,6 +1,6 @@
-"""The terms of which V and dV/dt are made: squares, and what else is known never to be negative, or to be bounded.
+"""Terms of V and dV/dt: squares, and other terms that are non-negative or bounded by construction.
 
-Each is built here of its parts, never stated as a whole, so that nobody can call a term non-negative that is not.
+Each term is built from its vectors and weights, so that a block cannot declare a term non-negative that is not.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ class Square:
     vector
         a, a column.
     weight
-        W: a matrix, or a column or scalar that stands for a diagonal.
+        W: a matrix, or a column or scalar for a diagonal matrix.
     of
-        How a reader writes a; the framework prints it from the expression, and no author says it.
+        Printed name of a; the framework makes it from the expression, and blocks do not set it.
     positive
-        Of a weight that is made of signals: why it stays above a positive constant along the motion. Nothing in a graph
-        shows it; so it is assumed, by this text, and no more of the weight than parameters leave open.
+        Of a weight that contains signals: why it stays above a positive constant along the motion. A graph cannot
+        show this, so it is an assumption with this text. Factors of the weight made of parameters are checked.
     """
 
     vector: SX
@@ -68,7 +68,7 @@ class Square:
 
 
 TINY = 2.0**-100
-"""Under the root of a norm, so that it has a derivative, zero, at zero."""
+"""Lower bound of the radicand of a norm, so that its derivative at zero exists and is zero."""
 
 
 @operation
@@ -79,13 +79,13 @@ def norm(vector: SX) -> SX:
 
 @operation
 def clip(vector: SX, width: SX) -> SX:
-    """Each element held between -width and width."""
+    """Each element limited to [-width, width]."""
     return width * ca.fmin(ca.fmax(vector / width, -1), 1)
 
 
 @operation
 def beyond(vector: SX, width: SX) -> SX:
-    """What each element has beyond -width or width: zero in between."""
+    """Dead zone of each element: the part beyond -width or width, and zero in between."""
     return width * _beyond(vector / width)
 
 
@@ -96,13 +96,13 @@ def _beyond(x: SX) -> SX:
 MONOTONE: Final[Mapping[str, Callable[[SX], SX]]] = MappingProxyType(
     {"tanh": ca.tanh, "sign": ca.sign, "atan": ca.atan, "beyond": _beyond}
 )
-"""Functions that never decrease, by the name that a `Lemma` gives; `beyond` is that of width 1."""
+"""Non-decreasing functions by the name that a `Lemma` uses; `beyond` has the width 1."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Lemma:
-    r"""A term that is not a square, and that is not negative because :math:`\phi` never decreases.
+    r"""A term that is non-negative because :math:`\phi` is non-decreasing.
 
     .. math:: \sum_i w_i (a_i - b_i) (\phi(a_i / v_i) - \phi(b_i / v_i)), \quad w_i \ge 0, \; v_i > 0
 
@@ -158,7 +158,7 @@ class NormSquare:
     by
         b, a column of signals.
     by_of
-        How a reader writes b; printed from the expression too.
+        Printed name of b, made from the expression.
     """
 
     vector: SX
@@ -194,12 +194,12 @@ class NormSquare:
 @final
 @dataclass(frozen=True, eq=False)
 class Gathered:
-    r"""The form :math:`c\,|a|_G^2` with a matrix G that a block gathers along the motion, and forgets.
+    r"""The form :math:`c\,|a|_G^2` with an information matrix G with forgetting.
 
     .. math:: \dot G = -\mathrm{forgetting}\, G + W^\top \mathrm{diag}(r) W, \quad G(0) = 0 \quad\Rightarrow\quad
         G(t) = \int_0^t e^{-\mathrm{forgetting} (t - s)} W^\top \mathrm{diag}(r) W\, ds \ge 0
 
-    so it is never negative, though its weight is a state: that the state moves like this is a part of the exact test.
+    so it is never negative although its weight is a state. The exact test includes this equation of G.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ class Gathered:
     weight
         c, a scalar of parameters.
     memory
-        G, symmetric: a state, or made of one.
+        G, symmetric: a state, or an expression of one.
     regressor
         W.
     by
@@ -240,7 +240,7 @@ class Gathered:
 
     @property
     def rate(self) -> SX:
-        """What dG/dt has to be."""
+        """The required dG/dt."""
         return gathered(self.memory, self.regressor, self.by, self.forgetting)
 
     def with_pieces(self, pieces: Sequence[SX]) -> Gathered:
@@ -291,20 +291,20 @@ class Clipped:
 
 @operation
 def soft_clip(vector: SX, width: SX) -> SX:
-    """Each element, led smoothly towards -width and width, which it never reaches."""
+    """Smooth saturation of each element; its magnitude stays below width."""
     return vector / ca.sqrt(1 + (vector / width) ** 2)
 
 
 @operation
 def potential(vector: SX, width: SX, weight: SX) -> SX:
-    """Twice what springs store whose force is weight times soft_clip(vector, width)."""
-    # the form without a difference, 2 a^2 / (1 + root), would need that the root squared is what stands under it
+    """Twice the energy of springs with the force weight * soft_clip(vector, width)."""
+    # the form without a difference, 2 a^2 / (1 + root), would require the rule that root^2 equals its radicand
     return ca.sum1(2 * weight * width**2 * (ca.sqrt(1 + (vector / width) ** 2) - 1))
 
 
 @operation
 def divergence(estimate: SX, true: SX) -> SX:
-    """The logarithm of det(estimate)/det(true), and the trace of estimate^-1 true less that of 1."""
+    """Stein's loss: log(det(estimate)/det(true)) + trace(estimate^-1 true) - n."""
     estimate, true = ca.tril2symm(ca.tril(estimate)), ca.tril2symm(ca.tril(true))
     logarithms = [ca.log(ca.vertcat(*ldl(matrix)[1])) for matrix in (estimate, true)]
     return ca.sum1(logarithms[0] - logarithms[1]) + ca.trace(solve_spd(estimate, true)) - true.shape[0]
@@ -313,12 +313,12 @@ def divergence(estimate: SX, true: SX) -> SX:
 @final
 @dataclass(frozen=True, eq=False)
 class Potential:
-    r"""The energy of springs that give way: positive, and as large as one likes where a is.
+    r"""The energy of saturating springs: positive definite and radially unbounded in a.
 
     .. math:: \sum_i 2 w_i v_i^2 \left(\sqrt{1 + (a_i / v_i)^2} - 1\right), \quad w_i > 0, \; v_i > 0
 
-    Near zero it is :math:`|a|_W^2`; far from there it grows like :math:`2 \sum_i w_i v_i |a_i|`. The gradient of half
-    of it is :math:`w_i a_i / \sqrt{1 + (a_i / v_i)^2}`, w times `soft_clip`.
+    Near zero it is about :math:`|a|_W^2`; for large a it grows like :math:`2 \sum_i w_i v_i |a_i|`. The gradient of
+    half of it is :math:`w_i a_i / \sqrt{1 + (a_i / v_i)^2}`, that is w times `soft_clip`.
 
     Parameters
     ----------
@@ -357,22 +357,22 @@ class Potential:
 @final
 @dataclass(frozen=True, eq=False)
 class LogDet:
-    r"""How far one symmetric positive definite matrix is from another: Stein's loss, a Bregman divergence.
+    r"""Stein's loss, a Bregman divergence between two symmetric positive definite matrices.
 
     .. math:: c \left(\log\det\hat P - \log\det P + \mathrm{tr}(\hat P^{-1} P) - n\right)
         = c \sum_i (\lambda_i - 1 - \log\lambda_i), \quad c > 0
 
-    with :math:`\lambda_i > 0` the eigenvalues of :math:`\hat P^{-1} P`. It is zero where both are the same and above it
-    elsewhere, and grows beyond all bounds where :math:`\hat P` does, or comes near to a matrix that is not positive
-    definite. So a sum that holds it and does not grow keeps :math:`\hat P` in a compact set of positive definite
-    matrices, if it starts as one.
+    with :math:`\lambda_i > 0` the eigenvalues of :math:`\hat P^{-1} P`. It is zero if the matrices are equal and
+    positive otherwise. It tends to infinity if :math:`\hat P` does, or if :math:`\hat P` approaches a singular matrix.
+    A V that contains it and does not increase therefore keeps :math:`\hat P` in a compact set of positive definite
+    matrices, if the initial :math:`\hat P` is positive definite.
 
     Parameters
     ----------
     matrix
-        :math:`\hat P`, symmetric: a state, or made of one.
+        :math:`\hat P`, symmetric: a state, or an expression of one.
     true
-        P, symmetric: of parameters and true values.
+        P, symmetric: an expression of parameters and true values.
     weight
         c, a scalar of parameters.
     """
@@ -392,7 +392,7 @@ class LogDet:
 
     @property
     def vector(self) -> SX:
-        """The elements of the matrix, which stay bounded."""
+        """The elements of the matrix; they are bounded if the term is."""
         return ca.vec(ca.densify(ca.SX(self.matrix)))
 
     @property
@@ -407,8 +407,8 @@ class LogDet:
 
 
 Dissipated = Square | NormSquare | Lemma | Gathered
-"""A term that is never negative, by how it is built."""
+"""A term that is non-negative by construction."""
 Stored = Square | Gathered | Potential | LogDet
-"""A term of which V is made; all but what is gathered are also positive."""
+"""A term of V; all of them except `Gathered` are positive definite."""
 Bounded = Square | NormSquare | Clipped
 """A term with a known bound."""

@@ -14,6 +14,7 @@ import pytest
 os.environ.setdefault(
     "OPENBLAS_NUM_THREADS", "1"
 )  # before NumPy is loaded: a second thread mostly spins, and workers share
+gc.disable()  # until all tests are collected: what a collection makes stays
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -73,3 +74,4 @@ def pytest_collection_finish() -> None:
     gc.collect()
     gc.freeze()
     gc.set_threshold(200_000, 20, 20)
+    gc.enable()

@@ -1,4 +1,4 @@
-"""All that a block's author imports: the base classes, ports, parameters, terms of certificates, names and operations.
+"""Public interface for block authors: base classes, ports, parameters, certificate terms, names and operations.
 
 .. code-block:: python
 

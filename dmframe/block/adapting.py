@@ -1,7 +1,8 @@
-"""A block that adapts estimates: it states the plain law, and the options of `dmframe.adaptation` are composed onto it.
+"""Base class of adaptive blocks: a block states the gradient law; the options of `dmframe.adaptation` extend it.
 
-It declares its estimates and what drives them, and states the direction in which that error moves each. From the one
-statement come the states, the parameters of the options, the rates and starts, and what the certificate gains.
+A block declares its estimates and the error that drives them, and states the direction in which the error moves each
+estimate. The framework derives the states, the parameters of the options, the rates, the initial values and the terms
+of the certificate.
 """
 
 from __future__ import annotations
@@ -27,28 +28,28 @@ from dmframe.port import ANY, Adapted, State
 from dmframe.units import rate_over
 
 FITTED: Final = ("R", "forgetting")
-"""The parameters of a fit, which a block that offers one declares itself: R has the size of its prediction error."""
+"""The parameters of a fit. A block with a fit declares them itself, since R has the size of its prediction error."""
 
 
 class AdaptingBlock(AbstractBlock):
-    """The base of every block that adapts.
+    """The base class of every adaptive block.
 
-    `equations` and `certificate` state the plain law: without the rates of the estimates, which are their gains times
-    their `direction`, and without their squares, for which the certificate says by ``estimates={...}`` what is
-    estimated. `driven_by` names the input or output that drives them, and so the size and unit of the error; a block
-    that leaves it out takes no leak and no dead zone.
+    `equations` and `certificate` state the gradient law without the terms of the estimates. The rate of an estimate is
+    its gain times its `direction`. Its square is added to the certificate, which gives the true values by
+    ``estimates={...}``. `driven_by` names the input or output that drives the estimates, and with it the size and unit
+    of the error; a block without it accepts no leak and no dead zone.
     """
 
     driven_by: ClassVar[str] = ""
     ignores_at_source: ClassVar[bool] = False
-    """True where the error that it hands out is `driven`: all that hears it stands still inside the dead zone. Its
-    certificate then says itself what is spent, and nothing is left over.
+    """True if the block outputs the error after the dead zone (`driven`), so that every block that reads it stops
+    adapting inside the dead zone. The block's certificate then states the dissipation itself, without a residual.
     """
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
-        """Make the states of the estimates, and the parameters of the options."""
-        from dmframe.block.contract import malformed  # which needs the classes of this package
+        """Create the states of the estimates and the parameters of the options."""
+        from dmframe.block.contract import malformed  # avoids a circular import
 
         raise_all([BlockError(f"{cls.__name__}: {text}") for text in malformed(cls)])
         for name in _options(cls).keys() & inspect.get_annotations(cls):
@@ -62,35 +63,35 @@ class AdaptingBlock(AbstractBlock):
         super().__pydantic_init_subclass__(**kwargs)
 
     def error(self, u: Signals, x: Signals, p: Signals) -> SX | None:
-        """What drives the adaptation, before any dead zone; None for the signal that `driven_by` names."""
+        """The error that drives the adaptation, before any dead zone; None for the signal that `driven_by` names."""
         del u, x, p
         return None
 
     def direction(self, u: Signals, x: Signals, p: Signals, error: SX, /) -> Mapping[str, SX]:
-        """In which direction the error moves each estimate; with a dead zone it has to be linear in the error.
+        """Direction in which the error moves each estimate; with a dead zone it has to be linear in the error.
 
-        The rate of an estimate is its gain times this, less the leaks.
+        The rate of an estimate is its gain times this direction, minus the leaks.
         """
         del u, x, p, error
         return {}
 
     def nominal(self, u: Signals, p: Signals) -> Mapping[str, SX]:
-        """Where estimates start of which no parameter says it; the others start at zero."""
+        """Initial values of estimates that no parameter sets; the other estimates start at zero."""
         del p
         return {item.name: getattr(u, item.nominal) for item in self.estimates if item.nominal}
 
     def fits(self, u: Signals, x: Signals, p: Signals) -> Mapping[str, Fit]:
-        """The prediction errors that estimates fit beside the error; asked for where R is given."""
+        """Prediction errors that drive estimates in addition to the error; called if the parameter R is given."""
         del u, x, p
         return {}
 
     def driven(self, error: SX, p: Signals) -> SX:
-        """What an error has beyond the dead zone."""
+        """The error after the dead zone."""
         return adaptation(p).drive(error)
 
     @final
     def composed_equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """The plain equations, and the rates of the estimates."""
+        """The block's equations with the rates of the estimates."""
         return without_numbers(self, owner_of(u))._with_rates(u, x, p)
 
     def _with_rates(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -102,7 +103,7 @@ class AdaptingBlock(AbstractBlock):
         _hold("direction() moves", directions, self.estimates, owner_of(u))
         for name in directions.keys() & stated.rates.keys():
             raise BlockError(
-                f"{owner_of(u)}: equations() state the rate of {name}, which direction() moves; leave it out"
+                f"{owner_of(u)}: equations() state the rate of {name}, which direction() determines; remove it"
             )
         fits, nominal, rates = self._fits(u, x, p), self._nominal(u, p), dict(stated.rates)
         for item in self.estimates:
@@ -115,7 +116,7 @@ class AdaptingBlock(AbstractBlock):
 
     @final
     def composed_start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
-        """The plain starts, and those of the estimates."""
+        """The block's initial values with those of the estimates."""
         return without_numbers(self, owner_of(u))._with_nominal(u, p, truth)
 
     def _with_nominal(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
@@ -123,14 +124,14 @@ class AdaptingBlock(AbstractBlock):
         for item in self.estimates:
             if item.name in said:
                 raise BlockError(
-                    f"{owner_of(u)}: start() says where {item.name} starts, to which a leak would not pull it back; "
-                    "say it by nominal()"
+                    f"{owner_of(u)}: start() sets the initial value of {item.name}, which a leak does not use; "
+                    "set it in nominal()"
                 )
         return {**said, **self._nominal(u, p)}
 
     @final
     def composed_certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
-        """The plain certificate, with the squares of the estimates, and with what the options spend and leave."""
+        """The block's certificate with the squares of the estimates and the dissipation and residual of the options."""
         return without_numbers(self, owner_of(u))._with_terms(u, x, p, truth)
 
     def _with_terms(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
@@ -138,7 +139,7 @@ class AdaptingBlock(AbstractBlock):
         if not isinstance(plain, Certificate):
             return plain
         present = [item for item in self.estimates if item.name in x]
-        _hold("certificate() says what is estimated by", plain.estimates, present, owner_of(u))
+        _hold("certificate() gives the true value of", plain.estimates, present, owner_of(u))
         law, fits, nominal, added = adaptation(p), self._fits(u, x, p), self._nominal(u, p), Terms()
         weighed, estimates = dict[str, TrueValue](), list[Estimate]()
         for name, true in ((item.name, plain.estimates[item.name]) for item in present):
@@ -154,7 +155,7 @@ class AdaptingBlock(AbstractBlock):
         return replace(whole, **{role: getattr(whole, role) + terms for role, terms in vars(added).items()})
 
     def _error(self, u: Signals, x: Signals, p: Signals, stated: Equations) -> SX:
-        """The error that drives the adaptation; nothing, zero, of a block that names none."""
+        """The error that drives the adaptation; zero for a block that names none."""
         said = self.error(u, x, p)
         if said is not None:
             return said
@@ -163,26 +164,26 @@ class AdaptingBlock(AbstractBlock):
         return getattr(u, self.driven_by) if self.driven_by else ca.DM(0)
 
     def _nominal(self, u: Signals, p: Signals) -> Mapping[str, SX]:
-        """What `nominal` says, of estimates that there are."""
+        """The values of `nominal`, checked against the block's estimates."""
         return _known("nominal()", self.nominal(u, p), self.estimates, owner_of(u))
 
     def _fits(self, u: Signals, x: Signals, p: Signals) -> dict[str, Fit]:
-        """The fits that the parameters choose."""
+        """The fits chosen by the parameters."""
         if type(self).fits is AdaptingBlock.fits or not any(name in p for name in FITTED):
             return {}
         if "R" not in p:
-            raise MissingError(f"{type_name(type(self))}: forgetting needs R, the weight of what is to be forgotten")
+            raise MissingError(f"{type_name(type(self))}: forgetting requires R, the weight of the prediction error")
         fits = dict(_known("fits()", self.fits(u, x, p), self.estimates, owner_of(u)))
         for item in self.estimates if "forgetting" in p else ():
             for name in ("leak", "error_leak", f"{item.name}_box", f"{item.name}_ball"):
                 if name in p:
                     raise ValueFault(
-                        f"{type_name(type(self))}: expected no {name} beside forgetting: it acts in the metric of "
-                        f"{item.gain}, and V's is then that of P"
+                        f"{type_name(type(self))}: {name} cannot be combined with forgetting: it projects in the "
+                        f"metric of {item.gain}, and with forgetting V has the metric of P"
                     )
             if item.name in fits and not item.memory:
                 raise MissingError(
-                    f"{type_name(type(self))}: forgetting needs a memory of {item.name}; declare it, "
+                    f"{type_name(type(self))}: forgetting requires an information matrix of {item.name}; declare it, "
                     f"Adapted({item.name!r}, ..., memory={'G_' + item.name!r})"
                 )
             if item.name in fits:
@@ -190,16 +191,16 @@ class AdaptingBlock(AbstractBlock):
         return fits
 
     def _weighed(self, name: str, true: TrueValue, p: Signals) -> TrueValue:
-        """With the whole weight in V, the inverse of the gain in it."""
+        """The true value with its complete weight in V, which contains the inverse of the gain."""
         gain, weight = next(getattr(p, item.gain) for item in self.estimates if item.name == name), true.weight
         if isinstance(weight, int) and weight == 1:
             return replace(true, weight=metric(gain))
         return replace(true, weight=weight / gain if gain.is_column() else weight * metric(gain))
 
     def _effect(self, u: Signals, x: Signals, p: Signals, error: SX, stated: Mapping[str, TrueValue]) -> SX:
-        """What the errors of the estimates do to the loop, b of s'b: the direction's transpose, of them."""
+        """Effect of the estimation errors on the loop, b of s'b: the transposed direction applied to them."""
         s = type(error).sym("s", *error.shape)
-        with reading(None):  # a name would stand for an expression in s
+        with reading(None):  # a name would replace an expression in s
             directions = self.direction(u, x, p, s)
         effect = sum(
             ca.jtimes(-direction, s, stated[name].weight * (getattr(x, name) - stated[name].value), True)
@@ -207,8 +208,8 @@ class AdaptingBlock(AbstractBlock):
         )
         if ca.depends_on(effect, s):
             raise BlockError(
-                f"{owner_of(u)}: direction() is not linear in {self.driven_by}, so that nobody knows what a dead zone "
-                "leaves; state it linear, or leave dead_zone out"
+                f"{owner_of(u)}: direction() is not linear in {self.driven_by}, so that the residual of a dead zone is "
+                "unknown; make it linear, or remove dead_zone"
             )
         return effect
 
@@ -219,7 +220,7 @@ def _made(block: type) -> list[State]:
 
 
 def _options(block: type[AdaptingBlock]) -> dict[str, tuple[Any, Any]]:
-    """The parameters that an adapting block is given: annotations and fields by name."""
+    """The parameters that the options add to an adaptive block: annotations and fields by name."""
     found = dict[str, tuple[Any, Any]]()
     for item in block.estimates:
         found |= {f"{item.name}_box": (Box, Interval(item.shape, item.unit))} if item.box else {}
@@ -236,7 +237,7 @@ def _options(block: type[AdaptingBlock]) -> dict[str, tuple[Any, Any]]:
 
 
 def options_said(block: type[AbstractBlock]) -> dict[str, str]:
-    """What each of those parameters is, in words."""
+    """Description of each of these parameters."""
     if not issubclass(block, AdaptingBlock):
         return {}
     sets = {
@@ -244,27 +245,27 @@ def options_said(block: type[AbstractBlock]) -> dict[str, str]:
         "ball": "Instead of the box, the ball onto which it is projected; with a list for the radius, an ellipsoid.",
     }
     robust = (
-        f"Robust laws, each absent unless given: a pull back to the start; one in proportion to {block.driven_by}; no "
-        f"adaptation while {block.driven_by} is below this width. See `dmframe.adaptation`."
+        "Robust adaptation laws, each off by default: decay towards the initial value; the same, proportional to "
+        f"{block.driven_by}; no adaptation while {block.driven_by} is below this width. See `dmframe.adaptation`."
     )
     return {name: sets.get(name.rpartition("_")[2], robust) for name in _options(block)}
 
 
 def _known(method: str, said: Mapping[str, Any], estimates: Iterable[Adapted], owner: str) -> Mapping[str, Any]:
-    """What a method says by name, held to the estimates that the block declares."""
+    """The mapping that a method returned, checked against the estimates that the block declares."""
     if not isinstance(said, Mapping):
         raise BlockError(f"{owner}: expected {method} to return values by estimate, found {type(said).__name__}")
     known = [item.name for item in estimates]
     for name in said:
         if name not in known:
             raise BlockError(
-                f"{owner}: {method} speaks of {name}, which is none of its estimates; {nearest(name, known)}"
+                f"{owner}: {method} returns {name}, which is none of its estimates; {nearest(name, known)}"
             )
     return said
 
 
 def _hold(what: str, said: Mapping[str, Any], estimates: Iterable[Adapted], owner: str) -> None:
-    """Hold the names that a method gives to the estimates that the block declares."""
+    """Check that a method returns a value for each estimate that the block declares, and for no other name."""
     known, names = {item.name: item for item in estimates}, list(said) if isinstance(said, Mapping) else None
     if names is None:
         raise BlockError(f"{owner}: {what} {type(said).__name__}; expected values by estimate")
@@ -273,10 +274,10 @@ def _hold(what: str, said: Mapping[str, Any], estimates: Iterable[Adapted], owne
             raise BlockError(f"{owner}: {what} {name}, which is none of its estimates; {nearest(name, known)}")
     for name, item in known.items():
         if name not in names and not item.optional:
-            raise BlockError(f"{owner}: {what} {', '.join(names) or 'nothing'}, and leaves out the estimate {name}")
+            raise BlockError(f"{owner}: {what} {', '.join(names) or 'nothing'}, and omits the estimate {name}")
 
 
 def _start(name: str, nominal: Mapping[str, SX], p: Signals) -> SX:
-    """Where an estimate starts."""
+    """Initial value of an estimate."""
     key = f"{name}_0"
     return getattr(p, key) if key in p else nominal.get(name, 0)

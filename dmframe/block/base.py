@@ -1,6 +1,6 @@
-"""A block: equations, storage and conditions, stated once.
+"""Base class of blocks: a block states its equations, storage function and conditions once.
 
-From the one statement come the simulation, the generated code, the certificate, the picture and the documentation.
+The simulation, the generated code, the certificate, the block diagram and the documentation are derived from them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import casadi as ca
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
 from dmframe import notebook
-from dmframe.block.faults import parameter_faults, told_apart
+from dmframe.block.faults import parameter_faults, strictly_typed
 from dmframe.block.names import type_name
 from dmframe.block.numberless import unreadable, without_numbers
 from dmframe.certificate import SX, Certificate, Condition, Square
@@ -62,17 +62,17 @@ class Signals:
 
 
 def owner_of(signals: Signals) -> str:
-    """The name of the block whose signals they are."""
+    """Name of the block to which the signals belong."""
     return signals._owner
 
 
 @final
 @dataclass(frozen=True)
 class Equations:
-    """What a block's equations say: its outputs, the rates of its states, and the next values of its sampled ones.
+    """Values of a block's equations: outputs, rates of continuous states, next values of sampled states.
 
-    On a clock a controller's state in continuous time takes a step of the sampling period T: x + T rate, and T^2 times
-    what `second` says of it, if it does, such as keeps a matrix positive definite that a plain step would not.
+    On a clock, a continuous state of a controller takes one step per sampling period T: x + T rate + T^2 second.
+    `second` is an optional term, for example one that keeps a matrix positive definite where an Euler step does not.
     """
 
     outputs: Mapping[str, SX] = field(default_factory=dict)
@@ -90,7 +90,7 @@ class Equations:
 
     @property
     def expressions(self) -> tuple[SX, ...]:
-        """All of them: outputs, rates, next values."""
+        """All outputs, rates and next values."""
         return (*self.outputs.values(), *self.rates.values(), *self.next.values())
 
 
@@ -98,16 +98,16 @@ def with_estimates(stated: Certificate, x: Signals) -> Certificate:
     """A certificate with the squares of its estimates' errors in its storage."""
     for name, true in stated.estimates.items():
         if name not in x:
-            text = f"{owner_of(x)}: certificate() says what {name} estimates, which is none of its states"
+            text = f"{owner_of(x)}: certificate() gives a true value for {name}, which is none of its states"
             raise BlockError(f"{text}; {nearest(name, x)}")
         if isinstance(true.value, ca.SX | ca.MX) and ca.depends_on(true.value, getattr(x, name)):
-            raise BlockError(f"{owner_of(x)}: certificate() says that {name} estimates what moves with {name} itself")
+            raise BlockError(f"{owner_of(x)}: certificate() gives a true value for {name} that depends on {name}")
     squares = (Square(getattr(x, name) - true.value, true.weight) for name, true in stated.estimates.items())
     return replace(stated, storage=(*stated.storage, *squares))
 
 
 def _split_ports(cls: type[AbstractBlock]) -> None:
-    """Make `Input` or `Output` of each former `Port` of a class."""
+    """Convert each former `Port` of a class to `Input` or `Output`."""
     for name, kind in (("inputs", Input), ("outputs", Output), ("truth", Input)):
         items = cls.__dict__.get(name)
         if not isinstance(items, tuple | list) or not any(isinstance(item, Port) for item in items):
@@ -121,15 +121,15 @@ def _split_ports(cls: type[AbstractBlock]) -> None:
 
 
 class AbstractBlock(BaseModel):
-    """The base of every block; a block is a final subclass in a file of its own.
+    """The base class of every block. A block is a final subclass in its own file.
 
     Parameters are pydantic fields declared through `dmframe.parameter`; ports and states are class constants. In
-    the methods below `u` holds the inputs, `x` the states, `p` the parameters as symbols (and ``p.robot``, the robot's
-    symbolic model, where `uses_robot`; and ``p.w_0``, where the state w starts, if a parameter w says so), and `truth`
-    the signals that only the analysis may see, each by its name.
+    the methods below `u` contains the inputs, `x` the states, `p` the parameters as symbols, and `truth` the signals
+    that only the analysis may read, each by its name. With `uses_robot`, ``p.robot`` is the symbolic model of the
+    robot. If a parameter sets the initial value of a state w, ``p.w_0`` is that value.
 
-    The framework calls them on a copy of the block that has its options (bool, str, int) and none of its numbers: a
-    number is read as ``p.rate``, never as ``self.rate``; ``"rate" in p`` says whether it is given.
+    The framework calls the methods on a copy of the block that has its options (bool, str, int) but none of its
+    numbers: read a number as ``p.rate``, never as ``self.rate``. ``"rate" in p`` is true if it is given.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -142,14 +142,14 @@ class AbstractBlock(BaseModel):
     estimates: ClassVar[tuple[Adapted, ...]] = ()
     uses_robot: ClassVar[bool] = False
     renamed: ClassVar[Mapping[str, str]] = {}
-    """Names of before, of parameters, states and ports, with the new ones: graph files may still use them."""
+    """Former names of parameters, states and ports, with the new ones: graph files may still use them."""
     unproved: ClassVar[str] = ""
-    """Why the block has no certificate; a verdict's reason ends with it."""
+    """Why the block has no certificate; the reason of a verdict ends with this text."""
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
-        """Refuse a class whose constants or parameters are not of their kind, before anything reads them."""
-        from dmframe.block.contract import malformed  # which needs this class
+        """Reject a class whose constants or parameters have the wrong type, before they are used."""
+        from dmframe.block.contract import malformed  # avoids a circular import
 
         super().__pydantic_init_subclass__(**kwargs)
         _split_ports(cls)
@@ -164,7 +164,7 @@ class AbstractBlock(BaseModel):
     if not TYPE_CHECKING:  # to a type checker a block has what it declares
 
         def __getattr__(self, name: str) -> Any:
-            """What is not there: of a copy without numbers, a number, which is a fault of its author."""
+            """Raise for a missing attribute; reading a number of a copy without numbers is an error in the block."""
             if (fault := unreadable(self, name)) is not None:
                 raise fault
             return super().__getattr__(name)
@@ -174,7 +174,7 @@ class AbstractBlock(BaseModel):
     def _read_quantity(cls, value: Any, checked: Any, info: Any) -> Any:
         spec = spec_of(cls.model_fields[info.field_name])
         if spec is None:
-            return checked(told_apart(value, cls.model_fields[info.field_name].annotation))
+            return checked(strictly_typed(value, cls.model_fields[info.field_name].annotation))
         if value is None and cls.model_fields[info.field_name].default is None:
             return checked(value)
         try:
@@ -184,23 +184,22 @@ class AbstractBlock(BaseModel):
         return with_stated(checked(numbers), numbers)
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
-        """Letters that this block binds by itself, ``{"p": 36}``; `robot` is the chain, or None."""
+        """Dimensions that this block defines, ``{"p": 36}``; `robot` is the chain, or None."""
         return {letter: len(elements) for letter, elements in self.elements(robot).items()}
 
     def needs(self, port: str) -> bool:
-        """Whether an optional input has to be driven, as this block is set."""
+        """True if an optional input has to be driven with the options of this block."""
         del port
         return False
 
     def elements(self, robot: Any) -> Mapping[str, Sequence[Element]]:
-        """What a letter counts that this block binds, element by element: names and units for results."""
+        """Names and units, for results, of the elements of each dimension that this block defines."""
         del robot
         return {}
 
     def prior(self, robot: Any, others: Fraction) -> Sequence[Sequence[Fraction]] | None:
-        """How large the errors of the parameters may be that this block models: the gain for which relative errors
-        count alike, exactly; None for a block that models none. `others` is the size of a parameter about which it
-        knows nothing.
+        """Expected size of the errors of the parameters that this block models: the exact gain that weighs relative
+        errors equally; None for a block that models no parameters. `others` is the size for parameters without a prior.
         """
         del robot, others
         return None
@@ -210,54 +209,54 @@ class AbstractBlock(BaseModel):
         """Outputs, rates and next values, as pure expressions."""
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
-        """Where states start that no parameter of the same name sets, as functions of the plant's start."""
+        """Initial values of states without a parameter of the same name, as functions of the plant's initial state."""
         del u, p, truth
         return {}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
-        """Storage, dissipation and supply; of a block in sampled time, what it stores, loses and gains from sample to
-        sample; None for a block that can run but not be proved.
+        """Storage, dissipation and supply rate; for a discrete-time block storage, decrease and residual over a sample;
+        None for a block that can run but has no proof.
         """
         del u, x, p, truth
         return None
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
-        """The inequalities that the block's proof needs."""
+        """The conditions of the block's proof."""
         del p, truth
         return ()
 
     def composed_equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """The equations that run: those stated, and what an `AdaptingBlock` adds to them. No block overrides it.
+        """The complete equations: those of `equations` and the terms of an `AdaptingBlock`. Blocks do not override it.
 
-        It is stated without the block's numbers (`dmframe.block.numberless`), as are the three below.
+        Like the three methods below, it is evaluated without the block's numbers (`dmframe.block.numberless`).
         """
         return without_numbers(self, owner_of(u)).equations(u, x, p)
 
     def composed_start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
-        """The same of the starts."""
+        """The complete initial values."""
         return without_numbers(self, owner_of(u)).start(u, p, truth)
 
     def composed_conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
-        """The same of the conditions."""
+        """The complete conditions."""
         return without_numbers(self, owner_of(p)).conditions(p, truth)
 
     def composed_certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
-        """The certificate that is proved: the one stated, with the squares of its estimates in its storage."""
+        """The certificate that is proved: that of `certificate` with the squares of its estimates in its storage."""
         stated = without_numbers(self, owner_of(u)).certificate(u, x, p, truth)
         return with_estimates(stated, x) if isinstance(stated, Certificate) and stated.estimates else stated
 
     def evaluate(
         self, inputs: Mapping[str, Any] | None = None, states: Mapping[str, Any] | None = None, *, robot: Any = None
     ) -> Values:
-        """The equations at numbers.
+        """Evaluate the equations at numbers.
 
         Parameters
         ----------
         inputs, states
-            By name, in the port's units: a number, (n,) or (n, p). An input that is left out is zero, if it is optional
-            or drawn; a state is where a parameter of its name says, or zero.
+            By name, in the port's units: a number, (n,) or (n, p). An omitted input is zero, if it is optional or
+            drawn; an omitted state has the value of the parameter of its name, or zero.
         robot
-            Of a block that uses one: a `dmframe.robot.SerialChain`, or a robot's name.
+            For a block that uses one: a `dmframe.robot.SerialChain`, or a robot's name.
 
         Returns
         -------
@@ -267,14 +266,14 @@ class AbstractBlock(BaseModel):
         Raises
         ------
         DmframeError
-            Names that there are not, sizes that do not agree, and a size that nothing says.
+            Unknown names, inconsistent sizes, or an undetermined size.
         """
-        from dmframe.block.evaluate import evaluate  # which needs this class
+        from dmframe.block.evaluate import evaluate  # avoids a circular import
 
         return evaluate(self, inputs or {}, states or {}, robot)
 
     def _repr_html_(self) -> str:
-        """For a notebook: the block's parameters with their units."""
+        """HTML for a notebook: the block's parameters with their units."""
         units = {name: spec.unit for name, spec in specs(type(self)).items()}
         rows = [(name, str(value), units.get(name, "")) for name, value in self if value is not None]
         return notebook.heading(type_name(type(self)), (self.__doc__ or "").split("\n")[0]) + notebook.table(
@@ -283,16 +282,16 @@ class AbstractBlock(BaseModel):
 
     @classmethod
     def fitting(cls, signals: Collection[str]) -> Mapping[str, Any] | None:
-        """The parameters with which a graph's key ``reality`` puts the block in, where the graph leaves them open.
+        """Default parameters with which a graph's key ``reality`` inserts the block.
 
-        None where it has no place in a graph whose blocks hand out these signals.
+        None if it cannot be inserted into a graph whose blocks output these signals.
         """
         needed = (port for port in cls.inputs if not (port.optional or port.drawn or port in (TIME, PERIOD)))
         return {} if all(port.name in signals for port in needed) else None
 
     @classmethod
     def contract(cls, where: str) -> list[DmframeError]:
-        """What is wrong with the class itself: names, units and references of its ports, states and parameters."""
-        from dmframe.block.contract import breaches  # as above
+        """Faults of the class itself: names, units and references of its ports, states and parameters."""
+        from dmframe.block.contract import breaches  # avoids a circular import
 
         return [BlockError(f"{where}: {text}") for text in breaches(cls)]

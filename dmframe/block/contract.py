@@ -1,6 +1,6 @@
-"""What a block's class must keep to: its constants and parameters are of their kind, and its names agree.
+"""Checks of a block's class: types of its constants and parameters, and consistency of its names.
 
-`malformed` is asked when a class is made, before anything reads it; `breaches` when a diagram is built of it.
+`malformed` runs when a class is created, before it is used; `breaches` runs when a diagram is built with it.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ _LISTS: Final[Mapping[str, type[Signal | State | Adapted]]] = {
     "estimates": Adapted,
 }
 _KINDS: Final[Mapping[str, type]] = {"str": str, "bool": bool, "int": int, "Access": Access}
-"""What the fields of a port, a state and a parameter hold, by their annotations."""
+"""Types of the fields of a port, a state and a parameter, by their annotations."""
 
 
 def malformed(block: type[AbstractBlock]) -> Iterator[str]:
-    """Constants and parameters of a class that are not of their kind, so that no code could read them."""
+    """Constants and parameters of a class that have the wrong type."""
     for name, kind in _LISTS.items():
         items = getattr(block, name)
         if not isinstance(items, tuple | list):
@@ -58,7 +58,7 @@ def malformed(block: type[AbstractBlock]) -> Iterator[str]:
 
 
 def _mistyped(block: type[AbstractBlock]) -> Iterator[str]:
-    """Parameters whose annotation nobody knows, or whose default they could not take."""
+    """Parameters with an unknown annotation, or with a default of the wrong type."""
     if not block.__pydantic_complete__:
         try:
             block.model_rebuild()
@@ -78,7 +78,7 @@ def _mistyped(block: type[AbstractBlock]) -> Iterator[str]:
 
 
 def _misfit(item: Any, of: str) -> Iterator[str]:
-    """Fields of a declaration that are of another type than its annotations say."""
+    """Fields of a declaration whose type differs from their annotation."""
     for each in fields(item):
         value, kind = getattr(item, each.name), _KINDS[str(each.type)]
         if not isinstance(value, kind):
@@ -95,7 +95,7 @@ def _short(value: object) -> str:
 
 
 def breaches(block: type[AbstractBlock]) -> Iterator[str]:
-    """What is wrong with a block's class, one text a breach."""
+    """Faults of a block's class, one text each."""
     kinds: dict[str, Sequence[Signal | State]] = {
         "input": block.inputs,
         "output": block.outputs,
@@ -129,13 +129,13 @@ def breaches(block: type[AbstractBlock]) -> Iterator[str]:
     for estimate in block.estimates:
         if estimate.memory == "G":
             name = estimate.name
-            yield f"calls the memory of {name} G, the sign of what it gathers; choose another, such as G_{name}"
+            yield f"names the information matrix of {name} G, a reserved symbol; choose another name, such as G_{name}"
     present = set(names_of(block))
     for old, new in block.renamed.items():
         if new not in present:
-            yield f"says that {old} is renamed {new}, which is no parameter, state or port; {nearest(new, present)}"
+            yield f"declares {old} as renamed to {new}, which is no parameter, state or port; {nearest(new, present)}"
         if old in present:
-            yield f"says that {old} is renamed {new}, and still has {old}"
+            yield f"declares {old} as renamed to {new}, and still has {old}"
     for reader in block.inputs:
         if reader.drawn and reader.drawn not in DISTRIBUTIONS:
             near = nearest(reader.drawn, DISTRIBUTIONS)
@@ -143,7 +143,7 @@ def breaches(block: type[AbstractBlock]) -> Iterator[str]:
     for output in block.outputs:
         for word, said, side in (("steps", output.steps, Side.SOURCE), ("is shown", output.shown, Side.CONTROLLER)):
             if said and block.side is not side:
-                yield f"says that {output.name} {word}, and it is no output of a {side.value}; leave that out"
+                yield f"declares that {output.name} {word}, but it is no output of a {side.value}; remove that"
     yield from _ahead_breaches(block)
     yield from _replacing_breaches(block)
     yield from _print_breaches(block)
@@ -153,7 +153,7 @@ def breaches(block: type[AbstractBlock]) -> Iterator[str]:
 
 
 def _ahead_breaches(block: type[AbstractBlock]) -> Iterator[str]:
-    """Inputs that are another one some samples later, and cannot be."""
+    """Invalid declarations of inputs that are another input some samples later."""
     inputs = {port.name: port for port in block.inputs}
     for port in block.inputs:
         of = port.ahead_of
@@ -164,7 +164,7 @@ def _ahead_breaches(block: type[AbstractBlock]) -> Iterator[str]:
         elif inputs[of].ahead_of:
             yield f"the input {port.name} is {of} some samples later, which looks ahead itself; count from the present"
         elif block.side is Side.PLANT:
-            yield f"the input {port.name} looks ahead, and a plant has no foresight; read {of}, or state a controller"
+            yield f"the input {port.name} looks ahead, which a plant cannot do; read {of}, or make it a controller"
         elif port.ahead < 1:
             yield f"the input {port.name} is {of} {port.ahead} samples later; expected 1 or more"
         elif port.drawn or port.derivative_of:
@@ -174,7 +174,7 @@ def _ahead_breaches(block: type[AbstractBlock]) -> Iterator[str]:
 
 
 def _replacing_breaches(block: type[AbstractBlock]) -> Iterator[str]:
-    """An output that replaces a signal between controller and robot is one of the plant's, and has its shape."""
+    """Invalid outputs that replace a signal: such an output belongs to the plant and has the signal's shape."""
     inputs = {port.name: port for port in block.inputs}
     for port in block.outputs:
         if not port.instead_of:
@@ -189,7 +189,7 @@ def _replacing_breaches(block: type[AbstractBlock]) -> Iterator[str]:
 
 
 def _estimate_breaches(block: type[AbstractBlock]) -> Iterator[str]:
-    """What an adapting block declares of its estimates, and has not."""
+    """Invalid declarations of estimates in an adaptive block."""
     if block.estimates and not hasattr(block, "driven_by"):
         yield "declares estimates, and is no AdaptingBlock"
     inputs, numbers = [port.name for port in block.inputs], specs(block)
@@ -206,7 +206,7 @@ def _estimate_breaches(block: type[AbstractBlock]) -> Iterator[str]:
 
 
 def _print_breaches(block: type[AbstractBlock]) -> Iterator[str]:
-    """Names that a reader could take for one another."""
+    """Names that print alike or contain look-alike letters."""
     names = list(dict.fromkeys([*names_of(block), *(port.name for port in block.truth)]))
     for one, other in distinct(names):
         yield f"its names {one} and {other} both print as {unicode_name(one)}; rename one"
@@ -218,7 +218,7 @@ def _print_breaches(block: type[AbstractBlock]) -> Iterator[str]:
 
 
 def _source_breaches(block: type[AbstractBlock]) -> Iterator[str]:
-    """A proof leaves a trajectory and all its derivatives free: that is right of a function of time alone."""
+    """Faults of a source. A proof treats a trajectory and its derivatives as free: it must depend on time alone."""
     if block.side is not Side.SOURCE:
         return
     why = "a source is a function of time alone"
@@ -228,10 +228,10 @@ def _source_breaches(block: type[AbstractBlock]) -> Iterator[str]:
         for port in block.inputs
         if port != TIME
     )
-    yield from (f"reads the truth {port.name}; {why}, and there is nothing to prove of it" for port in block.truth)
+    yield from (f"reads the truth {port.name}; {why}, and has no proof that could use it" for port in block.truth)
     for method in ("certificate", "start"):
         if getattr(block, method) is not getattr(AbstractBlock, method):
-            yield f"has a {method} of its own; {why}: it has no states, so leave {method}() out"
+            yield f"overrides {method}; {why}: it has no states, so remove {method}()"
 
 
 def _parameter_breaches(block: type[AbstractBlock]) -> Iterator[str]:
@@ -239,7 +239,7 @@ def _parameter_breaches(block: type[AbstractBlock]) -> Iterator[str]:
     boxes = [name for name, spec in numbers.items() if spec.form == "box"]
     for name in block.model_fields:
         if hasattr(AbstractBlock, name):
-            yield f"the parameter {name} hides what every block has under that name; rename it"
+            yield f"the parameter {name} hides the attribute {name} of every block; rename it"
     for name, spec in numbers.items():
         try:
             compatible(spec.unit, "")
@@ -256,10 +256,10 @@ def _parameter_breaches(block: type[AbstractBlock]) -> Iterator[str]:
             yield f"the gain of {state.name}, with a ball, is no parameter; {nearest(state.gain, numbers)}"
         if state.bodies and (state.bodies not in numbers or numbers[state.bodies].sign != "> 0"):
             near = nearest(state.bodies, [name for name, spec in numbers.items() if spec.sign == "> 0"])
-            yield f"the share of bodies of {state.name} is {state.bodies}, which is no Positive parameter; {near}"
+            yield f"the fraction of bodies of {state.name} is {state.bodies}, which is no Positive parameter; {near}"
         inputs = [port.name for port in block.inputs]
         if state.bodies and state.nominal not in inputs:
             near = nearest(state.nominal, inputs)
             yield f"the nominal bodies of {state.name} are {state.nominal}, which is no input; {near}"
         if state.name in numbers and numbers[state.name].shape.split() != state.shape.split():
-            yield f"the parameter {state.name} and the state that starts there have different shapes"
+            yield f"the parameter {state.name} and the state that it initialises have different shapes"

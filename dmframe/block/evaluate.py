@@ -1,4 +1,4 @@
-"""A block's equations at numbers: what a test, a lesson or a doubt needs."""
+"""Numeric evaluation of a block's equations."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from dmframe.port import Signal, State
 @final
 @dataclass(frozen=True)
 class Values:
-    """What equations give: arrays by name, (n,) for a column, (n, p) for a matrix, a number for a scalar.
+    """Values of equations: arrays by name, (n,) for a column, (n, p) for a matrix, a number for a scalar.
 
-    `rates` are those of states in continuous time, `next` the values of sampled ones one sample later.
+    `rates` are the derivatives of continuous states, `next` the values of sampled states one sample later.
     """
 
     outputs: Mapping[str, np.ndarray]
@@ -95,7 +95,7 @@ def _arrays(
 
 
 def _bound(sizes: Sizes, label: str, item: Signal | State, array: np.ndarray) -> DmframeError | None:
-    """Bind the letters of a shape to the array's, or tell why it does not fit."""
+    """Bind the letters of a shape to the sizes of the array; return the fault if they do not agree."""
     words = item.shape.split()
     if array.ndim != len(words):
         found = " x ".join(map(str, array.shape)) or "one number"

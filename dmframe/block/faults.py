@@ -1,4 +1,4 @@
-"""Faults of a block in our words: of the values of its parameters, and of what its own Python raises."""
+"""Error messages of a block: faults of its parameter values, and exceptions of its own Python code."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 
 def parameter_faults(block: type[AbstractBlock], error: ValidationError, where: str) -> list[DmframeError]:
-    """The faults of a block's parameters, in our words; their `path` is the parameter's name."""
+    """The faults of a block's parameters from pydantic's errors; their `path` is the parameter's name."""
     details = error.errors(include_url=False)
     missing = {str(detail["loc"][0]) for detail in details if detail["type"] == "missing"}
     unknown = {str(detail["loc"][0]) for detail in details if detail["type"] == "extra_forbidden"}
-    # a misspelt parameter is told once, as that, and not a second time as a missing one
+    # a misspelt parameter is reported once, as unknown, and not again as missing
     misspelt = {
         near[0] for name in unknown if (near := get_close_matches(name, block.model_fields, 1)) and near[0] in missing
     }
@@ -69,15 +69,15 @@ def _fault(block: type[AbstractBlock], detail: ErrorDetails, where: str) -> Dmfr
 
 
 def _said(detail: ErrorDetails) -> str:
-    """What was found, as a file has it."""
+    """The value that was found, as YAML writes it."""
     found = detail["input"]
     return {True: "true", False: "false"}[found] if isinstance(found, bool) else shorten(repr(found), 40)
 
 
-def told_apart(value: Any, kind: Any) -> Any:
-    """The value of a parameter without a unit. To pydantic true is 1 and "1" is 1, 1 is true and "yes" is true.
+def strictly_typed(value: Any, kind: Any) -> Any:
+    """The value of a parameter without a unit, without pydantic's conversions between true, 1, "1" and "yes".
 
-    Raises what pydantic's own faults are raised as.
+    Raises `PydanticCustomError`, like pydantic's own validation.
     """
     kinds = _kinds(kind)
     if value is None or not kinds <= {bool, int, str, type(None)}:
@@ -92,7 +92,7 @@ def told_apart(value: Any, kind: Any) -> Any:
 
 
 def _kinds(kind: Any) -> set[Any]:
-    """The types that an annotation stands for, those of the values of a Literal."""
+    """The types that an annotation allows; for a Literal those of its values."""
     if get_origin(kind) is Literal:
         return {type(choice) for choice in get_args(kind)}
     if get_origin(kind) in (Union, UnionType):
@@ -102,7 +102,7 @@ def _kinds(kind: Any) -> set[Any]:
 
 @contextmanager
 def fault_context(name: str, what: str) -> Iterator[None]:
-    """Tell what a block's own Python raises with its file and line, in one line, as its fault."""
+    """Convert an exception of a block's own Python code to a `BlockError` of one line, with file and line."""
     try:
         yield
     except (DmframeError, KeyboardInterrupt):
@@ -117,9 +117,9 @@ def fault_context(name: str, what: str) -> Iterator[None]:
 
 
 FOREIGN = ("casadi", "numpy")
-"""Folders of libraries: a fault in one, or in the framework, is told at the line that called it."""
+"""Folders of libraries: a fault in one, or in the framework, is reported at the line that called it."""
 
 
 def _foreign(file: Path) -> bool:
-    framework = file.is_relative_to(Path(__file__).parents[1]) or file.name == "<string>"  # what dataclasses generate
+    framework = file.is_relative_to(Path(__file__).parents[1]) or file.name == "<string>"  # code of dataclasses
     return framework or bool(set(FOREIGN) & set(file.parts))

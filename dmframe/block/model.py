@@ -1,4 +1,4 @@
-"""One block of a diagram with its symbols: inputs local to it, states and parameters named for the whole diagram."""
+"""Symbolic model of one block: inputs are local symbols, states and parameters are named for the whole diagram."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from dmframe.parameter import specs
 from dmframe.port import Adapted, Side, Signal, State
 
 SYMBOLIC: Final = Insistent()
-"""Held where expressions are made or read: CasADi counts their owners without regard to threads."""
+"""Lock for creating and reading expressions: CasADi's reference counts are not thread-safe."""
 
 
 @final
@@ -32,8 +32,8 @@ SYMBOLIC: Final = Insistent()
 class BlockModel:
     """A block's equations, evaluated once on symbols.
 
-    `starts` are the states' start values that parameters give, ``w_0`` of the state w; where the equations read one, it
-    is one of the `parameters` too. `inverted` are the matrices that the equations invert.
+    `starts` are the initial values that parameters give, ``w_0`` for the state w; one that the equations read is also
+    among the `parameters`. `inverted` are the matrices that the equations invert.
     """
 
     name: str
@@ -48,21 +48,21 @@ class BlockModel:
     inverted: tuple[Inverted, ...] = ()
 
     def signals(self) -> tuple[Signals, Signals, Signals]:
-        """u, x, p as the block's methods take them."""
+        """u, x, p for the block's methods."""
         return signals_of(self.name, self.inputs, self.states, {**self.parameters, **self.starts}, self.robot)
 
     @cached_property
     def moving(self) -> set[int]:
-        """Identities of the scalar symbols of its inputs and states, which are all that is not constant in a run."""
+        """Identities of the scalar symbols of its inputs and states, the only ones that vary in a run."""
         return symbols_in([*self.inputs.values(), *self.states.values()])
 
     @property
     def estimates(self) -> tuple[Adapted, ...]:
-        """The estimates that the block declares, without those that its options leave out."""
+        """The estimates that the block has with its options."""
         return tuple(item for item in self.block.estimates if item.name in self.states)
 
     def stated_start(self, sizes: Sizes) -> Mapping[str, SX] | str:
-        """Where the block's states start, in its own symbols, truths among them; what it lacks, where it cannot say."""
+        """Initial values of the block's states in its own symbols, with truths; or the name of an unknown symbol."""
         u, _, p = self.signals()
         known = {port.name: symbol(port.name, sizes.of(port.shape)) for port in self.block.truth if sizes.knows(port)}
         try:
@@ -73,9 +73,9 @@ class BlockModel:
             return fault.text
 
     def needs(self, expression: SX) -> tuple[str, ...]:
-        """The inputs on which an expression depends, from its structure: feedthrough is read, never declared."""
+        """The inputs on which an expression depends; direct feedthrough is determined from its structure."""
         key = nodes(expression)
-        if key not in self._needed:  # with the expression: its nodes are its own while it lives
+        if key not in self._needed:  # the stored expression keeps the identities of its nodes valid
             used = symbols_in([expression])
             self._needed[key] = tuple(name for name, symbols in self._leaves.items() if used & symbols), expression
         return self._needed[key][0]
@@ -92,13 +92,13 @@ class BlockModel:
 def symbols_in(expressions: Iterable[SX]) -> set[int]:
     """Identities of the scalar symbols on which expressions depend."""
     given = list(expressions)
-    alone = len(given) == 1 and isinstance(given[0], ca.SX)  # as most are: a copy takes as long as the rest
+    alone = len(given) == 1 and isinstance(given[0], ca.SX)  # the usual case; a copy takes as long as the rest
     column = given[0] if alone else ca.veccat(ca.SX(0, 1), *given)
     return {symbol.element_hash() for symbol in ca.symvar(column)}
 
 
 def with_starts(values: Mapping[str, np.ndarray], states: Collection[str]) -> dict[str, np.ndarray]:
-    """A block's numbers, and once more those that are starts of states, under the names that its equations read."""
+    """A block's numbers; those that are initial values of states appear again under the names that equations read."""
     return {**values, **{f"{key}_0": value for key, value in values.items() if key in states}}
 
 
@@ -119,14 +119,14 @@ def signals_of(
     robot: Any,
     options: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[Signals, Signals, Signals]:
-    """Wrap symbols for a block's methods. `options` are the annotations of fields that are no parameters."""
+    """Wrap symbols for a block's methods; `options` are the annotations of fields that are not parameters."""
     given = {**parameters, "robot": robot} if robot is not None else parameters
     p = Signals(name, "parameters", given, options)
     return Signals(name, "inputs", inputs), Signals(name, "states", states), p
 
 
 def _options(block: AbstractBlock) -> Mapping[str, str]:
-    """The fields that equations cannot read as parameters, with their annotations."""
+    """Annotations of the fields that equations cannot read as parameters."""
     known = specs(type(block))
     fields = {name: field.annotation for name, field in type(block).model_fields.items() if name not in known}
     return {name: getattr(kind, "__name__", str(kind)) for name, kind in fields.items()}
@@ -135,7 +135,7 @@ def _options(block: AbstractBlock) -> Mapping[str, str]:
 def model_block(
     name: str, block: AbstractBlock, values: Mapping[str, np.ndarray], sizes: Sizes, robot: Any
 ) -> BlockModel:
-    """Evaluate a block's equations on fresh symbols, and hold them to the block's declared ports and states."""
+    """Evaluate a block's equations on new symbols, and check them against the block's declared ports and states."""
     states = {state.name: symbol(f"{name}.{state.name}", sizes.of(state.shape)) for state in block.states}
     gains = {key for key, spec in specs(type(block)).items() if spec.form == "gain"}
     parameters = {
@@ -161,12 +161,12 @@ def model_block(
     for key in states.keys() & equations.outputs.keys():
         if not same_expression(equations.outputs[key], states[key]):
             raise BlockError(
-                f"{name}: its output {key} is not its state {key}, and nobody could tell one from the other; rename one"
+                f"{name}: its output {key} differs from its state {key}, and both have the same name; rename one"
             )
     used = symbols_in([*equations.expressions, *equations.second.values()])
     for key in states.keys() - equations.moves.keys():
         if used & symbols_in([states.pop(key)]):
-            raise BlockError(f"{name}: equations read the state {key}, and leave out its rate")
+            raise BlockError(f"{name}: equations read the state {key}, but do not state its rate")
     parameters |= {key: leaf for key, leaf in starts.items() if used & symbols_in([leaf])}
     values = with_starts(values, states)
     return BlockModel(name, block, inputs, states, parameters, values, mine, equations, starts, tuple(inverted))
@@ -174,7 +174,7 @@ def model_block(
 
 @final
 class Recalled:
-    """A robot that gives the answer of before where it is asked the same again: that takes most of a build's time."""
+    """A robot model that caches its answers, which take most of the time of a build."""
 
     def __init__(self, robot: Any) -> None:
         self._robot, self._answers = robot, dict[Any, tuple[Any, Any]]()
@@ -186,7 +186,7 @@ class Recalled:
 
         def answer(*given: Any, **named: Any) -> Any:
             key = (name, *map(_identity, given), *((word, _identity(value)) for word, value in named.items()))
-            if key not in self._answers:  # with what it was asked for: an identity is one's own while it lives
+            if key not in self._answers:  # the stored arguments keep their identities valid
                 self._answers[key] = (found(*given, **named), (given, named))
             kept = self._answers[key][0]
             return ca.SX(kept) if isinstance(kept, ca.SX) else kept  # a caller may write into it
@@ -199,7 +199,7 @@ def _identity(value: Any) -> Any:
 
 
 def stated_by(name: str, block: AbstractBlock, signals: tuple[Signals, Signals, Signals], sizes: Sizes) -> Equations:
-    """What a block's equations state, held to its declared ports and states."""
+    """A block's equations, checked against its declared ports and states."""
     with fault_context(name, "equations()"):
         stated = block.composed_equations(*signals)
     if not isinstance(stated, Equations):
@@ -227,7 +227,7 @@ _OTHERWISE: Final = {
     "rate": "a sampled state; state its next value, or declare it without sampled",
     "next value": "a state in continuous time; state its rate, or declare it with sampled=True",
 }
-"""What is wrong where a state of the other kind of time is stated."""
+"""Message where the equations state a rate of a sampled state, or a next value of a continuous one."""
 
 
 def _checked(
@@ -250,7 +250,7 @@ def _checked(
             raise BlockError(f"{name}: expected the {kind} of {key} to be an expression, found {found}") from None
         unbound = [word for word in item.shape.split() if not word.isdigit() and word not in sizes.bound]
         if unbound:
-            raise BlockError(f"{name}: nothing says how large {unbound[0]} is, which the {kind} of {key} has")
+            raise BlockError(f"{name}: the size {unbound[0]} of the {kind} of {key} is undetermined")
         size = sizes.of(item.shape)
         expected = (*size, 1, 1)[:2]
         if expression.shape != expected:

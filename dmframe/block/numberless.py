@@ -1,11 +1,11 @@
-"""A block without its numbers: what its equations see of `self`.
+"""Copies of a block without its numbers, on which its methods are evaluated.
 
-A number that equations took from `self` would be a constant in them. A run with another number, in a sweep, a study
-or a live page, would then run the equations of the first. So a block states its equations, certificate, conditions,
-starts and directions on a copy that lacks the numbers: they are symbols in `p`, and nothing else is there to be read.
+A number that equations read from `self` would be a constant in them. A sweep, a study or a live page would then use
+the first number for all values. The methods that state equations, certificate, conditions, initial values and
+directions therefore run on a copy without numbers, and read them as symbols from `p`.
 
-What a method could still find by another way, such as a global that a validator has written, is found by
-`dmframe.block.steady`: each method is evaluated again after a block with other numbers was made.
+`dmframe.block.steady` finds numbers that a method reads by other means, such as a global variable that a validator has
+written: it evaluates each method again after creating a block with other numbers.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
 B = TypeVar("B", bound="AbstractBlock")
 
 OWNER: Final = "__owner__"
-"""Under which a copy keeps the name of its block, for messages."""
+"""Attribute of a copy that contains the name of its block, for messages."""
 
 LARGER: Final = (1000.0, 2.7, 1.0001)
 SMALLER: Final = (0.001, 0.37, 0.9999)
-"""By which numbers differ in `with_other_numbers`; the first that the block takes counts."""
+"""Factors for `with_other_numbers`; it uses the first that the block accepts."""
 
 
 def without_numbers(block: B, owner: str) -> B:
-    """The block with its options alone; a parameter that is a number raises `BlockError` when it is read.
+    """A copy of the block with its options only; reading a numeric parameter raises `BlockError`.
 
-    So does what was computed of the numbers and kept: private attributes and cached properties.
+    Reading values computed from numbers raises it too: private attributes and cached properties.
     """
     kind, numbers = type(block), specs(type(block))
     kept = {key: value for key, value in vars(block).items() if key in kind.model_fields and key not in numbers}
@@ -46,7 +46,7 @@ def without_numbers(block: B, owner: str) -> B:
 
 
 def unreadable(block: AbstractBlock, name: str) -> BlockError | None:
-    """What to raise where a copy without numbers is asked for one; None of another name or another block."""
+    """The error for reading a number from a copy without numbers; None for other names and other blocks."""
     owner = vars(block).get(OWNER)
     if owner is None:
         return None
@@ -59,16 +59,17 @@ def unreadable(block: AbstractBlock, name: str) -> BlockError | None:
     if name in type(block).__private_attributes__:
         return BlockError(
             f"{owner}: its methods read the private attribute {name}, which may hold numbers; expected parameters from "
-            "p, or a property that is made of options"
+            "p, or a property computed from options"
         )
     return None
 
 
 def with_other_numbers(block: B, factors: Sequence[float], only: str | None = None) -> Iterator[B]:
-    """The same options with other numbers, or with one other number, as far as the block takes some.
+    """Blocks with the same options and other numbers, or with one other number, that the block's checks accept.
 
-    All are multiplied by the first factor that the block takes, which keeps boxes in order and matrices definite;
-    zeros get it as value. Where the block takes no factor for all of them, one block is made for each half, and so on.
+    All numbers are multiplied by the first factor that the block accepts, which keeps boxes ordered and matrices
+    definite; zeros are set to the factor. If the block accepts no factor for all numbers, the numbers are divided into
+    halves, recursively, with one block for each.
     """
     given = _given(block)
     varied = [key for key in specs(type(block)) if key in given and not isinstance(given[key], Prior)]
@@ -92,7 +93,7 @@ def _with_other(kind: type[B], given: Mapping[str, Any], keys: Sequence[str], fa
 
 
 def remade(block: B) -> B:
-    """The block made once more: what its validators keep elsewhere is then of its own numbers."""
+    """The block created again, so that values that its validators store elsewhere are those of its own numbers."""
     return type(block)(**_given(block))
 
 

@@ -1,4 +1,4 @@
-"""What a block's docstring says in words. Its equations come from its code, see `dmframe.formula`."""
+"""Text of a block's docstring: summary, parameters, notes. Its equations come from its code, see `dmframe.formula`."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _SECTION: Final = re.compile(r"^([A-Z][A-Za-z ]+)\n-{3,}$", re.MULTILINE)
 @final
 @dataclass(frozen=True)
 class About:
-    """What a block's docstring says in words.
+    """Text of a block's docstring.
 
     Parameters
     ----------
     summary
         Its first sentence.
     parameters
-        What each parameter is, as marked text.
+        Description of each parameter, as marked text.
     notes, source
         Marked text.
     """
@@ -36,7 +36,7 @@ class About:
 
 
 def about(block: type[AbstractBlock]) -> About:
-    """Read a block's docstring; what it leaves out is empty."""
+    """Read a block's docstring; sections that it does not have are empty."""
     text = inspect.cleandoc(block.__doc__ or "")
     pieces = _SECTION.split(text)
     sections = dict(zip(pieces[1::2], pieces[2::2], strict=True))
@@ -49,7 +49,7 @@ def about(block: type[AbstractBlock]) -> About:
 
 
 def _ordered(block: type[AbstractBlock], said: Mapping[str, str]) -> dict[str, str]:
-    """In the order of the block's parameters; what is said of others, last."""
+    """Descriptions in the order of the block's parameters; those of other names come last."""
     order = dict.fromkeys((*block.model_fields, *said))
     return {name: said[name] for name in order if name in said}
 

@@ -1,4 +1,4 @@
-"""Binding the letters of shapes: one number a letter, for the whole diagram."""
+"""Sizes of a diagram: one number for each letter in the shapes of its blocks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LARGEST: Final = 10_000
 
 @final
 class Sizes:
-    """What each letter is, and who said so first."""
+    """The number bound to each letter, and the name of what bound it first."""
 
     def __init__(self) -> None:
         self.bound: dict[str, tuple[int, str]] = {}
@@ -59,9 +59,9 @@ class Sizes:
 def bind_sizes(
     blocks: Mapping[str, AbstractBlock], robot: Any, bound: Sizes | None = None
 ) -> tuple[Sizes, list[DmframeError]]:
-    """Bind all letters from the robot, from the blocks that know a size, and from parameters written out in full.
+    """Bind all letters from the robot, from blocks that define a size, and from parameters given as full lists.
 
-    `bound` holds letters that something else has bound before.
+    `bound` contains letters that are bound already.
     """
     sizes, faults = bound or Sizes(), list[DmframeError | None]()
     if robot is not None:
@@ -106,7 +106,7 @@ def _own(name: str, block: AbstractBlock, robot: Any) -> Mapping[str, int]:
 
 
 def _check_elements(name: str, stated: Any) -> None:
-    """Refuse what is no mapping of letters to elements, each with a name of its own."""
+    """Reject anything but a mapping of letters to elements with unique names."""
     if not isinstance(stated, Mapping):
         raise BlockError(f"{name}: expected elements() to return elements by letter, found {type(stated).__name__}")
     for letter, items in stated.items():
@@ -114,7 +114,7 @@ def _check_elements(name: str, stated: Any) -> None:
             raise BlockError(f"{name}: expected elements() to return Elements for {letter}, found {items!r:.60}")
         names = [item.name for item in items]
         if twice := sorted({item for item in names if names.count(item) > 1}):
-            raise BlockError(f"{name}: elements() calls several of {letter} {twice[0]}; each needs a name of its own")
+            raise BlockError(f"{name}: elements() names several of {letter} {twice[0]}; each needs a unique name")
 
 
 def _from_parameters(name: str, block: AbstractBlock, sizes: Sizes) -> Iterable[DmframeError | None]:
@@ -138,7 +138,7 @@ def _unbound_letters(blocks: Mapping[str, AbstractBlock], sizes: Sizes) -> Itera
 
 def _unbound(name: str, letter: str) -> DmframeError:
     return SizeError(
-        f"{name}: nothing says how large {letter} is; add a robot, or write a parameter of that size as a list",
+        f"{name}: the size {letter} is undetermined; add a robot, or write a parameter of that size as a list",
         letter,
         path=("blocks", name),
     )
@@ -151,7 +151,7 @@ def parameter_arrays(
     blocks: Mapping[str, AbstractBlock] | None = None,
     robot: Any = None,
 ) -> tuple[dict[str, np.ndarray], list[DmframeError]]:
-    """The block's numeric parameters as arrays of their bound sizes; `blocks` and `robot` give what a `Prior` needs."""
+    """The block's numeric parameters as arrays of their bound sizes; `blocks` and `robot` determine a `Prior`."""
     values, faults = dict[str, np.ndarray](), list[DmframeError]()
     for parameter, spec in specs(type(block)).items():
         value = getattr(block, parameter)
@@ -180,7 +180,7 @@ def parameter_arrays(
 
 
 def prior_rows(prior: Prior, blocks: Mapping[str, AbstractBlock], robot: Any) -> Rows:
-    """The gain that another block's model gives, in decimals, in which it is positive definite."""
+    """The gain computed from another block's model, as decimal numbers for which it is positive definite."""
     if prior.inverse_of not in blocks:
         raise UnknownNameError("inverse_of", "block", prior.inverse_of, blocks)
     exact = blocks[prior.inverse_of].prior(robot, decimal(prior.others))
@@ -201,7 +201,7 @@ def prior_rows(prior: Prior, blocks: Mapping[str, AbstractBlock], robot: Any) ->
     except OverflowError:
         raise ValueFault(_too_large(prior)) from None
     except ValueError as error:
-        raise ValueFault(f"inverse_of: {error}; the model holds a link that is no physical body") from None
+        raise ValueFault(f"inverse_of: {error}; the model has a link that is not physically consistent") from None
     return rows
 
 

@@ -1,14 +1,15 @@
-"""Whether a block's methods state the same at other numbers.
+"""Check that a block's methods return the same expressions when its numbers differ.
 
-A number that a method finds outside of `p`, such as a global that a validator has written, is a constant in what the
-method states. The method is evaluated again after a block with other numbers was made; what differs holds such a
-constant.
+A number that a method reads from outside `p`, such as a global variable that a validator has written, is a constant
+in the returned expressions. Each method is evaluated again after a block with other numbers was created; an expression
+that differs contains such a constant.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from functools import cached_property
 from typing import Any, Final, final
 
 import casadi as ca
@@ -20,21 +21,21 @@ from dmframe.errors import BlockError
 from dmframe.parameter import specs
 
 Stating = Callable[[AbstractBlock], Mapping[str, Any]]
-"""Evaluates a method of a block: what it states, by the words for it."""
+"""Evaluates a method of a block: the returned parts, each with its description."""
 
 _PARTS: Final = {"outputs": "output", "rates": "rate", "next": "next value", "second": "second term"}
-"""Of `Equations`, with what each says."""
+"""Fields of `Equations` with the description of each."""
 
 
 def stated_equations(equations: Equations) -> dict[str, SX]:
-    """Equations by the words for each, ``rate of y``."""
+    """Equations by the description of each, such as ``rate of y``."""
     return {
         f"{word} of {key}": value for part, word in _PARTS.items() for key, value in getattr(equations, part).items()
     }
 
 
 def hold_steady(name: str, block: AbstractBlock, says: str, first: Mapping[str, Any], stating: Stating) -> None:
-    """Refuse a method whose statement differs at other numbers, or when it is evaluated again.
+    """Reject a method whose expressions differ at other numbers, or when it is evaluated again.
 
     Parameters
     ----------
@@ -43,14 +44,14 @@ def hold_steady(name: str, block: AbstractBlock, says: str, first: Mapping[str, 
     says
         The method with its verb, ``equations() state``.
     first
-        What the method stated.
+        The expressions of the first evaluation.
     stating
         Evaluates the method of a block.
 
     Raises
     ------
     BlockError
-        It names the parameters on which the statement depends as Python numbers.
+        It names the parameters on which the expressions depend as Python numbers.
     """
     known = _Flat(first)
     try:
@@ -59,11 +60,11 @@ def hold_steady(name: str, block: AbstractBlock, says: str, first: Mapping[str, 
                 if changed := known.changed(_Flat(stating(other))):
                     raise _unsteady(name, block, says, changed, stating)
     finally:
-        remade(block)  # what its validators keep is of its own numbers again
+        remade(block)  # values stored by validators are those of its own numbers again
 
 
 def _others(block: AbstractBlock, factors: Sequence[float]) -> Iterator[AbstractBlock]:
-    """Blocks with other numbers, each made just before it is evaluated; the block itself where it takes none."""
+    """Blocks with other numbers, each created just before its evaluation; the block itself if it accepts none."""
     taken = False
     for other in with_other_numbers(block, factors):
         taken = True
@@ -73,18 +74,18 @@ def _others(block: AbstractBlock, factors: Sequence[float]) -> Iterator[Abstract
 
 
 def same_statement(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """True where two evaluations of a method state the same."""
+    """True if two evaluations of a method returned the same expressions."""
     return not _Flat(one).changed(_Flat(other))
 
 
 def same_expression(one: SX, other: SX) -> bool:
-    """True for two expressions that are built alike, operation by operation, of the same symbols and constants."""
+    """True for two structurally identical expressions of the same symbols and constants."""
     one, other = ca.densify(ca.SX(one)), ca.densify(ca.SX(other))
     return one.shape == other.shape and same_expressions([one], [other])
 
 
 def same_expressions(ones: Sequence[SX], others: Sequence[SX]) -> bool:
-    """The same of lists of one length."""
+    """The same for lists of equal length."""
     symbols = ca.symvar(ca.vertcat(ca.SX(0, 1), *(ca.vec(ca.densify(item)) for item in (*ones, *others))))
     one, other = (ca.Function("same", symbols, list(items)).serialize() for items in (ones, others))
     return bool(one == other)
@@ -115,18 +116,37 @@ def _unsteady(name: str, block: AbstractBlock, says: str, what: str, stating: St
 
 @final
 class _Flat:
-    """A statement as expressions and texts, by the words for each part."""
+    """Returned parts as expressions and texts, by the description of each part."""
 
     def __init__(self, stated: Mapping[str, Any]) -> None:
         self._parts = {key: collected(value) for key, value in stated.items()}
 
+    @cached_property
+    def _symbols(self) -> list[SX]:
+        return list(ca.symvar(ca.veccat(ca.SX(0, 1), *self._expressions)))
+
+    @cached_property
+    def _expressions(self) -> list[SX]:
+        return [item for part in self._parts.values() for item in part[0]]
+
+    def _written(self, symbols: list[SX]) -> str:
+        """The expressions as CasADi writes a function of these symbols; empty where they have others."""
+        try:
+            return str(ca.Function("same", symbols, self._expressions).serialize())
+        except RuntimeError:  # free symbols
+            return ""
+
+    @cached_property
+    def _own(self) -> str:
+        return self._written(self._symbols)
+
     def changed(self, other: _Flat) -> str:
-        """The words for the first part that differs; empty where none does."""
+        """Description of the first part that differs; empty if none does."""
         one, two = self._parts, other._parts
-        if one.keys() == two.keys() and all(one[key][1] == two[key][1] for key in one):
-            ones, twos = ([item for part in parts.values() for item in part[0]] for parts in (one, two))
-            if same_expressions(ones, twos):
-                return ""
+        alike = one.keys() == two.keys() and all(one[key][1] == two[key][1] for key in one)
+        # equal texts are those of equal expressions; those of equal ones may differ, as zeros may be left out or not
+        if alike and self._own and self._own == other._written(self._symbols):
+            return ""
         return next((key for key in {**one, **two} if _differ(one.get(key), two.get(key))), "")
 
 
@@ -140,13 +160,13 @@ def _differ(one: _Part | None, other: _Part | None) -> bool:
 
 
 def collected(value: Any) -> _Part:
-    """The expressions in a statement, and all else that is in it, as texts."""
+    """The expressions in a value, and the rest of it as texts."""
     expressions, rest = list[SX](), list[str]()
 
     def collect(item: Any) -> None:
         if isinstance(item, ca.SX | ca.DM | float | int):
             expressions.append(ca.SX(item))
-            rest.append(str(expressions[-1].shape))  # so that equal texts have as many expressions
+            rest.append(str(expressions[-1].shape))  # equal texts then imply equal numbers of expressions
         elif is_dataclass(item):
             rest.append(type(item).__name__)
             collect([getattr(item, each.name) for each in fields(item)])

@@ -1,7 +1,7 @@
-"""A gain that is a full matrix, as symbols: symmetric by construction, and zero for ever where its value is.
+"""Symbols of a full gain matrix: symmetric by construction, with the zeros of its value as structural zeros.
 
-A matrix of independent symbols would stand for gains that are not symmetric too, of which no theorem is true. Zeros
-that stay zeros keep the inverse of a gain in blocks as cheap as its blocks.
+A matrix of independent symbols would include non-symmetric gains, for which the theorems do not hold. With structural
+zeros the inverse of a block-diagonal gain costs no more than the inverses of its blocks.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from dmframe.parameter import Spec, specs
 
 
 def symmetric_symbol(name: str, value: np.ndarray) -> SX:
-    """(p, p), an element above the diagonal being the same symbol as the one below."""
+    """(p, p); an element above the diagonal is the same symbol as the one below."""
     lower = ca.SX.sym(name, ca.sparsify(ca.DM(np.tril(value))).sparsity())
     return ca.triu2symm(lower.T)
 
 
 def unique(spec: Spec | None, symbol: SX, value: np.ndarray) -> tuple[SX, np.ndarray]:
-    """A parameter's symbols, each once, and their values: of a symmetric matrix as a column of its lower triangle.
+    """A parameter's symbols, each once, and their values; a symmetric matrix gives the column of its lower triangle.
 
-    Raises `ValueError` where a value needs a symbol that the diagram has not.
+    Raises `ValueError` if a value requires a symbol that the diagram does not have.
     """
     if spec is None or spec.form != "gain" or (symbol.is_column() and value.ndim < 2):
         return symbol, value
@@ -41,13 +41,13 @@ def unique(spec: Spec | None, symbol: SX, value: np.ndarray) -> tuple[SX, np.nda
 
 
 def lower_triangle(symbol: SX) -> tuple[SX, list[int], list[int]]:
-    """The symbols of a symmetric matrix, each once, as a column; with the rows and columns where they stand."""
+    """The symbols of a symmetric matrix, each once, as a column; with their rows and columns."""
     lower = ca.tril(symbol)
     rows, columns = lower.sparsity().get_triplet()
     return ca.vertcat(*lower.nonzeros()), rows, columns
 
 
 def full_gains(block: AbstractBlock, parameters: Mapping[str, SX]) -> list[str]:
-    """The parameters of a block that are full matrices of a gain."""
+    """The parameters of a block that are full gain matrices."""
     gains = [key for key, spec in specs(type(block)).items() if spec.form == "gain"]
     return [key for key in gains if key in parameters and not parameters[key].is_column()]

@@ -7,7 +7,7 @@ does.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from typing import Any, final
@@ -77,7 +77,13 @@ class Along:
     jumps
         What sources that step add to V at their steps.
     crossings
-        Sentences on the weights that are not above zero somewhere along the run, where the claim assumes that they are.
+        Sentences on what the claim assumes and this run does not have: weights above zero, constants inside their box.
+    residual
+        (N,) What a claim over samples lets V gain from each sample to the next; empty where it was not evaluated.
+    constants
+        Unknown constants in V with the values that the run determines, by label ``block.name``.
+    about
+        Which constants these are, in words.
     """
 
     time: np.ndarray
@@ -89,6 +95,9 @@ class Along:
     rounding: np.ndarray = field(default_factory=_none)
     jumps: tuple[Jump, ...] = ()
     crossings: tuple[str, ...] = ()
+    residual: np.ndarray = field(default_factory=_none)
+    constants: Mapping[str, np.ndarray] = field(default_factory=dict)
+    about: str = ""
 
     @cached_property
     def climb(self) -> Climb:
@@ -103,6 +112,14 @@ class Along:
         """(N - 1,) V at each sample minus V at the one before."""
         with np.errstate(over="ignore", invalid="ignore"):  # the last samples of a run that diverged
             return np.diff(self.V)
+
+    @property
+    def beyond(self) -> int:
+        """From how many samples to the next V rises by more than its claim over samples allows, and than rounding."""
+        if not self.residual.size:
+            return 0
+        allowed = self.residual[:-1] + self.rounding[:-1] + self.rounding[1:]
+        return int(np.count_nonzero(self.steps > allowed))
 
     @property
     def largest_increase(self) -> float:

@@ -61,8 +61,6 @@ class Part:
         functions of the plant's own signals, the commands free.
     cascade
         The block is on the task level.
-    rate
-        D S; of `steps`, what they change by before a box or forgetting takes more away.
     lemma
         Terms of the projection lemma in D S, none above zero.
     """
@@ -70,7 +68,6 @@ class Part:
     block: str
     certificate: Certificate
     cascade: bool
-    rate: SX
     lemma: SX
 
     @property
@@ -110,12 +107,6 @@ class Part:
         """The residual: bounded terms that are not dissipated, and what the rows of steps do not explain."""
         own = [term.value for term in self.certificate.excess]
         return total([*own, *(item.residual / 2 for item in self.certificate.steps)])
-
-    @property
-    def residual(self) -> SX:
-        """D S - supply + dissipation - consumption - excess - lemma: zero, as the block claims."""
-        gained = self.certificate.supply + self.consumption + self.excess + self.lemma
-        return self.rate + self.dissipation - gained
 
 
 @final
@@ -202,11 +193,6 @@ class Claim:
         return total([self.weight(part) * part.storage for part in self.parts])
 
     @property
-    def rate(self) -> SX:
-        """dV/dt along the closed loop."""
-        return total([self.weight(part) * part.rate for part in self.parts])
-
-    @property
     def consumption(self) -> SX:
         """What all cascades consume together."""
         return total([part.consumption for part in self.parts])
@@ -236,12 +222,6 @@ class Claim:
         point = np.random.default_rng(0).uniform(0.5, 1.5, symbols.numel())
         sizes = ca.Function("differences", [symbols], [ca.vertcat(*differences)])(point).full().ravel()
         return able[int(np.nanargmin(sizes))]
-
-    @property
-    def residual(self) -> SX:
-        """D V + dissipation - excess - consumption - lemma terms: zero, if the claim is true."""
-        own = [self.weight(part) * (part.rate + part.dissipation - part.excess - part.lemma) for part in self.parts]
-        return total(own) - self.consumption
 
 
 def claim_of(diagram: Diagram) -> Claim:
@@ -291,7 +271,7 @@ def total(items: Sequence[SX]) -> SX:
 
 
 def flow_part(along: Flow, name: str, certificate: Certificate) -> Part:
-    """A block's part, with the time derivative of its storage."""
+    """A block's part; what its storage is made of is entered in the record."""
     joined = certificate.mapped(along.loop.joined)
     storage = total([term.value for term in joined.storage]) / 2
     used = symbols_in([storage])
@@ -301,7 +281,7 @@ def flow_part(along: Flow, name: str, certificate: Certificate) -> Part:
     task = certificate.task or certificate.consumes is not None
     for term in joined.storage:
         along.record.add(f"{name}: the storage of {term.of}", _inside(term))
-    return Part(name, joined, task, along.unrecorded(storage), lemma)
+    return Part(name, joined, task, lemma)
 
 
 def _lemma(name: str, certificate: Certificate, projection: Projection) -> SX:
@@ -343,11 +323,11 @@ def _over_samples(diagram: Diagram, found: Certificates) -> Claim:
     for part in parts:
         for text in unfit(claim, part):
             raise NotApplicableError(f"{part.block}: {text}")
-    return replace(claim, parts=tuple(_with_change(step, part) for part in parts))
+    return claim
 
 
 def _sample_part(step: Sample, name: str, certificate: Certificate) -> Part:
-    """A block's part, without the difference of its storage; raises `NotApplicableError` for an MX and the like."""
+    """A block's part; raises `NotApplicableError` for an MX and the like."""
     loop = step.loop
     measured = [(leaf.symbol, leaf.expression) for leaf in loop.measured]
 
@@ -365,13 +345,7 @@ def _sample_part(step: Sample, name: str, certificate: Certificate) -> Part:
         raise NotApplicableError(error.text) from None
     held = [ca.SX(item.held) for item in certificate.acted]
     acted = tuple(replace(item, held=given) for item, given in zip(outside.acted, held, strict=True))
-    return Part(name, replace(own, plant=outside.plant, acted=acted), False, ca.SX(0), ca.SX(0))
-
-
-def _with_change(step: Sample, part: Part) -> Part:
-    storage = total([term.value for term in part.certificate.storage]) / 2
-    steps = total([item.change for item in part.certificate.steps]) / 2
-    return replace(part, rate=step.D(storage, f"{part.block}: the storage") + steps)
+    return Part(name, replace(own, plant=outside.plant, acted=acted), False, ca.SX(0))
 
 
 __all__ = ["Claim", "NotApplicableError", "Part", "claim_of", "flow_part", "total"]

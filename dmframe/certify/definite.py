@@ -124,6 +124,9 @@ def _matched(claim: Claim, weight: SX) -> str | None:
                 own = robot.inertia
                 bodies[leaf.name] = ca.vertcat(own[:-size], own[-size:] + leaf.symbol)
         for label, inertia in bodies.items():
+            held = symbols_in([inertia])
+            if held and not held & used:  # a mass matrix is linear in the inertia of its bodies, and not zero
+                continue
             difference = symbols.function("difference", [weight - robot.mass_matrix(q, inertia)])
             if zero_test(difference, values=symbols.fixed).zero:
                 return label

@@ -15,10 +15,9 @@ from dmframe.certify.conditions import conditions_stated, decide
 from dmframe.certify.delays import decided_delays, delay_conditions
 from dmframe.certify.form import stepping
 from dmframe.certify.hypotheses import BETWEEN, of_the_plant, undefined
-from dmframe.certify.identity import at_random_point
 from dmframe.certify.memories import triangle_starts
+from dmframe.certify.points import at_random_point
 from dmframe.certify.projections import outside
-from dmframe.certify.reach import reach_conditions
 from dmframe.certify.risky import risky
 from dmframe.certify.statements import Statement
 from dmframe.certify.symbols import Symbols
@@ -58,7 +57,6 @@ def discrete_conditions(
     stated = [(name, item) for name, item in conditions_stated(claim) if name in claiming]
     checked, assumed = decide(stated, numbers)
     checked += dict.fromkeys(undefined(claim, numbers))
-    checked += reach_conditions(claim)
     for part in claim.parts:
         checked += _weights(part, numbers)
         checked += delay_conditions(claim, part)
@@ -144,9 +142,6 @@ def discrete_assumptions(claim: Claim, symbols: Symbols, seed: int) -> Iterator[
             acted = "the command that a row holds is what acted in its sample: a delay is as configured, or echoed"
             text = f"{part.block}: {acted}"
             yield Assumption(text, "the means over a sample")
-        if part.certificate.steps and part.certificate.plant:
-            text = "its rows are means over a sample of the relations that it states, and its true values theirs"
-            yield Assumption(f"{part.block}: {text}", "the means over a sample")
         if part.certificate.steps and not part.certificate.plant:
             text = f"{part.block}: the plant's motion obeys what its rows say; the block states no relation that does"
             yield Assumption(text, "the means over a sample")

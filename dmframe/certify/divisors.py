@@ -11,12 +11,12 @@ import casadi as ca
 from dmframe.certificate import SX
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
-from dmframe.certify.identity import ATTEMPTS
 from dmframe.certify.sign import Sign, sign_after
 from dmframe.certify.symbols import Group, symbols_of
 from dmframe.exact import Tape, Trial, ZeroDivision, random_prime
 from dmframe.port import Side
 from dmframe.program import CONST, DIVISIONS, INPUT, OPERATIONS
+from dmframe.prove.identity import ATTEMPTS
 
 AWAY: Final = "{} stays away from zero"
 SHOWN = 60

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 
 from dmframe.block import AbstractBlock
 from dmframe.block.faults import fault_context
-from dmframe.block.model import Recalled, signals_of
 from dmframe.block.steady import Stating, collected, hold_steady
 from dmframe.certificate import SX, Certificate
 from dmframe.certify.form import NotApplicableError
 from dmframe.diagram import Diagram
 from dmframe.diagram.truths import Stated
-from dmframe.diagram.view import View, stated_start, view
+from dmframe.diagram.view import View, recalling, stated_start, view
 from dmframe.errors import BlockError, DmframeError
 from dmframe.parameter import specs
 
@@ -29,20 +27,12 @@ def hold_claims(diagram: Diagram, truths: Stated) -> None:
     for name, block in diagram.blocks.items():
         if not specs(type(block)):
             continue
-        seen = _recalling(diagram, name, view(diagram, name, truths))
+        seen = recalling(diagram, name, view(diagram, name, truths))
         for says, stating in _methods(name, seen, {}):
             try:
                 hold_steady(name, block, says, stating(block), stating)
             except BlockError as error:
                 raise NotApplicableError(error.text) from None
-
-
-def _recalling(diagram: Diagram, name: str, seen: View) -> View:
-    """The view with a robot that remembers its answers: its functions take most of the time."""
-    model = diagram.models[name]
-    if model.robot is None:
-        return seen
-    return replace(seen, p=signals_of(name, {}, {}, {**model.parameters, **model.starts}, Recalled(model.robot))[2])
 
 
 def stated_claims(block: AbstractBlock, seen: View, constants: dict[str, SX]) -> dict[str, Any]:

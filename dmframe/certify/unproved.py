@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from dmframe.block.model import SYMBOLIC
 from dmframe.certify.along import Along, along
 from dmframe.certify.along_steps import sampled_along
-from dmframe.certify.checked import Numbers
+from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim, NotApplicableError, claim_of
 from dmframe.certify.conditions import conditions_of
+from dmframe.certify.discrete import discrete_conditions
 from dmframe.certify.excess import bounds_of
 from dmframe.certify.hypotheses import undefined
 from dmframe.certify.small_gain import small_gain
@@ -40,19 +41,22 @@ def claimed_along(
 ) -> tuple[Claim, Along]:
     """The claim of a run's blocks, and V along the run with the weight that a proof would choose.
 
-    It costs what writing the claim and deciding its conditions cost, 0.3 s for a UR10, and 20 us an instant: the exact
-    test of dV/dt is left to `verify`.
+    It costs what writing the claim and deciding its conditions cost, 0.3 s for a UR10, and 20 us an instant; over
+    samples 1.8 s for the sampled law of a UR10, and 0.2 ms a sample. The exact test is left to `verify`.
 
     Raises
     ------
     DmframeError
         With the reason: `verify` would find nothing to prove, as far as is seen without the exact test; the run did not
-        keep every state; V holds a constant that no run knows; or the loop is so large that it would hold up the run.
+        keep every state; or the loop is so large that it would hold up the run.
     """
     diagram = run.diagram
     with SYMBOLIC:
         if diagram.loop.clocked:
             sampled = claim_of(diagram)
+            decided, _ = discrete_conditions(sampled, Numbers(sampled, uncertain), start)
+            for failing in _failing(decided):
+                raise NotApplicableError(failing)
             return sampled, sampled_along(sampled, run)
         if size := _large(diagram):
             raise NotApplicableError(
@@ -76,12 +80,13 @@ def _large(diagram: Diagram) -> int:
 
 def _faults(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> Iterator[str]:
     """Each condition that fails of those that numbers decide, what is undefined, and where V jumps."""
-    for condition in conditions_of(claim, numbers, start)[0]:
-        if not condition.holds:
-            yield f"a condition of the claim fails: {condition.name}"
-    for missing in undefined(claim, numbers):
-        yield f"a condition of the claim fails: {missing.name}"
+    yield from _failing(conditions_of(claim, numbers, start)[0])
+    yield from _failing(undefined(claim, numbers))
     yield from smoothness(claim.diagram, claim).faults
     for bound in bounds_of(claim, numbers, symbols_of(claim, numbers.uncertain)):
         if not bound.known:
             yield f"nothing bounds the residual: {bound.block}: {bound.of}"
+
+
+def _failing(conditions: Iterable[Checked]) -> Iterator[str]:
+    return (f"a condition of the claim fails: {item.name}" for item in conditions if not item.holds)

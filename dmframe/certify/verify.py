@@ -10,22 +10,20 @@ from hashlib import sha256
 from typing import Any, Final, Literal, final
 
 from dmframe.certificate import Assumption
+from dmframe.certify.assemble import assembled
 from dmframe.certify.barriers import barrier_statements, tubes
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim, NotApplicableError, claim_of
 from dmframe.certify.closure import Closure
 from dmframe.certify.conditions import conditions_of, decide, remedies
 from dmframe.certify.contradicted import contradicted
-from dmframe.certify.controls import Control, inject_faults
 from dmframe.certify.discrete import discrete_assumptions, discrete_conditions, discrete_statements
 from dmframe.certify.excess import Bound, bounds_of, total_bound
+from dmframe.certify.explained import UNCHECKED, explained
 from dmframe.certify.hypotheses import hypotheses, undefined
-from dmframe.certify.identity import check_identity, empty_terms, equalities
 from dmframe.certify.over import failing_of, over_intervals
 from dmframe.certify.positive import Signs
 from dmframe.certify.reach import reach_conditions
-from dmframe.certify.reals import doubt
-from dmframe.certify.refute import Refutation, refute
 from dmframe.certify.small_gain import Kappa, small_gain
 from dmframe.certify.smoothness import Examiner
 from dmframe.certify.statements import Statement, States, bases_of, statements_of, states_of, vanishing_of
@@ -35,6 +33,12 @@ from dmframe.diagram import Diagram
 from dmframe.errors import ValueFault, listed
 from dmframe.exact import ZeroTest
 from dmframe.exact.rational import Interval, as_float
+from dmframe.prove import claim as data
+from dmframe.prove.export import digest
+from dmframe.prove.faults import Control, inject_faults
+from dmframe.prove.identity import empty, identity
+from dmframe.prove.reals import doubt
+from dmframe.prove.refute import Refutation, refute
 
 Outcome = Literal["proved", "refuted", "not_applicable"]
 
@@ -66,6 +70,8 @@ class Verdict:
         What dV/dt may have above the dissipation, term by term; none for a claim without a bounded residual.
     build, check
         Seconds spent on writing V and dV/dt, and on deciding.
+    exact
+        The claim as data, of which `test`, `controls` and `refutation` speak; `dmframe.prove.export.to_json` writes it.
     """
 
     outcome: Outcome
@@ -84,6 +90,7 @@ class Verdict:
     bounds: tuple[Bound, ...] = ()
     build: float = 0.0
     check: float = 0.0
+    exact: data.Claim | None = None
 
     @property
     def flow_claim(self) -> Claim | None:
@@ -96,11 +103,17 @@ class Verdict:
         return self.claim if self.claim is not None and self.claim.over_samples else None
 
     @property
+    def rows_assumed(self) -> bool:
+        """True where an estimator's rows could not be compared with motions of the plant."""
+        return any(UNCHECKED in item.text for item in self.assumptions)
+
+    @property
     def headline(self) -> str:
         """The outcome in words, with what a proof does not reach."""
         words = self.outcome.replace("_", " ")
         if self.outcome == "proved" and self.samples is not None:
             words += f" over samples of {_over(self.samples, self.states)}"
+            words += "; that its rows follow from the plant is assumed" * self.rows_assumed
         if self.outcome == "proved" and self.bounds:
             grows = any(bound.times for bound in self.bounds)
             words += ", up to a residual that grows with a signal" if grows else ", up to a bounded residual"
@@ -183,38 +196,39 @@ def _verified(
     clock: _Clock,
 ) -> Verdict:
     claim = claim_of(diagram)
+    exact = assembled(claim, tuple(uncertain))  # which has differentiated all that has to vanish
     symbols = symbols_of(claim, uncertain)
     own = seed
-    seed = drawn(claim, symbols, own)  # which has differentiated all that has to vanish
+    seed = drawn(exact, diagram.fingerprint, own)
     examiner = None if claim.over_samples else Examiner(diagram, claim)
     smooth = None if examiner is None else examiner.found()
     clock.built()
 
     def ends(outcome: Outcome, reason: str, **found: Any) -> Verdict:
-        return Verdict(outcome, reason, claim, build=clock.build, check=clock.check, **found)
+        return Verdict(outcome, reason, claim, build=clock.build, check=clock.check, exact=exact, **found)
 
     if smooth is not None and smooth.faults:
         return ends("not_applicable", "; ".join(smooth.faults))
     try:
-        test = replace(check_identity(claim, symbols, trials=trials, seed=seed), seed=own)
+        test = replace(identity(exact, trials=trials, seed=seed), seed=own)
     except ValueFault as error:
         return ends("not_applicable", error.text)
     of = "what a sample does" if claim.over_samples else "dV/dt"
-    if not test.zero and (reason := doubt(equalities(claim), symbols, seed, of)):
+    if not test.zero and (reason := doubt(exact, seed, of)):
         return ends("not_applicable", reason, test=test)
     numbers = Numbers(claim, uncertain)
     if not test.zero:
-        refutation = refute(equalities(claim), symbols, seed=seed)
+        refutation = refute(exact, seed=seed)
         blame = _blame(claim, refutation, [] if claim.over_samples else remedies(claim, numbers))
         return ends("refuted", blame, test=test, refutation=refutation)
-    controls = inject_faults(claim, symbols, seed=seed)
+    controls = inject_faults(exact, seed=seed)
     find = _in_discrete_time if examiner is None else partial(_in_continuous_time, examiner=examiner)
     found = find(claim, symbols, numbers, start, seed)
     if found.fault:
         return ends("not_applicable", found.fault, test=test)
     conditions = found.conditions if found.undefined else tuple(over_intervals(list(found.conditions), claim, numbers))
-    empty = () if found.undefined else empty_terms(claim, symbols, seed)
-    outcome, reason = _judge(claim, conditions, controls, empty, found.bounds)
+    nothing = () if found.undefined else empty(exact, seed)
+    outcome, reason = _judge(claim, conditions, controls, nothing, found.bounds)
     if found.undefined:
         return ends(outcome, reason, test=test, conditions=conditions)
     return ends(
@@ -280,8 +294,11 @@ def _in_continuous_time(
 
 def _in_discrete_time(claim: Claim, symbols: Symbols, numbers: Numbers, start: Mapping[str, Any], seed: int) -> _Found:
     conditions, assumptions = discrete_conditions(claim, numbers, start)
+    rows = [explained(claim, part, item, seed) for part in claim.parts for item in part.certificate.steps]
+    conditions += [item for found in rows for item in found.checked]
+    assumptions += [item for found in rows for item in found.assumed]
     return _Found(
-        tuple(conditions),
+        (*conditions, *reach_conditions(claim)),
         (*assumptions, *discrete_assumptions(claim, symbols, seed)),
         tuple(discrete_statements(claim)),
         sampled_states(claim, numbers, seed),
@@ -303,11 +320,10 @@ def _counted(labels: Sequence[str], many: str) -> str:
     return listed(list(labels)) if len(labels) <= NAMED else f"{len(labels)} {many}"
 
 
-def drawn(claim: Claim, symbols: Symbols, seed: int) -> int:
+def drawn(claim: data.Claim, fingerprint: str, seed: int) -> int:
     """The seed of this claim's points and primes, derived from the claim: no claim can be written for known primes."""
-    function = symbols.function("claim", [equality.expression for equality in equalities(claim)])
-    digest = sha256(f"{seed}:{claim.diagram.fingerprint}:{function.serialize()}".encode()).digest()
-    return int.from_bytes(digest[:8], "big")
+    found = sha256(f"{seed}:{fingerprint}:{digest(claim)}".encode()).digest()
+    return int.from_bytes(found[:8], "big")
 
 
 def _blame(claim: Claim, refutation: Refutation, lacking: Sequence[str]) -> str:

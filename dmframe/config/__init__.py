@@ -1,4 +1,4 @@
-"""From the text of a graph file to checked data."""
+"""Reading of graph files: from YAML text to validated data."""
 
 from dmframe.config.experiment import Experiment, load_experiment
 

@@ -1,8 +1,8 @@
-"""Read a YAML text into plain data that knows its line and column.
+"""Read a YAML text into plain data with the line and column of each value.
 
-Scalars are those of YAML 1.2's core schema, read here rather than by the library, which is more generous: ``on`` and
-``yes`` are texts, ``1e-3`` is a number, and ``1_000`` is a text. Tags, directives and merge keys are refused; anchors
-are allowed, within bounds.
+Scalars are those of the core schema of YAML 1.2. They are parsed here, since the library accepts more: ``on`` and
+``yes`` are texts, ``1e-3`` is a number, and ``1_000`` is a text. Tags, directives and merge keys are rejected; anchors
+are allowed, within limits.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ Steps: TypeAlias = tuple[str | int, ...]
 
 MOST_BYTES = 1_000_000
 DEEPEST = 50
-MOST_NODES = 100_000  # aliases counted as often as they are used
+MOST_NODES = 100_000  # an alias counts each time it is used
 
 
 @final
 @dataclass(frozen=True)
 class Kind:
-    """What a text is, as messages call it, and how it begins."""
+    """Kind of a file: its name in messages, and its first line."""
 
     noun: str
     begins: str
@@ -62,9 +62,9 @@ UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U0001000
 @final
 @dataclass(frozen=True)
 class Node:
-    """A value and where it stands, line 0 where there is no text; `size` counts what it holds, each alias in full.
+    """A value with its line and column; line 0 without a text. `size` counts its values, each alias in full.
 
-    `said` is what put it there instead of the file, ``--set task.gamma=2``.
+    `said` is the override that set it instead of the file, ``--set task.gamma=2``.
     """
 
     line: int
@@ -74,45 +74,45 @@ class Node:
     said: str = ""
 
     def place(self, name: str) -> str:
-        """Where it stands in the text of that name, or what put it there."""
+        """Its place in the text of that name, or the override that set it."""
         return self.said or (f"{name}:{self.line}:{self.column}" if self.line else name)
 
 
 @final
 @dataclass(frozen=True)
 class Document:
-    """A YAML mapping as plain data; `name` is what messages call the text."""
+    """A YAML mapping as plain data; `name` is the text's name in messages."""
 
     name: str
     data: dict[str, Any]
     root: Node = field(repr=False, compare=False)
 
     def locate(self, path: Sequence[str | int], key: bool = False) -> str:
-        """``graph.yaml:9:31``, where the value at `path` stands, or its key.
+        """Place of the value at `path`, or of its key: ``graph.yaml:9:31``.
 
-        Where nothing stands at `path`, the place of the nearest ancestor's key: that is where to add it.
+        Without a value at `path` it is the place of the nearest ancestor's key, where the value can be added.
         """
         node, named, exact = self._at(path)
         return (named if key or not exact else node).place(self.name)
 
     def node(self, path: Sequence[str | int]) -> Node:
-        """What stands at `path`. Raises `KeyError` where nothing does."""
+        """The node at `path`. Raises `KeyError` if there is none."""
         node, _, exact = self._at(path)
         if not exact:
             raise KeyError(path)
         return node
 
-    def is_said(self, path: Sequence[str | int], key: bool = False) -> bool:
-        """Did an override put there what `locate` finds?"""
+    def is_override(self, path: Sequence[str | int], key: bool = False) -> bool:
+        """True if an override set the value that `locate` finds."""
         node, named, exact = self._at(path)
         return bool((named if key or not exact else node).said)
 
     def said_below(self, path: Sequence[str | int]) -> list[str]:
-        """Which overrides stand in what `locate` finds."""
+        """The overrides in the value that `locate` finds."""
         return list(dict.fromkeys(_said_in(self._at(path)[0])))
 
     def _at(self, path: Sequence[str | int]) -> tuple[Node, Node, bool]:
-        """The value at `path` with its key, or its nearest ancestor's, and whether it is there."""
+        """The value at `path` with its key, or those of its nearest ancestor, and true if the value exists."""
         node, named = self.root, self.root
         for step in path:
             held = node.value
@@ -128,8 +128,8 @@ class Document:
 def read_file(path: Path | str, kind: Kind = GRAPH) -> Document:
     """Read a graph file, or one of another kind.
 
-    Raises `MissingError` where there is no such file, `DocumentError` where it cannot be read, and what
-    `read_document` raises.
+    Raises `MissingError` if there is no such file, `DocumentError` if it cannot be read, and the errors of
+    `read_document`.
     """
     path = Path(path)
     try:
@@ -157,9 +157,9 @@ def read_file(path: Path | str, kind: Kind = GRAPH) -> Document:
 
 
 def read_document(text: str, name: str, kind: Kind = GRAPH) -> Document:
-    """Read a YAML text that holds one mapping.
+    """Read a YAML text that consists of one mapping.
 
-    Raises `DocumentError` and, for numbers that are not finite, `ValueFault`; several of them as `Faults`.
+    Raises `DocumentError` and, for numbers that are not finite, `ValueFault`; several faults are raised as `Faults`.
     """
     text = text.removeprefix("\ufeff")
     _check_size(len(text.encode("utf-8", "surrogatepass")), name, kind)
@@ -189,7 +189,7 @@ def read_document(text: str, name: str, kind: Kind = GRAPH) -> Document:
 
 
 def unreadable(letter: str) -> str:
-    """What is said of a control character."""
+    """Message for a control character."""
     return f"expected readable text, found the control character U+{ord(letter):04X}; remove it"
 
 
@@ -246,7 +246,7 @@ def _items(node: Node) -> list[Node]:
 
 
 def _plain(node: Node) -> Plain:
-    """Fresh dictionaries and lists, also for an alias: two places in the data never share one."""
+    """New dictionaries and lists, also for an alias, so that no two places in the data share one."""
     if isinstance(node.value, dict):
         return {key: _plain(value) for key, (_, value) in node.value.items()}
     if isinstance(node.value, list):
@@ -255,16 +255,16 @@ def _plain(node: Node) -> Plain:
 
 
 class _Reader:
-    """Builds nodes from the parser's events and gathers the faults that do not stop the reading."""
+    """Builds nodes from the parser's events and collects the faults that do not prevent further reading."""
 
     def __init__(self, name: str, kind: Kind) -> None:
         self.name, self.noun = name, kind.noun
         self.faults: list[DmframeError] = []
         self._count = 0
-        self._anchors: dict[str, Node | None] = {}  # None while the anchor's own value is being read
+        self._anchors: dict[str, Node | None] = {}  # None while the value of the anchor is being read
 
     def document(self, text: str) -> Node | None:
-        # a stream: a text of one line that names a file must not be opened
+        # a stream, since the parser would open a file named by a text of one line
         events: Iterator[Any] = YAML(typ="safe", pure=True).parse(io.StringIO(text))
         root: Node | None = None
         for event in events:
@@ -321,7 +321,7 @@ class _Reader:
             if name in entries:
                 first = entries[name][0]
                 self._note(
-                    f"{'.'.join(map(str, (*path, shorten(name))))} stands twice, first at "
+                    f"{'.'.join(map(str, (*path, shorten(name))))} appears twice, first at "
                     f"{self.name}:{first.line}:{first.column}; keep one of them",
                     event,
                     (*path, name),
@@ -337,7 +337,7 @@ class _Reader:
         text: str = event.value
         if strange := UNPRINTABLE.search(
             text
-        ):  # out of an escape, "\\e" or "\\ud800"; such a character cannot stand itself
+        ):  # from an escape, "\\e" or "\\ud800"; such a character is not allowed in the text itself
             self._note(unreadable(strange.group()), event, path)
             return UNPRINTABLE.sub("", text)
         if event.style is not None:
@@ -352,7 +352,7 @@ class _Reader:
                 number = float(text)
             elif number == 0.0:
                 return text
-        except ValueError:  # Python refuses integers of thousands of digits
+        except ValueError:  # Python rejects integers of thousands of digits
             number = math.inf
         if not math.isfinite(number):
             where = ".".join(map(str, path))
@@ -366,7 +366,7 @@ class _Reader:
         if node is not None:
             return node
         if name in self._anchors:
-            raise self._fault(f"the alias *{name} stands inside the value that it repeats; write it out", event, path)
+            raise self._fault(f"the alias *{name} is inside the value that it repeats; write it out", event, path)
         self._note(f"the alias *{name} repeats no anchor; {nearest(name, self._anchors)}", event, path)
         return Node(event.start_mark.line + 1, event.start_mark.column + 1, None)
 

@@ -1,4 +1,4 @@
-"""An experiment, as a graph file describes it: blocks, wires and a robot, and how they are run."""
+"""Experiments: the blocks, wires, robot and run settings of a graph file."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ if TYPE_CHECKING:
 
 
 Step = Callable[[Document], Document]
-"""Puts a value into a document; it can be pickled."""
+"""A function that sets a value in a document; it can be pickled."""
 
 
 @final
 @dataclass(frozen=True)
 class Stating:
-    """A document that still has its key ``reality``, and what was set after that, so that it can be asked for anew."""
+    """A document that still has its key ``reality``, and the later changes, so that the key can be changed again."""
 
     document: Document
     later: tuple[Step, ...] = ()
@@ -50,22 +50,22 @@ class Stating:
 @final
 @dataclass(frozen=True, repr=False)
 class Experiment:
-    """A graph file that has been read and checked, with its blocks made.
+    """A graph file that has been read and checked, with its blocks.
 
-    Its clock, solver, start, log and intervals go along with whatever is asked of it.
+    Its methods use the file's clock, solver, start, log and intervals.
 
     Parameters
     ----------
     name
-        The file's name without its ending.
+        The file's name without its suffix.
     data
-        The file as plain data, after overrides: what `run` writes beside its results.
+        The file as plain data, after overrides; `run` writes it next to its results.
     overrides
-        What was set, as ``--set`` has it.
+        The values that were set, as arguments of ``--set``.
     swapped
-        In a file's baseline the blocks that are there for others of the file; None for the graph itself.
-    asked
-        Where ``reality`` put blocks in, what was asked of it.
+        For a file's baseline, the blocks that replace others of the file; None for the graph itself.
+    unexpanded
+        The document before ``reality`` inserted its blocks, if the graph has this key.
     """
 
     name: str
@@ -77,22 +77,22 @@ class Experiment:
     start: Mapping[str, Any]
     overrides: tuple[str, ...] = ()
     swapped: tuple[str, ...] | None = None
-    asked: Stating | None = None
+    unexpanded: Stating | None = None
 
     @property
     def solver(self) -> Solver:
-        """The solver that the file asks for."""
+        """The solver that the file specifies."""
         section = self.file.solver
         return Solver(section.method, section.step, section.output, section.tolerance, section.share)
 
     @property
     def log(self) -> Log:
-        """What the file asks to be kept."""
+        """The signals and instants that the file specifies for recording."""
         return Log(self.file.log.every, self.file.log.signals)
 
     @property
     def settings(self) -> dict[str, Any]:
-        """All that `simulate` is told of a run beside the diagram and the duration."""
+        """Arguments of `simulate` other than the diagram and the duration."""
         file = self.file
         return {
             "clock": file.clock,
@@ -104,9 +104,9 @@ class Experiment:
         }
 
     def diagram(self) -> Diagram:
-        """Wire and flatten it, and check what the file says of runs; faults carry their place in the file.
+        """The diagram, wired and flattened, with the run settings checked; faults have their place in the file.
 
-        What needs a pose, or a proof, is left to `simulate` and `verify`.
+        Checks that need a pose or a proof are made in `simulate` and `verify`.
         """
         file = self.file
         try:
@@ -121,7 +121,7 @@ class Experiment:
             raise placed(error, self.document) from None
 
     def check_units(self, diagram: Diagram) -> None:
-        """Raise what disagrees in the units of the blocks' equations, certificates and conditions."""
+        """Raise the inconsistencies in the units of the blocks' equations, certificates and conditions."""
         try:
             raise_all(diagram.unit_faults)
         except DmframeError as error:
@@ -135,14 +135,14 @@ class Experiment:
         progress: Progress | None = None,
         log: Log | None = None,
     ) -> Recording:
-        """Run it; faults carry their place in the file. See `dmframe.simulate.simulate`.
+        """Run it; faults have their place in the file. See `dmframe.simulate.simulate`.
 
         Parameters
         ----------
         diagram
-            Its own, where that is there already, or one with other numbers.
+            Its own diagram if it exists already, or one with other numbers.
         log
-            What is kept, where that is not what the file says.
+            What is recorded, if that differs from the file.
         """
         try:
             return simulate(
@@ -156,7 +156,7 @@ class Experiment:
             raise placed(error, self.document) from None
 
     def verify(self, diagram: Diagram | None = None, *, seed: int = 0) -> Verdict:
-        """Prove it, or say why not; faults carry their place in the file. See `dmframe.certify.verify`."""
+        """Prove it, or give the reason why not; faults have their place in the file. See `dmframe.certify.verify`."""
         from dmframe.certify import verify
 
         diagram = diagram or self.diagram()
@@ -167,9 +167,9 @@ class Experiment:
             raise placed(error, self.document) from None
 
     def intervals(self, diagram: Diagram) -> Mapping[str, Sequence[Interval]]:
-        """The true parameters that the file knows up to an interval; faults carry their place in the file.
+        """The true parameters that the file gives as intervals; faults have their place in the file.
 
-        A run does without: it may be one outside of them.
+        A run does not use them: its parameters may lie outside.
         """
         from dmframe.certify.uncertain import intervals
 
@@ -179,7 +179,7 @@ class Experiment:
             raise placed(error, self.document) from None
 
     def baseline(self) -> Experiment:
-        """The same graph with the blocks of its key `baseline`, and without wires of blocks that are left out.
+        """The same graph with the blocks of its key `baseline`, and without the wires of removed blocks.
 
         Raises
         ------
@@ -187,7 +187,7 @@ class Experiment:
             The file has no such key.
         """
         if not self.file.baseline:
-            raise MissingError(f"{self.name}: expected a key baseline, which says what to compare with; found none")
+            raise MissingError(f"{self.name}: expected a key baseline, with the blocks to compare with; found none")
         root: Any = self.document.root.value
         sections = {key: node.value for key, (_, node) in root.items()}
         changed = {**sections["blocks"], **sections["baseline"]}
@@ -210,7 +210,7 @@ class Experiment:
         return replace(made, overrides=self.overrides, swapped=swapped)
 
     def changed(self, values: Mapping[str, Any]) -> Experiment:
-        """The same with other values, ``{"task.gamma": 2, "clock": "2 ms"}``, as ``--set`` has them.
+        """The same graph with other values, ``{"task.gamma": 2, "clock": "2 ms"}``, as with ``--set``.
 
         Raises
         ------
@@ -228,37 +228,35 @@ class Experiment:
     def with_steps(
         self, real: Sequence[Step], others: Sequence[Step], faults: list[DmframeError]
     ) -> tuple[Document, Stating | None]:
-        """The document with values put in, those of ``reality`` first; blocks that it had put in go, as with ``--set``.
+        """The document with values set, those of ``reality`` first, whose earlier blocks are removed as with ``--set``.
 
-        Faults of the values are added to `faults`; one of the sets themselves is raised.
+        Faults of the values are added to `faults`; a fault of a set of channel models is raised.
         """
-        document, asked = self.document, self.asked
+        document, unexpanded = self.document, self.unexpanded
         if real:
-            document = _after(asked.document if asked else document, real, faults)
-            asked = Stating(document, asked.later if asked else ())
-            document = _after(_expanded(document, find_block), asked.later, faults)
-        return _after(document, others, faults), _then(asked, *others)
+            document = _after(unexpanded.document if unexpanded else document, real, faults)
+            unexpanded = Stating(document, unexpanded.later if unexpanded else ())
+            document = _after(_expanded(document, find_block), unexpanded.later, faults)
+        return _after(document, others, faults), _then(unexpanded, *others)
 
     def remade(self, changed: tuple[Document, Stating | None], overrides: Sequence[str]) -> Experiment:
         """The graph of a changed document, see `with_steps`, with these overrides added to its own."""
-        document, asked = changed
+        document, unexpanded = changed
         made = experiment_of(document, like=self)
         overrides = (*self.overrides, *overrides)
-        return replace(made, name=self.name, overrides=overrides, swapped=self.swapped, asked=asked)
+        return replace(made, name=self.name, overrides=overrides, swapped=self.swapped, unexpanded=unexpanded)
 
     def with_duration(self, duration: float) -> Experiment:
-        """The same graph, run for another time [s]."""
+        """The same graph with another duration [s]."""
         document = put(self.document, "duration", duration, f"--until {duration:g}")
         file = self.file.model_copy(update={"duration": duration})
-        data, asked = (
-            {**self.data, "duration": duration},
-            _then(self.asked, partial(_changed, values={"duration": duration})),
-        )
-        return replace(self, file=file, data=data, document=document, asked=asked)
+        data = {**self.data, "duration": duration}
+        unexpanded = _then(self.unexpanded, partial(_changed, values={"duration": duration}))
+        return replace(self, file=file, data=data, document=document, unexpanded=unexpanded)
 
     def __reduce__(self) -> Any:
-        """Pickled as its document: a process elsewhere makes its blocks anew."""
-        return _again, (self.document, self.name, self.overrides, self.swapped, self.asked)
+        """Pickled as its document: another process creates the blocks again."""
+        return _again, (self.document, self.name, self.overrides, self.swapped, self.unexpanded)
 
     def __repr__(self) -> str:
         return f"<Experiment {self.name}>"
@@ -281,22 +279,24 @@ def load_experiment(source: str | Path, overrides: Sequence[str] = ()) -> Experi
 
     Notes
     -----
-    A name from before is read as the new one, with a notice on stderr; see `dmframe.config.renamed`.
+    A former name is read as the new one, with a notice on stderr; see `dmframe.config.renamed`.
     """
     path = find_graph(str(source))
     document = read_file(path)
-    _tell_changes(path)
+    _report_changes(path)
     first, others = _parted(overrides)
-    asked = overridden(document, first, KEYS)
+    unexpanded = overridden(document, first, KEYS)
     made, later = (
-        experiment_of(_overridden(_expanded(asked, find_block), others)),
+        experiment_of(_overridden(_expanded(unexpanded, find_block), others)),
         (partial(_overridden, overrides=others),),
     )
-    return replace(made, overrides=tuple(overrides), asked=Stating(asked, later) if KEY in asked.data else None)
+    return replace(
+        made, overrides=tuple(overrides), unexpanded=Stating(unexpanded, later) if KEY in unexpanded.data else None
+    )
 
 
-def _tell_changes(path: Path) -> None:
-    """Tell on stderr which files beside a graph of a sealed folder are not what was written; signals are not read."""
+def _report_changes(path: Path) -> None:
+    """Report on stderr which files of a sealed folder have changed since it was written; signals are not read."""
     folder = folder_of(path)
     if folder is not None:
         near = path.parent.resolve()
@@ -305,13 +305,13 @@ def _tell_changes(path: Path) -> None:
 
 
 def with_overrides(document: Document, overrides: Sequence[str], find: Find = find_block) -> Document:
-    """The document with ``--set`` values put in; what they say of ``reality`` first, so that its blocks are there."""
+    """The document with ``--set`` values; those of ``reality`` come first, so that later ones can change its blocks."""
     first, others = _parted(overrides)
     return _overridden(_expanded(overridden(document, first, KEYS), find), others)
 
 
 def _parted(overrides: Sequence[str]) -> tuple[list[str], list[str]]:
-    """What overrides say of ``reality``, and all others."""
+    """The overrides of ``reality``, and all others."""
     first = [text for text in overrides if names_reality(text.partition("=")[0])]
     return first, [text for text in overrides if text not in first]
 
@@ -325,7 +325,7 @@ def _changed(document: Document, values: Mapping[str, Any]) -> Document:
 
 
 def _after(document: Document, steps: Sequence[Step], faults: list[DmframeError]) -> Document:
-    """The document after some steps, the faults of each added to `faults`."""
+    """The document after some steps; the faults of each are added to `faults`."""
     for step in steps:
         try:
             document = step(document)
@@ -334,13 +334,13 @@ def _after(document: Document, steps: Sequence[Step], faults: list[DmframeError]
     return document
 
 
-def _then(asked: Stating | None, *steps: Step) -> Stating | None:
-    """What was asked of ``reality``, and other values set after it."""
-    return replace(asked, later=(*asked.later, *steps)) if asked else None
+def _then(unexpanded: Stating | None, *steps: Step) -> Stating | None:
+    """The document before ``reality``, with further changes."""
+    return replace(unexpanded, later=(*unexpanded.later, *steps)) if unexpanded else None
 
 
 def _expanded(document: Document, find: Find) -> Document:
-    """With the blocks of its key ``reality``; what is left out is told on stderr."""
+    """The document with the blocks of its key ``reality``; blocks that are left out are reported on stderr."""
     found = with_reality(document, Path(document.name).parent, find)
     for notice in found.notices:
         sys.stderr.write(f"{visible(notice)}\n")
@@ -348,18 +348,18 @@ def _expanded(document: Document, find: Find) -> Document:
 
 
 def experiment_of(document: Document, find: Find = find_block, like: Experiment | None = None) -> Experiment:
-    """An experiment from its document, whose old names are read as the new ones; `find` gives the class of a type.
+    """An experiment from its document, whose former names are read as the new ones; `find` gives the class of a type.
 
-    Where its robot is asked for in the words of another, `like`, that one's is taken: a model takes longer to read than
-    all the rest. Raises what `load_experiment` does.
+    If its section ``robot`` equals that of the experiment `like`, it uses the same model, which takes longer to read
+    than everything else. Raises the errors of `load_experiment`.
     """
-    path, asked = Path(document.name), Stating(document) if KEY in document.data else None
+    path, unexpanded = Path(document.name), Stating(document) if KEY in document.data else None
     document = _expanded(document, find)
     read = with_new_names(document, path.parent, find)
     raise_all(read.faults)
     for notice in read.notices:
         sys.stderr.write(f"{visible(notice)}\n")
-    return replace(_made(read.document, path, find, like), asked=asked)
+    return replace(_made(read.document, path, find, like), unexpanded=unexpanded)
 
 
 def _again(
@@ -367,14 +367,14 @@ def _again(
     name: str,
     overrides: tuple[str, ...],
     swapped: tuple[str, ...] | None = None,
-    asked: Stating | None = None,
+    unexpanded: Stating | None = None,
 ) -> Experiment:
-    """One that was pickled."""
-    return replace(experiment_of(document), name=name, overrides=overrides, swapped=swapped, asked=asked)
+    """A pickled experiment."""
+    return replace(experiment_of(document), name=name, overrides=overrides, swapped=swapped, unexpanded=unexpanded)
 
 
 def _made(document: Document, path: Path, find: Find = find_block, like: Experiment | None = None) -> Experiment:
-    """An experiment from its document; `path` names it, and files are looked for beside it. See `experiment_of`."""
+    """An experiment from its document; `path` names it, and files are searched in its folder. See `experiment_of`."""
     data = document.data
     faults = list[DmframeError]()
     try:
@@ -395,5 +395,5 @@ def _made(document: Document, path: Path, find: Find = find_block, like: Experim
         raise_all(faults)
     except DmframeError as error:
         raise placed(error, document) from None
-    assert file is not None  # a file that is not valid left a fault
+    assert file is not None  # an invalid file has raised its faults
     return Experiment(path.stem, file, data, document, blocks, robot, start)

@@ -1,4 +1,4 @@
-"""A graph, or a value of one, that a program gives: read into the same nodes as a file's text."""
+"""Convert a graph, or a value of one, given by a program into the same nodes as a file's text."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from dmframe.units import shorten
 
 
 def document_of(data: Mapping[Any, Any], name: str) -> Document:
-    """A graph given as data, with NumPy's arrays and numbers where it likes; `name` is what messages call it.
+    """A graph given as data, which may contain NumPy arrays and numbers; `name` is its name in messages.
 
-    Raises `DocumentError` for what no graph file could say, and `ValueFault` for a number that is not finite.
+    Raises `DocumentError` for a value that no graph file can contain, and `ValueFault` for a number that is not finite.
     """
     root = node_of(data, ())
     if not isinstance(root.value, dict) or not root.value:
@@ -37,14 +37,14 @@ def document_of(data: Mapping[Any, Any], name: str) -> Document:
 
 
 def node_of(value: Any, path: Steps, said: str = "") -> Node:
-    """A value that a program gives, as if a file had said it.
+    """The node of a value given by a program.
 
-    Raises `DocumentError` for what no file could say, and `ValueFault` for a number that is not finite.
+    Raises `DocumentError` for a value that no file can contain, and `ValueFault` for a number that is not finite.
     """
     where = ".".join(map(str, path)) or "graph"
     if len(path) > DEEPEST:
         raise DocumentError(f"nested deeper than {DEEPEST} levels; a graph needs about four", location=said)
-    if isinstance(value, np.ndarray | np.generic | range) or hasattr(value, "__array__"):  # pandas' and xarray's, too
+    if isinstance(value, np.ndarray | np.generic | range) or hasattr(value, "__array__"):  # pandas and xarray too
         array = np.asarray(value)
         if array.dtype.kind in "mM":
             raise DocumentError(f"{where}: expected numbers, found dates or spans of time", location=said)
@@ -52,7 +52,7 @@ def node_of(value: Any, path: Steps, said: str = "") -> Node:
             raise DocumentError(f"{where}: expected at most {MOST_NODES} numbers, found {array.size}", location=said)
         value = array.tolist()
     if isinstance(value, Number) and not isinstance(value, int | float | complex):  # a Fraction, a Decimal
-        value = float(value)  # type: ignore[arg-type]  # Number itself promises no __float__
+        value = float(value)  # type: ignore[arg-type]  # Number does not declare __float__
     if isinstance(value, Mapping):
         entries = dict[str, tuple[Node, Node]]()
         for key, item in value.items():

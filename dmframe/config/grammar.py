@@ -86,7 +86,7 @@ def _tool(value: Any) -> Any:
 
 
 def _tolerance(value: Any) -> Any:
-    """A positive number, or a text that is a positive quantity of some unit; the error's unit is known later."""
+    """A positive number, or a text with a positive quantity in any unit; the unit of the error is known later."""
     if value is None:
         return None
     for unit in ("m", "rad", ""):
@@ -99,25 +99,25 @@ def _tolerance(value: Any) -> Any:
 
 
 def robot_name(value: Any) -> Any:
-    """A robot given by its name alone is that model, all else left to its defaults."""
+    """A robot given by its name alone is that model with its defaults."""
     return {"model": value} if isinstance(value, str) else value
 
 
 class Section(BaseModel):
-    """A section of a file: its keys and no others."""
+    """A section of a file; other keys are rejected."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 @final
 class RobotSection(Section):
-    """Which robot, and which of its joints move."""
+    """The robot, and the joints that move."""
 
     model: str = Field(description="name of a robot, or a path to a URDF file")
     free: tuple[str, ...] | None = Field(
-        None, description="joints that move; without it, all those on the way to the tool"
+        None, description="joints that move; by default all joints between base and tool"
     )
-    hold: dict[str, Place] = Field({}, description="joints held still, with their angles, or places [m]")
+    hold: dict[str, Place] = Field({}, description="joints that are held, with their angles, or positions [m]")
     tool: Annotated[str | tuple[float, float, float] | None, BeforeValidator(_tool)] = Field(
         None, description="frame of the tool, or its offset in the last link"
     )
@@ -127,30 +127,30 @@ class RobotSection(Section):
 
 @final
 class SolverSection(Section):
-    """How the continuous part is integrated."""
+    """Integration of the continuous states."""
 
     method: Method = Field(
         "rk4", description="rk4 (fixed step), ros34pw2 (fixed step, for stiff plants) or cvodes (SUNDIALS, adaptive)"
     )
     step: Seconds | None = Field(
         None,
-        description="longest step of rk4, ros34pw2; without it 1 ms, 0.5 ms for ros34pw2, or less where rk4 must",
+        description="longest step of rk4, ros34pw2; default 1 ms, 0.5 ms for ros34pw2, less where rk4 requires it",
     )
-    output: Seconds = Field(0.01, description="with a continuous clock, how often a result is kept")
+    output: Seconds = Field(0.01, description="with a continuous clock, the period of recording")
     tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(1e-9, description="of cvodes, relative")
     share: Annotated[float, Field(gt=0, le=1)] = Field(
-        0.8, description="of the step up to which rk4 is stable, how much it takes where no step is given"
+        0.8, description="fraction of the longest stable step that rk4 uses if no step is given"
     )
 
 
 @final
 class LogSection(Section):
-    """What a run keeps."""
+    """What a run records."""
 
     every: Seconds | None = Field(
-        None, description="time between instants that are kept; without it every tick, fewer of a very long run"
+        None, description="time between recorded instants; by default every tick, fewer for a very long run"
     )
-    signals: tuple[str, ...] | None = Field(None, description="block.signal of those that are kept; without it, all")
+    signals: tuple[str, ...] | None = Field(None, description="recorded signals as block.signal; by default all")
 
 
 @final
@@ -158,44 +158,44 @@ class GraphFile(Section):
     """The keys of a graph file."""
 
     dmframe: Annotated[Literal[1], BeforeValidator(version)] = Field(description="version of this format")
-    title: str = Field("", description="one line that a reader understands")
+    title: str = Field("", description="description in one line")
     robot: Annotated[RobotSection | None, BeforeValidator(robot_name)] = Field(
-        None, description="the robot's name, or its name with what moves and where the tool is"
+        None, description="the robot's name, or its name with the moving joints and the tool"
     )
     clock: Annotated[Seconds | None, BeforeValidator(_clock), _schema("s, or continuous")] = Field(
         description="sampling period of the controller, or continuous"
     )
-    jitter: Jitter = Field(0.0, description="how much earlier or later a sample may begin, at random")
-    seed: Annotated[int, BeforeValidator(seed_of)] = Field(0, ge=0, description="decides what is drawn at random")
+    jitter: Jitter = Field(0.0, description="largest random advance or delay of a sampling instant")
+    seed: Annotated[int, BeforeValidator(seed_of)] = Field(0, ge=0, description="seed of all random numbers")
     duration: Seconds = Field(description="simulated time")
     tolerance: Annotated[float | str | None, BeforeValidator(_tolerance)] = Field(
-        None, description="largest error, root mean square in the last quarter, with which a rehearsal passes"
+        None, description="largest error (root mean square over the last quarter) with which a rehearsal passes"
     )
     start: dict[str, Any] = Field({}, description="start values by state, {q: [...]}, or {near: [...]}")
     solver: SolverSection = SolverSection()
     log: LogSection = LogSection()
     blocks: dict[str, dict[str, Any]] = Field(description="blocks by name: {type: ..., parameter: value}")
-    wires: dict[str, str] = Field({}, description="input: output, where names do not say it")
+    wires: dict[str, str] = Field({}, description="input: output, where the names differ")
     baseline: dict[str, dict[str, Any] | None] = Field(
         {},
-        description="blocks of the controller to compare with, in the place of those of that name; null leaves one out",
+        description="blocks of the controller to compare with; each replaces the one of its name, null removes it",
     )
     reality: str | dict[str, Any] | None = Field(
         None,
-        description="what stands between controller and robot: a packaged set such as ur, or {like: ur, block type: "
-        "{parameter: value}}; none for nothing",
+        description="channel models between controller and robot: a packaged set such as ur, or {like: ur, block type: "
+        "{parameter: value}}; none for the ideal channel",
     )
     uncertain: dict[str, Any] = Field(
-        {}, description="true parameters known only up to an interval, {servo.K_D: [600, 1000]}; for verify"
+        {}, description="intervals of true parameters that are not known exactly, {servo.K_D: [600, 1000]}; for verify"
     )
 
 
 KEYS: Final = tuple(GraphFile.model_fields)
-"""Of a graph file."""
+"""Keys of a graph file."""
 
 
 def shown(value: Any) -> str:
-    """What a message quotes of a value, as the file writes it."""
+    """A value as a message quotes it, in the syntax of the file."""
     if value is None or isinstance(value, bool):
         return "nothing" if value is None else str(value).lower()
     return repr(value) if len(repr(value)) < 40 else "a list" if isinstance(value, list) else "keys with values"
@@ -205,9 +205,9 @@ Path: TypeAlias = tuple[str | int, ...]
 
 
 def fault_of(detail: Any, keys: Callable[[Path], Sequence[str]] | None = None) -> DmframeError:
-    """What is said of one of pydantic's errors of a `GraphFile`, or of another file whose sections have `keys`."""
+    """The fault for one of pydantic's errors of a `GraphFile`, or of another file whose sections have `keys`."""
     *parts, last = detail["loc"]
-    # pydantic puts its own words between, function-before[...]; a user's unknown key is the last
+    # pydantic inserts its own names, function-before[...]; a user's unknown key is the last
     kept = [part for part in parts if not (isinstance(part, str) and "[" in part)]
     own = detail["type"] == "extra_forbidden" or not (isinstance(last, str) and "[" in last)
     path = (*kept, last) if own else tuple(kept)

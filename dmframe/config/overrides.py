@@ -1,7 +1,7 @@
-"""Values that go before those of a graph file: ``--set task.gamma=2``, or ``graph.set({"task.gamma": 2})``.
+"""Overrides of values in a graph file: ``--set task.gamma=2``, or ``graph.set({"task.gamma": 2})``.
 
-They are put into the document itself, so that all that reads it later, old names included, reads one text; each says
-of itself how it came, and so does a fault in it.
+They are set in the document itself, so that everything that reads it later, former names included, reads one text.
+Each node records the override that set it, so that a fault in it can name the override.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from dmframe.errors import DmframeError, UnknownNameError, ValueFault, visible
 from dmframe.units import shorten
 
 LABELLED: Final = (("start",), ("uncertain",), ("wires",), ("robot", "hold"))
-"""Sections whose keys may hold dots, as ``servo.K_D`` does: what follows the section's name is one key."""
+"""Sections whose keys may contain dots, such as ``servo.K_D``: the text after the section's name is one key."""
 NAMED: Final = {"robot": "model", "reality": "like"}
-"""Sections that may be a name alone, and the key which that is short for."""
+"""Sections that may be given as a name alone, and the key for which the name stands."""
 _INNER = re.compile(r", first at :\d+:\d+")
-"""A place in the one line that a value is read as, which nobody has written."""
+"""A place in the line that the parser reads for an override; it is in no file of the user's."""
 _COMMENT = re.compile(r"(?:^|\s)#")
 
 
 def overridden(document: Document, overrides: Sequence[str], known: Sequence[str]) -> Document:
-    """The document with ``--set`` values put in, `known` being a graph's keys."""
+    """The document with ``--set`` values; `known` are the keys of a graph."""
     for text in overrides:
         said = f"--set {shorten(visible(text), 200)}"
         document = put_at(document, text.partition("=")[0], _value(text, said), said, known, equals="=" in text)
@@ -35,19 +35,19 @@ def overridden(document: Document, overrides: Sequence[str], known: Sequence[str
 
 
 def changed(document: Document, values: Mapping[str, Any], known: Sequence[str]) -> Document:
-    """The document with a program's values put in."""
+    """The document with values given by a program."""
     for label, node, _, said in _given(values):
         document = put_at(document, label, node, said, known)
     return document
 
 
 def texts_of(values: Mapping[str, Any]) -> tuple[str, ...]:
-    """A program's values, each as ``--set`` would have it."""
+    """Values given by a program, each as an argument of ``--set``."""
     return tuple(text for _, _, text, _ in _given(values))
 
 
 def _given(values: Mapping[str, Any]) -> Iterator[tuple[str, Node, str, str]]:
-    """Labels with their values, each as ``--set`` would have it, and what messages call it."""
+    """Labels with their values, each as an argument of ``--set``, and its name in messages."""
     for label, value in values.items():
         if isinstance(label, str) and "=" in label:
             raise ValueFault(f"set {shorten(visible(label), 60)}: expected a name alone, without an equals sign")
@@ -65,7 +65,7 @@ def put_at(
 ) -> Document:
     """The document with a value under a label such as ``dynamics.Gamma``; messages call its place `said`.
 
-    A whole block is put in by its name, ``blocks.inverse``, and left out by nothing.
+    The label of a whole block is its name, ``blocks.inverse``; an empty value removes it.
     """
     held = value.value
     whole = held is None or (isinstance(held, dict) and "type" in held)
@@ -86,7 +86,7 @@ def put(document: Document, key: str, value: float, said: str) -> Document:
 def _target(
     label: str, said: str, data: Mapping[str, Any], known: Sequence[str], *, whole: bool, equals: bool
 ) -> list[str]:
-    """The keys that lead to what an override sets, a `whole` block too. Before a block, ``blocks.`` may stand."""
+    """The keys of the value that an override sets, or of a `whole` block. A block may be preceded by ``blocks.``."""
     keys, blocks = label.strip().split("."), data.get("blocks")
     names = list(blocks) if isinstance(blocks, dict) else []
     if not equals or not all(keys):
@@ -118,14 +118,14 @@ def _without(root: Node, name: str, said: str) -> Node:
 
 
 def _value(text: str, said: str) -> Node:
-    """What stands after the equals sign: one value, as in YAML, but that no comment may follow it."""
+    """The value after the equals sign, as in YAML, without a comment."""
     written = text.partition("=")[2].strip()
     value = _read(written, said)
     for mark in _COMMENT.finditer(written):
         try:
             before = _read(written[: mark.start()], said)
         except DmframeError:
-            continue  # this one stands in quotes or in a list
+            continue  # this one is in quotes or in a list
         if mapping_of(before) == mapping_of(value):
             raise ValueFault(f"{said}: a # begins a comment here; put a text that holds one in double quotes")
     return _by(_only(value, said), said)
@@ -144,12 +144,12 @@ def _only(root: Node, said: str) -> Node:
     entries = root.value if isinstance(root.value, dict) else {}
     for name in entries:
         if name != "value":
-            raise ValueFault(f"{said}: expected one value, found {shorten(name)} beside it; give it a --set of its own")
+            raise ValueFault(f"{said}: expected one value, found {shorten(name)} too; use a separate --set for it")
     return entries["value"][1]
 
 
 def _by(node: Node, said: str) -> Node:
-    """The node and all below it, as put there by an override."""
+    """The node and all below it, marked as set by an override."""
     value = node.value
     if isinstance(value, dict):
         value = {name: (_by(key, said), _by(below, said)) for name, (key, below) in value.items()}
@@ -159,16 +159,16 @@ def _by(node: Node, said: str) -> Node:
 
 
 def _put(node: Node, keys: Sequence[str], value: Node, said: str) -> Node:
-    """The mapping with a value where `keys` lead; mappings on the way are made where nothing stands."""
+    """The mapping with a value at `keys`; missing mappings in between are created."""
     entries = dict(node.value) if isinstance(node.value, dict) else {}
     first, *rest = keys
     key, held = entries.get(first, (Node(1, 1, first, said=said), Node(1, 1, None, said=said)))
     if not rest:
         entries[first] = (replace(key, said=said), value)
         return replace(node, value=entries)
-    if first in NAMED and isinstance(held.value, str):  # its name alone
+    if first in NAMED and isinstance(held.value, str):  # the section is a name alone
         held = replace(held, value={NAMED[first]: (held, held)})
     if held.value is not None and not isinstance(held.value, dict):
-        raise ValueFault(f"{said}: {first} holds no keys")
+        raise ValueFault(f"{said}: {first} has no keys")
     entries[first] = (key, _put(held, rest, value, said))
     return replace(node, value=entries)

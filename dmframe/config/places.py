@@ -1,4 +1,4 @@
-"""Where the culprit of a fault stands: in the graph's file, or in what was set on top of it."""
+"""Places of faults: in the graph's file, or in an override."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from dmframe.config.grammar import KEYS
 from dmframe.errors import DmframeError, Faults, MissingError, UnknownNameError, WiringError
 
 TIMES: Final = (("duration",), ("solver", "output"), ("solver", "step"), ("log", "every"), ("clock",))
-"""They say together how much a run computes: of a fault in one, another may be the cause that an override has set."""
+"""Keys that together determine the amount of computation: a fault in one may be caused by an override of another."""
 
 
 def placed(error: DmframeError, document: Document, keys: Sequence[str] = KEYS) -> DmframeError:
-    """The fault, or each of several in the order of the file, with ``file:line:column``; `keys` may stand in the file.
+    """The fault, or several in the order of the file, with ``file:line:column``; `keys` are the keys of the file.
 
-    One whose culprit an override has set is placed there, ``--set task.gamma=-1``; one of a whole block or section says
-    which overrides changed it.
+    A fault in a value set by an override is placed there, ``--set task.gamma=-1``; a fault of a whole block or section
+    names the overrides that changed it.
     """
     faults = error.faults
     for fault in faults:
@@ -30,21 +30,21 @@ def placed(error: DmframeError, document: Document, keys: Sequence[str] = KEYS) 
 
 
 def _that_have(port: str) -> str:
-    """Which types of blocks have such an output, to end a message that asks for one."""
+    """The block types with such an output, as the end of a message about a missing signal."""
     found = [name for name, kind in block_types().items() if any(output.name == port for output in kind.outputs)]
     return f": {', '.join(found)}" if found else ""
 
 
 def _location(fault: DmframeError, document: Document, keys: Sequence[str]) -> str:
-    """Where the culprit stands: an unknown name itself, be it a key, a value or an item of a list.
+    """Place of the faulty value; for an unknown name, that of the key, value or list item.
 
-    Empty for what is said of no graph, such as an engine.
+    Empty for a fault that is not in a graph, such as one of an engine.
     """
     path = fault.path
     if path and path[0] not in (*keys, *document.data):
         return ""
     if path in TIMES:
-        path = next((other for other in (path, *TIMES) if document.is_said(other)), path)
+        path = next((other for other in (path, *TIMES) if document.is_override(other)), path)
     if isinstance(fault, UnknownNameError):
         held: Any = document.data
         for part in path:
@@ -55,7 +55,7 @@ def _location(fault: DmframeError, document: Document, keys: Sequence[str]) -> s
             path = (*path, held.index(fault.name))
     key = isinstance(fault, UnknownNameError) and path[-1:] == (fault.name,)
     place = document.locate(path, key=key)
-    if document.is_said(path, key) or (isinstance(fault, MissingError) and len(path) == 1):
+    if document.is_override(path, key) or (isinstance(fault, MissingError) and len(path) == 1):
         return place
     changed = document.said_below(path)
     return f"{place} with {', '.join(changed)}" if changed else place

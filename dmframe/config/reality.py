@@ -1,9 +1,9 @@
-"""What stands between controller and robot in reality, put into a graph: its key ``reality``, ``--reality ur``.
+"""Insert channel models between controller and robot into a graph: the key ``reality``, or ``--reality ur``.
 
-The key names a packaged set, or block types with their parameters; `like` takes a set as it is but for what is said
-beside it. Each type becomes a block of the graph, before anything else reads the document, so that all of it is seen in
-``check``, in drawings, in the ``graph.yaml`` beside results. No wires are needed, since these blocks stand in for what
-they read (`dmframe.port.Output.instead_of`). A type that hands out all that a block of the plant does takes its place.
+The key names a packaged set, or block types with their parameters; `like` takes a set with the given changes. Each type
+becomes a block of the graph before the document is read further, so that ``check``, drawings and the ``graph.yaml``
+next to results contain it. No wires are needed, since these blocks replace the signals that they read
+(`dmframe.port.Output.instead_of`). A type that has all outputs of a block of the plant replaces that block.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from dmframe.port import Side
 KEY: Final = "reality"
 LIKE: Final = "like"
 NONE: Final = "none"
-"""In the place of a set: the ideal way, to compare with."""
+"""Instead of a set: the ideal channel, for comparison."""
 SET: Final = Kind("reality", "title: ...")
 Find = Callable[[str, Path, str], type[AbstractBlock]]
 Entries = dict[str, tuple[Node, Node]]
@@ -34,54 +34,54 @@ Kinds = Mapping[str, type[AbstractBlock]]
 @final
 @dataclass(frozen=True)
 class Expanded:
-    """A document without the key, and what to tell the user of what was left out."""
+    """A document without the key, and notices about the blocks that were left out."""
 
     document: Document
     notices: tuple[str, ...] = ()
 
 
 def with_reality(document: Document, base: Path, find: Find = find_block) -> Expanded:
-    """Put the blocks of the key ``reality`` into a graph; `find` gives the class of a type of the graph's own blocks.
+    """Insert the blocks of the key ``reality`` into a graph; `find` gives the class of a type of the graph's blocks.
 
     Raises
     ------
     DmframeError
-        A set or block types that there are not, each with its place.
+        Unknown sets or block types, each with its place.
     """
     root = document.root
     if not isinstance(root.value, dict) or KEY not in root.value:
         return Expanded(document)
     entries: Entries = dict(root.value)
-    _, asked = entries.pop(KEY)
+    _, requested = entries.pop(KEY)
     try:
-        wanted = _wanted(asked)
+        wanted = _wanted(requested)
         key, blocks = entries.get("blocks", (Node(1, 1, "blocks"), Node(1, 1, {})))
         held = dict(blocks.value) if isinstance(blocks.value, dict) else {}
         work = _Work(held, _kinds(held, base, find))
         for name, (at, node) in wanted.items():
             work.put(name, at, node)
-        if asked.value == NONE and (own := work.standing_in()):
+        if requested.value == NONE and (own := work.replacing()):
             work.left_out.append(f"{KEY} {NONE} leaves the graph's own blocks in: {', '.join(own)}")
     except DmframeError as error:
         raise placed(error, document) from None
     if isinstance(blocks.value, dict):
         entries["blocks"] = (key, replace(blocks, value=work.blocks))
     made = replace(root, value=entries)
-    place = asked.said or asked.place(document.name)
+    place = requested.said or requested.place(document.name)
     notices = tuple(f"{place}: notice: {text}" for text in work.left_out)
     return Expanded(Document(document.name, mapping_of(made), made), notices)
 
 
-def _wanted(asked: Node) -> Entries:
+def _wanted(requested: Node) -> Entries:
     """Block types with their parameters; those of a set first, in its order."""
-    if asked.value is None or asked.value == NONE:
+    if requested.value is None or requested.value == NONE:
         return {}
-    if isinstance(asked.value, str):
-        return _set(asked.value, (KEY,))
-    if not isinstance(asked.value, dict):
+    if isinstance(requested.value, str):
+        return _set(requested.value, (KEY,))
+    if not isinstance(requested.value, dict):
         text = f"{KEY}: expected the name of a set such as ur, or block types with their parameters"
         raise ValueFault(text, path=(KEY,))
-    own: Entries = dict(asked.value)
+    own: Entries = dict(requested.value)
     like = own.pop(LIKE, None)
     if like is not None and not isinstance(like[1].value, str):
         raise ValueFault(f"{KEY}.{LIKE}: expected the name of a set such as ur", path=(KEY, LIKE))
@@ -111,7 +111,7 @@ def _of(like: tuple[Node, Node] | None) -> str:
 
 
 def _set(name: str, path: tuple[str, ...]) -> Entries:
-    """The blocks of a packaged set; messages say that they come from it."""
+    """The blocks of a packaged set; messages name the set."""
     if name == NONE:
         return {}
     try:
@@ -125,7 +125,7 @@ def _set(name: str, path: tuple[str, ...]) -> Entries:
 
 
 def _kinds(blocks: Entries, base: Path, find: Find) -> dict[str, type[AbstractBlock]]:
-    """The classes of a graph's blocks; one that cannot be found is told where blocks are made."""
+    """The classes of a graph's blocks; one that cannot be found is reported where blocks are created."""
     found = dict[str, type[AbstractBlock]]()
     for name, (_, node) in blocks.items():
         kind = mapping_of(node).get("type")
@@ -138,13 +138,13 @@ def _kinds(blocks: Entries, base: Path, find: Find) -> dict[str, type[AbstractBl
 
 @final
 class _Work:
-    """Puts one type after another into the blocks of a graph."""
+    """Inserts types into the blocks of a graph."""
 
     def __init__(self, blocks: Entries, kinds: Kinds) -> None:
         self.blocks, self.kinds, self.left_out = dict(blocks), dict(kinds), list[str]()
 
     def put(self, name: str, at: Node, node: Node) -> None:
-        """Add a block of this type, or let it take the place of one."""
+        """Add a block of this type, or replace a block of the plant by it."""
         kind = self._kind(name)
         if kind in self.kinds.values():
             held = next(block for block, other in self.kinds.items() if other is kind)
@@ -158,23 +158,23 @@ class _Work:
         fitting = kind.fitting(signals)
         if fitting is None:
             lacking = [port.name for port in kind.inputs if port.name not in signals and _must(port)]
-            what = f"nothing in the graph hands out {', '.join(lacking)}" if lacking else "it stands in for nothing"
+            what = f"no block outputs {', '.join(lacking)}" if lacking else "it replaces no signal of the graph"
             self.left_out.append(f"{KEY} {name} is left out: {what}")
             return
         own, count = name, 1
         while own in self.blocks:
             own, count = f"{name}_{count + 1}", count + 1
         said = node_of({"type": name, **fitting}, (), node.said).value
-        assert isinstance(said, dict)  # it was one
+        assert isinstance(said, dict)  # node_of keeps the type
         self.blocks[own] = (replace(at, value=own), replace(node, value={**said, **given}))
         self.kinds[own] = kind
 
-    def standing_in(self) -> list[str]:
-        """The blocks that stand in for what they read, whoever put them there."""
+    def replacing(self) -> list[str]:
+        """The blocks that replace signals that they read, whether inserted or written in the graph."""
         return [name for name, kind in self.kinds.items() if any(port.instead_of for port in kind.outputs)]
 
     def _replace(self, name: str, kind: type[AbstractBlock], at: Node, node: Node, given: Entries) -> None:
-        """Let a type take the place of the block of the plant whose signals it hands out, with its parameters."""
+        """Replace the block of the plant with the same outputs by this type, with its parameters."""
         outputs = {port.name for port in kind.outputs}
         for block, other in self.kinds.items():
             alike = {port.name for port in other.outputs} <= outputs and other.outputs
@@ -186,8 +186,8 @@ class _Work:
                 self.kinds[block] = kind
                 return
         raise ValueFault(
-            f"{KEY}.{name}: expected a block that stands between controller and robot, or one in the place of one of "
-            "the plant's; this one is neither: put it under blocks",
+            f"{KEY}.{name}: expected a channel model between controller and robot, or a replacement for a block of "
+            "the plant; this one is neither: put it under blocks",
             path=(KEY, name),
         )
 
@@ -207,12 +207,12 @@ def _must(port: Any) -> bool:
 
 def _unknown(name: str, choices: Mapping[str, Any]) -> DmframeError:
     if name.rpartition(":")[0].endswith(".py"):
-        return MissingError(f"{KEY}.{name}: a block of your own stands under blocks, in its place", path=(KEY, name))
+        return MissingError(f"{KEY}.{name}: a block from a file of yours belongs under blocks", path=(KEY, name))
     return UnknownNameError(f"{KEY}.{name}", "block type", name, choices, path=(KEY,))
 
 
 def names_reality(label: str) -> bool:
-    """True for an override that speaks of the key, which goes before those of the blocks that it puts in."""
+    """True for an override of the key; it is applied before those of the blocks that the key inserts."""
     return label.strip().partition(".")[0] == KEY
 
 

@@ -1,9 +1,8 @@
-"""Graph files that use a name from before: it is read as the new one, with a notice.
+"""Former names in graph files: each is read as the new one, with a notice.
 
-A block class says which of its parameters, states and ports had another name (`AbstractBlock.renamed`). The old names
-are put right before anything else reads the document, in which ``--set`` values stand already: in blocks and the
-baseline, in wires, start values, uncertain parameters and logged signals. So no other part of the framework knows an
-old name.
+A block class declares former names of its parameters, states and ports (`AbstractBlock.renamed`). They are replaced in
+the document after ``--set`` values are applied and before it is read further: in blocks and the baseline, in wires,
+start values, uncertain parameters and logged signals. The rest of the framework uses new names only.
 """
 
 from __future__ import annotations
@@ -20,16 +19,16 @@ from dmframe.config.document import Document, Node, mapping_of
 from dmframe.errors import DmframeError, ValueFault
 
 Names = Mapping[str, Mapping[str, str]]
-"""Old names and the new ones, by block."""
+"""Former and new names, by block."""
 SECTIONS = ("blocks", "baseline")
 Find = Callable[[str, Path, str], type[AbstractBlock]]
-"""The class of a block type, as `find_block` gives it: the type, the graph's folder, and who names it."""
+"""Like `find_block`: the class of a block type from the type, the graph's folder, and the place that names it."""
 
 
 @final
 @dataclass(frozen=True)
 class Renamed:
-    """A document with new names alone, what to tell the user, and where both names were given."""
+    """A document with new names only, the notices, and the faults where both names were given."""
 
     document: Document
     notices: tuple[str, ...] = ()
@@ -37,7 +36,7 @@ class Renamed:
 
 
 def with_new_names(document: Document, base: Path, find: Find = find_block) -> Renamed:
-    """Put old names right; block files are looked for in the folder `base`, and `find` gives the class of a type."""
+    """Replace former names; block files are searched in the folder `base`, and `find` gives the class of a type."""
     kinds = _kinds(document.data, base, find)
     if not any(kind.renamed for section in kinds.values() for kind in section.values()):
         return Renamed(document)
@@ -47,7 +46,7 @@ def with_new_names(document: Document, base: Path, find: Find = find_block) -> R
 
 
 def _kinds(data: Mapping[str, Any], base: Path, find: Find) -> dict[str, dict[str, type[AbstractBlock]]]:
-    """The classes of the blocks of both sections; one that cannot be found is told where blocks are made."""
+    """The classes of the blocks of both sections; one that cannot be found is reported where blocks are created."""
     found = dict[str, dict[str, type[AbstractBlock]]]()
     for section in SECTIONS:
         entries = data.get(section)
@@ -63,7 +62,7 @@ def _kinds(data: Mapping[str, Any], base: Path, find: Find) -> dict[str, dict[st
 
 @final
 class _Work:
-    """Goes through one graph, and gathers what it has to tell."""
+    """Replaces former names in one graph and collects notices."""
 
     def __init__(self, file: str, kinds: Mapping[str, Mapping[str, type[AbstractBlock]]]) -> None:
         self.file = file
@@ -121,8 +120,8 @@ class _Work:
                 self.faults.append(_both(at.place(self.file), key, name))
                 continue
             if name != key:
-                self._tell(at.place(self.file), key, name)
-            if name in changed and changed[name][1].said:  # an override goes before the file, under whichever name
+                self._note(at.place(self.file), key, name)
+            if name in changed and changed[name][1].said:  # an override has precedence under either name
                 continue
             changed[name] = (replace(at, value=name), value)
         return replace(node, value=changed)
@@ -131,12 +130,12 @@ class _Work:
         """A label as a value."""
         if not isinstance(node.value, str) or (new := self._label(node.value)) == node.value:
             return node
-        self._tell(node.place(self.file), node.value, new)
+        self._note(node.place(self.file), node.value, new)
         return replace(node, value=new)
 
-    def _tell(self, place: str, old: str, new: str) -> None:
-        notice = f"{place}: notice: {old} is called {new} now; the old name still works, better write {new}"
-        if notice not in self.notices:  # an alias stands in several places
+    def _note(self, place: str, old: str, new: str) -> None:
+        notice = f"{place}: notice: {old} is now called {new}; the former name still works, but write {new}"
+        if notice not in self.notices:  # an alias appears in several places
             self.notices.append(notice)
 
 
@@ -145,7 +144,7 @@ def _renamed(names: Mapping[str, str], key: str) -> str:
 
 
 def _both(place: str, old: str, new: str) -> ValueFault:
-    return ValueFault(f"{old} is called {new} now, and both are given; keep {new} alone", location=place)
+    return ValueFault(f"{old} is now called {new}, and both are given; keep only {new}", location=place)
 
 
 def _at(node: Node | None, key: str) -> Node | None:

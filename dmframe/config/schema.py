@@ -1,4 +1,4 @@
-"""The JSON Schema of graph files: an editor completes block types and parameters from it."""
+"""JSON Schema of graph files, with which editors complete block types and parameters."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PRIOR = {
     "required": ["inverse_of"],
     "additionalProperties": False,
 }
-"""As `dmframe.gain.Prior`."""
+"""Schema of `dmframe.gain.Prior`."""
 
 
 def json_schema() -> dict[str, Any]:
@@ -64,8 +64,8 @@ def _block(kind: type[AbstractBlock]) -> dict[str, Any]:
         spec = spec_of(field)
         properties[name] = plain["properties"][name] if spec is None else _number(spec)
         prose = unmarked(said.parameters.get(name, ""))
-        told = "; ".join(text for text in (properties[name].get("description", ""), prose) if text)
-        properties[name] = {**properties[name], **({"description": told} if told else {})}
+        text = "; ".join(part for part in (properties[name].get("description", ""), prose) if part)
+        properties[name] = {**properties[name], **({"description": text} if text else {})}
     required = [name for name, field in kind.model_fields.items() if field.is_required()]
     schema = {
         "type": "object",

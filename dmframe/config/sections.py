@@ -1,4 +1,4 @@
-"""What the sections of a graph file stand for: blocks, the robot, the start."""
+"""Objects made from the sections of a graph file: blocks, robot, start."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
 def check_baseline(section: Any, stated: Any, base: Path, faults: list[DmframeError], find: Find) -> None:
-    """Its blocks can be made, and what it leaves out is there, also where that is wrong; `stated` is ``blocks``."""
+    """Check that its blocks can be created, and that the blocks it removes exist in ``blocks``, given as `stated`."""
     entries, blocks = (item if isinstance(item, dict) else {} for item in (section, stated))
     if entries:
         made = {name: spec for name, spec in entries.items() if spec is not None}
@@ -76,9 +76,7 @@ def _block(path: tuple[str, str], spec: Mapping[str, Any], base: Path, find: Fin
 
 
 def robot_of(given: Any, base: Path, faults: list[DmframeError]) -> Any:
-    """The robot's chain of joints; None without a section, and of one that is not valid, whose faults are told with
-    those of others.
-    """
+    """The robot's chain of joints; None without a section or for an invalid one, whose faults are added to `faults`."""
     if (value := robot_name(given)) is None:
         return None
     try:
@@ -115,14 +113,14 @@ def tolerance_in(unit: str, file: GraphFile, document: Document) -> float | None
 
 
 def at_name(fault: DmframeError) -> DmframeError:
-    """Where a graph writes a robot as its name alone, that is the place of all that is wrong with the model."""
+    """The fault, placed at the robot's name if the graph gives the robot as a name alone."""
     if fault.path == ("robot", "model"):
         fault.path = ("robot",)
     return fault
 
 
 def start_of(section: Any, faults: list[DmframeError]) -> dict[str, Any]:
-    """Start values as numbers; angles may carry a unit."""
+    """Start values as numbers; angles may have a unit."""
     values = dict[str, Any]()
     for key, value in section.items() if isinstance(section, dict) else ():
         try:

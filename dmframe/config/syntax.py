@@ -1,4 +1,4 @@
-"""Say in plain words why a text is no YAML, and where to look."""
+"""Messages for texts that are not YAML: reason and place."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ _TAB = re.compile(r"^ *\t[ \t]*[^\s#]", re.MULTILINE)
 
 
 def plain_words(fault: Any, text: str) -> tuple[str, int]:
-    """The reason and the index in `text` where it begins, for a fault of ruamel's scanner or parser.
+    """The reason and its index in `text`, for an error of ruamel's scanner or parser.
 
-    The parser complains where it gives up, often lines below the culprit: an open bracket or quote is blamed where it
-    opens, and a tab in the indentation before anything else.
+    The parser reports the place where it stops, often lines below the error. An open bracket or quote is therefore
+    reported where it opens, and a tab in the indentation before anything else.
     """
     problem, context = str(fault.problem or fault), str(fault.context or "")
     here = fault.problem_mark or fault.context_mark
@@ -26,7 +26,7 @@ def plain_words(fault: Any, text: str) -> tuple[str, int]:
     if tab and "quoted" not in context:
         return "a tab indents this line; YAML indents with spaces", text.index("\t", tab.start())
     if text[end : end + 1] == "\t":
-        return "a tab stands here; write spaces", end
+        return "a tab is not allowed here; write spaces", end
     if content := _CONTENT.search(problem):
         found = "the end of the text" if "end" in content.group(1) else content.group(1)
         return f"expected a value, found {found}; check the brackets, or put the value in quotes", end
@@ -42,9 +42,9 @@ def plain_words(fault: Any, text: str) -> tuple[str, int]:
         return "expected a colon and a space after this key", begin
     if problem.startswith(("mapping values", "sequence entries")):
         sign = "colon" if problem.startswith("mapping") else "dash"
-        return f"a {sign} cannot stand here; check the indentation, or put the text in quotes", end
+        return f"a {sign} is not allowed here; check the indentation, or put the text in quotes", end
     if "expected <block end>" in problem:
-        return "this does not fit what stands before it; check indentation, quotes and brackets", end
+        return "this does not match the text before it; check indentation, quotes and brackets", end
     if start := _START.search(problem):
         return f"a value cannot begin with {start.group(1)}; put it in quotes", end
     if name := _NAME.search(problem):

@@ -1,4 +1,4 @@
-"""Blocks wired into a diagram, checked, and flattened to one closed loop."""
+"""Diagrams: blocks are wired, checked, and flattened to one closed loop."""
 
 from dmframe.diagram.closed_loop import ClosedLoop, Parameter, Variable
 from dmframe.diagram.diagram import Diagram

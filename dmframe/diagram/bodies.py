@@ -1,12 +1,13 @@
-r"""The set of estimates whose links are bodies, and the nearest of them.
+r"""The convex set of physically consistent estimates of inertial parameters, and the projection onto it.
 
-A link's ten parameters a make up its pseudo-inertia P(a), which is linear in them. With the nominal body's,
-:math:`P_0 = L L^\top`, and a share s, the set is that of all a with :math:`P \ge s P_0`. In
+The pseudo-inertia P(a) of a link is linear in its ten parameters a. With that of the nominal body,
+:math:`P_0 = L L^\top`, and a fraction s, the set is :math:`P \ge s P_0`. In
 :math:`Z = L^{-1} P L^{-\top} - s` it is :math:`Z \ge 0`, and the metric :math:`\mathrm{tr}(P_0^{-1} X P_0^{-1} Y)` of
-what P changes by is Frobenius's. So the nearest body has a closed form: Z with its negative eigenvalues at zero.
+changes of P is that of the Frobenius norm. The projection therefore has a closed form: the negative eigenvalues of Z
+are set to zero.
 
-A rate is stopped already where an eigenvalue of Z is `RIM`, a billionth of the nominal body. So the lemma speaks of the
-set :math:`Z \ge` `RIM`, in which the true bodies have to be.
+A rate is stopped where an eigenvalue of Z is `RIM`, a billionth of the nominal body. The projection lemma therefore
+holds for the set :math:`Z \ge` `RIM`, which has to contain the true parameters.
 """
 
 from __future__ import annotations
@@ -25,13 +26,13 @@ from dmframe.robot.pseudo_inertia import dual, parameters_of, pseudo_inertia
 
 TEN = len(INERTIAL)
 RIM = 2.0**-30
-"""How thick the rim is, in nominal bodies: rounding in what was put onto it must not decide what may move there."""
+"""Thickness of the boundary layer in nominal bodies, so that rounding does not decide whether a point is on it."""
 
 
 @final
 @dataclass(frozen=True)
 class _Link:
-    """One link's body: from parameters to Z, and back."""
+    """Conversion of one link's parameters to Z and back."""
 
     nominal: SX
     share: SX
@@ -43,7 +44,7 @@ class _Link:
         return factor @ ca.diag(ca.sqrt(ca.vertcat(*pivots)))
 
     def seen(self, a: SX) -> SX:
-        """What parameters, or their rates, change Z by."""
+        """Change of Z due to a change of the parameters, or its rate."""
         half = ca.solve(self.root, matrix(a))
         return ca.solve(self.root, half.T)
 
@@ -52,40 +53,40 @@ class _Link:
         return self.seen(a) - self.share * ca.SX.eye(4)
 
     def parameters(self, X: SX) -> SX:
-        """What of the parameters changes Z by X."""
+        """Change of the parameters that changes Z by X."""
         return row(self.root @ X @ self.root.T)
 
 
 @final
 @dataclass(frozen=True)
 class Bodies:
-    r"""Estimates of which each link's pseudo-inertia is at least a share of its nominal body's.
+    r"""Estimates for which the pseudo-inertia of each link is at least a fraction of the nominal one.
 
     Parameters
     ----------
     nominal : (10 links,)
-        The nominal bodies' parameters. The estimates begin with those of as many links.
+        The nominal parameters of the links. The estimates begin with those of as many links.
     share : scalar, > 0
-        s: no eigenvalue of :math:`P_0^{-1} \hat P` is below.
+        s, the lower bound of the eigenvalues of :math:`P_0^{-1} \hat P`.
     """
 
     kind: ClassVar[str] = "set of bodies"
     bounds: ClassVar[bool] = False
-    """A cone has no end: that what is in it stays bounded has to be V's merit."""
+    """False: a cone is unbounded, so the estimates in it have to be bounded by V."""
 
     nominal: SX
     share: SX
 
     @property
     def ends(self) -> tuple[SX, ...]:
-        """What says where it is."""
+        """The expressions that define the set."""
         return self.nominal, self.share
 
     def law(self, state: SX, nominal: SX) -> SX:
-        r"""On the rim, takes away what of the nominal rate leads out: the nearest rate that does not is left.
+        r"""On the boundary, the correction that leaves the nearest rate that does not leave the set.
 
-        With N the eigenvectors of Z there, a rate D leads out unless :math:`N^\top D N \ge 0`. So
-        :math:`c = N\, (-N^\top D N)_+ N^\top`.
+        With N the eigenvectors of Z for its boundary eigenvalues, a rate D leaves the set unless
+        :math:`N^\top D N \ge 0`. The correction is :math:`c = N\, (-N^\top D N)_+ N^\top`.
         """
         found = []
         for link, a, rate in zip(self._links(), _split(state, self._size), _split(nominal, self._size), strict=True):
@@ -96,15 +97,16 @@ class Bodies:
         return self._whole(found, state)
 
     def held(self, state: SX) -> SX:
-        """The nearest estimates with bodies in the set, in the metric of their nominal ones; inside, the same."""
+        """Projection onto the set in the metric of the nominal parameters."""
         pairs = zip(self._links(), _split(state, self._size), strict=True)
         return state + self._whole([link.parameters(positive_part(-link.at(a))) for link, a in pairs], state)
 
     def room(self, truth: SX) -> SX:
-        """Not negative where a point lies in the set.
+        """Expressions that are non-negative if and only if the point is in the set.
 
-        Of each link, the sums of products of one, two, three and all eigenvalues of :math:`P_0^{-1} P - s`, by Newton's
-        identities, times 1, 2, 6 and 24: these are real, and none is negative iff no sum is. So it takes no root.
+        For each link they are the elementary symmetric polynomials of the eigenvalues of :math:`P_0^{-1} P - s`, by
+        Newton's identities, times 1, 2, 6 and 24. The eigenvalues are real, and none is negative if and only if no
+        polynomial is. No eigenvalue has to be computed.
         """
         found = list[SX]()
         for link, a in zip(self._links(), _split(truth, self._size), strict=True):
@@ -116,9 +118,9 @@ class Bodies:
         return ca.vertcat(*found)
 
     def askew(self, weight: SX) -> SX:
-        """Zero where the weight is, of each link, a multiple of the nominal body's metric, and couples it with nothing.
+        """Zero if the weight of each link is a multiple of the metric of the nominal body, without coupling terms.
 
-        That is where the weight times the metric's inverse is one number.
+        This is the case if the weight times the inverse of the metric is a scalar.
         """
         W, found = ca.diag(weight) if weight.is_column() else weight, list[SX]()
         for k, link in enumerate(self._links()):
@@ -136,7 +138,7 @@ class Bodies:
         return (_Link(nominal, self.share) for nominal in _split(self.nominal, self._size))
 
     def _whole(self, links: Sequence[SX], state: SX) -> SX:
-        """A column of all estimates: zero of what belongs to no link."""
+        """A column of all estimates, with zeros for those that belong to no link."""
         return ca.densify(ca.vertcat(*links, ca.SX.zeros(state.numel() - self._size)))
 
 
@@ -155,7 +157,7 @@ def row(P: Any) -> SX:
 
 
 def gain(a: Any) -> SX:
-    r"""The inverse of the metric :math:`\mathrm{tr}(P^{-1} X P^{-1} X)` at a body: it takes g to the row of P Q P."""
+    r"""The inverse of the metric :math:`\mathrm{tr}(P^{-1} X P^{-1} X)` at a body: it maps g to the row of P Q P."""
     P = matrix(a)
     units = ([float(i == j) for i in range(TEN)] for j in range(TEN))
     return ca.horzcat(*(row(P @ ca.DM(dual(unit)) @ P) for unit in units))

@@ -1,4 +1,4 @@
-"""The flattened diagram: one vector field and one map of a sample; gains and true parameters are symbols in it."""
+"""The flattened diagram: one vector field and one map of a sample, with gains and true parameters as symbols."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ from dmframe.port import Side
 class ClosedLoop:
     """x' = F(t, x, p) and the map of one sample, from the one set of block equations.
 
-    Expressions stand in leaves: states, parameters, `trajectories`, the corrections of `projections`, and `crossings`,
-    the measured and commanded signals; so the controller can be had alone, and trajectories left free. The methods
-    replace leaves by what they stand for.
+    Expressions depend on independent variables ("leaves"): states, parameters, `trajectories`, the corrections of
+    `projections`, and `crossings`, the measured and commanded signals. The controller can therefore be extracted
+    alone, and trajectories can be left free. The methods replace leaves by their expressions.
 
-    It is the one owner of the map of a sample and of the flow: runs, code, exports, analyses and proofs take them from
-    its methods, and `dmframe.diagram.fingerprint` hashes all of its fields and what the methods make of them.
+    The map of a sample and the flow are defined here only: runs, code, exports, analyses and proofs take them from the
+    methods, and `dmframe.diagram.fingerprint` hashes all fields and the results of the methods.
 
     Parameters
     ----------
     time, period
-        t, and the sampling period T where a block reads it.
+        t, and the sampling period T if a block reads it.
     controller, plant
-        The states; of the plant's, the sampled ones first.
+        The states; those of the plant begin with the sampled ones.
     ahead
-        What trajectories are whole samples later, as functions of t and T.
+        Trajectories at whole samples later, as functions of t and T.
     noises
-        What each sample draws anew.
+        Random inputs, drawn at each sample.
     crossings
-        The measured and commanded signals in the leaves of their own side, in the order in which they need one another.
+        The measured and commanded signals in the leaves of their own side, in the order of evaluation.
     paced
-        The sources whose time is a controller's signal, which are no trajectories then.
+        The sources whose time is a controller's signal; these are not trajectories.
     led
-        Where what follows is wired to a goal that a controller block makes: pairs of labels, the plant's output first.
+        Pairs of labels, an output of the plant and its reference, where a controller block computes the reference.
     """
 
     time: SX
@@ -68,22 +68,22 @@ class ClosedLoop:
 
     @property
     def stepped(self) -> tuple[Variable, ...]:
-        """The states that a clock moves from sample to sample: all but the plant's continuous ones. They come first."""
+        """The states that move from sample to sample on a clock, which come first: all but continuous plant states."""
         return (*self.controller, *(variable for variable in self.plant if variable.sampled))
 
     @property
     def flowing(self) -> tuple[Variable, ...]:
-        """The states that move between samples, too."""
+        """The states that also move between samples."""
         return tuple(variable for variable in self.plant if not variable.sampled)
 
     @property
     def measured(self) -> tuple[Leaf, ...]:
-        """What the plant hands out."""
+        """The measured signals."""
         return tuple(leaf for leaf in self.crossings if leaf.side is Side.PLANT)
 
     @property
     def commanded(self) -> tuple[Leaf, ...]:
-        """What the plant takes."""
+        """The commanded signals."""
         return tuple(leaf for leaf in self.crossings if leaf.side is Side.CONTROLLER)
 
     @cached_property
@@ -102,7 +102,7 @@ class ClosedLoop:
 
     @cached_property
     def flow(self) -> SX:
-        """The rates of what flows between samples, projections acting, in the leaves of the plant."""
+        """The rates of the states that move between samples, with active projections, in the leaves of the plant."""
         return self.projected([stack(self.rates_of(self.flowing))], joined=False)[0]
 
     @cached_property
@@ -118,7 +118,7 @@ class ClosedLoop:
 
     @property
     def followed(self) -> list[Followed]:
-        """Where an output s of the plant is to follow an output s_d of a source."""
+        """Pairs of a plant output s and a source output s_d that it should track."""
         sources = {signal.label for signal in self.outputs}  # a trajectory's derivative is no output
         desired = {
             leaf.name.split(".")[1]: (leaf.name, leaf.symbol) for leaf in self.trajectories if leaf.name in sources
@@ -133,7 +133,7 @@ class ClosedLoop:
 
     @property
     def goals(self) -> list[Followed]:
-        """The same with what is really followed: where a block shifts a source's goal, what it makes of it."""
+        """The same pairs with the reference that is tracked in fact: that of the block which modifies the source's."""
         by_label = {signal.label: signal for signal in self.outputs}
         led = [(by_label[goal], by_label[actual]) for actual, goal in self.led]
         found = [Followed(goal.label, out.label, goal.expression, out.expression) for goal, out in led]
@@ -141,13 +141,13 @@ class ClosedLoop:
 
     @property
     def goal(self) -> Followed | None:
-        """What it is judged by: its task where it has one, else its joints; None without a goal."""
+        """The pair that defines the tracking error: that of the task, else that of the joints; None without one."""
         pairs = {pair.actual.split(".", 1)[1]: pair for pair in reversed(self.goals)}
         return next((pairs[name] for name in ("x", "q", *pairs) if name in pairs), None)
 
     @property
     def clocked(self) -> str:
-        """Why it runs on a clock alone, as a clause; empty for a loop that runs in continuous time too."""
+        """The reason why it runs on a clock only, as a clause; empty if it also runs in continuous time."""
         if self.ahead:
             return f"a block looks ahead at {self.ahead[0].name}, T the sampling period"
         for variable in self.variables:
@@ -160,12 +160,12 @@ class ClosedLoop:
 
     @cached_property
     def w(self) -> SX:
-        """What moves by itself, as one column: the trajectories and, for blocks that read it, the time."""
+        """Exogenous signals as one column: the trajectories and, for blocks that read it, the time."""
         return stack([*(leaf.symbol for leaf in self.trajectories), self.time])
 
     @cached_property
     def drawn(self) -> SX:
-        """What each sample draws anew, as one column."""
+        """Random inputs, drawn at each sample, as one column."""
         return stack(noise.symbol for noise in self.noises)
 
     @cached_property
@@ -173,19 +173,19 @@ class ClosedLoop:
         return columns(self.ahead)
 
     def joined(self, expressions: Sequence[SX]) -> list[SX]:
-        """Expressions with measured, commanded and future signals replaced by what they are."""
+        """Expressions with measured, commanded and future signals replaced by their expressions."""
         return _put(self.crossed(expressions), self._ahead)
 
     def crossed(self, expressions: Sequence[SX]) -> list[SX]:
-        """The same with future signals left as leaves, as trajectories are."""
+        """The same with future signals left as leaves, like trajectories."""
         return _put(expressions, self._crossed)
 
     def on_path(self, expression: SX) -> SX:
-        """An expression with the trajectories, and what they are later, replaced by functions of time."""
+        """An expression with the trajectories and their future values replaced by functions of time."""
         return _put([expression], self._path)[0]
 
     def standing(self, t: float) -> ClosedLoop:
-        """The same with its trajectories held at what they are at t [s], and their derivatives at zero."""
+        """The same loop with constant trajectories, with their values at t [s], and zero derivatives."""
         outputs = {signal.label for signal in self.outputs}  # a trajectory's derivative is no output
         meanings = [leaf.expression if leaf.name in outputs else 0 * leaf.expression for leaf in self.trajectories]
         at = ca.substitute(meanings, [self.time], [ca.SX(t)]) if meanings else []
@@ -197,32 +197,32 @@ class ClosedLoop:
         )
 
     def projected(self, expressions: Sequence[SX], *, joined: bool = True) -> list[SX]:
-        """Expressions with each projection's correction as its law says: it stops a rate that leads out of the set.
+        """Expressions with the correction of each projection, which stops a rate that leaves the set.
 
-        Not `joined`, a law keeps measured and commanded signals as leaves, as the rates of one side alone need it.
+        If not `joined`, measured and commanded signals remain leaves, as the rates of one side require.
         """
         expressions = list(expressions)
-        for projection in reversed(self.projections):  # the nominal rate of a later one may hold an earlier correction
+        for projection in reversed(self.projections):  # a nominal rate may contain an earlier correction
             law = self.joined([projection.law])[0] if joined else projection.law
             expressions = list(ca.substitute(expressions, [projection.correction], [law]))
         return expressions
 
     def acting(self, expressions: Sequence[SX]) -> list[SX]:
-        """Expressions in states, parameters, trajectories and time alone: joined, and with the projections acting."""
+        """Expressions in states, parameters, trajectories and time only: joined, with active projections."""
         return self.projected(self.joined(expressions))
 
     def held(self, states: SX) -> SX:
-        """A column of states with each put back into its box or ball."""
+        """A column of states, each projected onto its set."""
         for projection in self.projections:
             states = ca.substitute(states, projection.state, projection.set.held(projection.state))
         return states
 
     @cached_property
     def advanced(self) -> SX:
-        """The stepped states one sample later, before they are put back into their sets, in the leaves of their sides.
+        """The stepped states one sample later, before projection onto their sets, in the leaves of their sides.
 
-        A sampled state goes where its block says. One of the controller in continuous time is emulated by an explicit
-        Euler step of length T, with the second term that its block may state, here and nowhere else.
+        A sampled state takes the value of its block. A continuous state of the controller is emulated by an explicit
+        Euler step of length T, with the second-order term of its block, if any. This is the only place that does so.
         """
         return stack(self._advanced(v) for v in self.stepped)
 
@@ -232,24 +232,24 @@ class ClosedLoop:
         return variable.symbol + self.period * self._mean_rate(variable)
 
     def _mean_rate(self, variable: Variable) -> SX:
-        """Of a state in continuous time, what its step on a clock moves over T: its rate, and T times what is second.
+        """Mean rate of a continuous state over its step on a clock: its rate plus T times the second-order term.
 
-        What flows between samples takes no step.
+        States that move between samples take no step.
         """
         second = variable.own_second
         return variable.own_rate if second is None else variable.own_rate + self.period * second
 
     def moves_of(self, variable: Variable) -> SX:
-        """What is zero where a state rests: what a sampled one moves in a sample, else its rate.
+        """Expression that is zero at equilibrium: the change of a sampled state over a sample, else the rate.
 
-        The rate of a controller's state is that of its step on a clock, `advanced` less the state over T. It is the
-        rate of the flow where T is zero.
+        For a continuous state of the controller it is the mean rate of its step on a clock, (`advanced` - state) / T.
+        For T = 0 it is the rate of the flow.
         """
         gained = variable.gained
         return self._mean_rate(variable) if gained is None else gained
 
     def becomes(self) -> dict[str, SX]:
-        """The sampled states one sample later, by label, each back in its set, in the leaves of their sides."""
+        """The sampled states one sample later, by label, projected onto their sets, in the leaves of their sides."""
         whole, first, found = self.put_back(self.advanced), 0, dict[str, SX]()
         for variable in self.stepped:
             rows, columns = variable.symbol.shape
@@ -260,9 +260,9 @@ class ClosedLoop:
 
     @property
     def held_over_a_sample(self) -> tuple[SX, SX]:
-        """What the plant reads between samples and does not move there: its leaves, and their values at the sample.
+        """Signals that the plant reads and that are constant between samples: leaves, and their values at the sample.
 
-        These are the commands, the plant's sampled states, what is drawn, and the period.
+        These are the commands, the plant's sampled states, the random inputs, and the period.
         """
         leaves, commands = columns(self.commanded)
         still = [*(v.symbol for v in self.plant if v.sampled), self.drawn, self.period]
@@ -270,12 +270,12 @@ class ClosedLoop:
         return ca.vertcat(leaves, *map(ca.vec, used)), ca.vertcat(commands, *map(ca.vec, used))
 
     def put_back(self, advanced: SX) -> SX:
-        """The column of `advanced`, each state back in its set."""
+        """The column of `advanced`, each state projected onto its set."""
         states = stack(variable.symbol for variable in self.stepped)
         return ca.substitute(self.held(states), states, advanced)
 
     def mapped(self, change: Callable[[SX], SX]) -> ClosedLoop:
-        """The same with each expression that moves something or is shown changed: none is left as it was."""
+        """The same loop with `change` applied to each expression of its motion and outputs."""
 
         def variable(item: Variable) -> Variable:
             after = None if item.own_next is None else change(item.own_next)

@@ -1,4 +1,4 @@
-"""A diagram: blocks, sizes, wires and, from them, the closed loop."""
+"""Diagrams: blocks, sizes and wires, and the closed loop made from them."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ class Diagram:
     sources
         What drives each input.
     models
-        Each block's equations on symbols.
+        Symbolic equations of each block.
     sizes
-        What the letters of the shapes are bound to.
+        Numbers bound to the letters of the shapes.
     robot
-        The `dmframe.robot.SerialChain`, where there is one.
+        The `dmframe.robot.SerialChain`, if there is one.
     loop
-        Everything flattened.
+        The flattened diagram.
     """
 
     blocks: Mapping[str, AbstractBlock]
@@ -75,12 +75,12 @@ class Diagram:
             ``{"task.x": "observer.x_o"}``: the input takes this output. An input not named here takes the one output of
             its own name.
         robot
-            A `dmframe.robot.SerialChain`, needed where a block uses one.
+            A `dmframe.robot.SerialChain`, required if a block uses one.
 
         Raises
         ------
         DmframeError
-            Every fault that can be found, together: `Faults` where there are several.
+            All faults that can be found, together: `Faults` if there are several.
         """
         if not blocks:
             raise MissingError("blocks: expected at least one block, found none", path=("blocks",))
@@ -112,35 +112,35 @@ class Diagram:
         try:
             loop = flatten(resolver, _parameters(models, symbolic))
         except RecursionError:
-            text = "blocks: too many blocks pass a signal on within one instant; put one with a state between them"
+            text = "blocks: too many blocks in a chain of direct feedthrough; put one with a state between them"
             raise WiringError(text, path=("blocks",)) from None
         raise_all(resolver.faults)
         return cls(dict(blocks), sources, models, sizes, robot, loop, resolver)
 
     @cached_property
     def fingerprint(self) -> str:
-        """The hash of the model: the closed loop, the wires, and where states start; see `fingerprint`."""
+        """The hash of the model: closed loop, wires and initial values; see `fingerprint`."""
         starts = {name: model.stated_start(self.sizes) for name, model in self.models.items()}
         values = {name: model.values for name, model in self.models.items()}
         return fingerprint(self.loop, {"wires": self.sources, "starts": starts, "values": values})
 
     @cached_property
     def unit_faults(self) -> list[UnitError]:
-        """What disagrees in the units of blocks' equations, certificates and conditions; see `dmframe.dimensions`.
+        """Inconsistent units in blocks' equations, certificates and conditions; see `dmframe.dimensions`.
 
-        Of most graphs it takes some 0.1 to 0.3 s, of sampled inverses 1 s; `check` and `verify` ask for it.
+        It takes 0.1 to 0.3 s for most graphs, 1 s for sampled inverses; `check` and `verify` call it.
         """
         with SYMBOLIC:
             return unit_faults(self.models, self.sizes, self.robot)
 
     @cached_property
     def ways(self) -> list[Way]:
-        """The signals that do not pass unchanged between controller and robot, and what they pass through."""
+        """The signals between controller and robot that channel models change, with these blocks."""
         return ways(self.blocks, _produced(self.models), self.sources)
 
     @cached_property
     def unread(self) -> list[Wire]:
-        """The outputs that nobody takes, of sources, and of blocks that thereby do nothing."""
+        """Unused outputs of sources, and of blocks that have no effect because all their outputs are unused."""
         return unread(self.blocks, _produced(self.models), self.sources)
 
     def type_of(self, name: str) -> str:
@@ -154,7 +154,7 @@ class Diagram:
 def _causes(
     faults: Sequence[DmframeError], blocks: Mapping[str, AbstractBlock], wiring: Sequence[DmframeError]
 ) -> list[DmframeError]:
-    """The faults less those of a size that is not known since the block that would say it is missing."""
+    """The faults without those of a size that is unknown because the block that defines it is missing."""
     lost = set[tuple[str | int, str]]()
     for fault in wiring:
         if isinstance(fault, WiringError) and fault.missing:
@@ -182,7 +182,7 @@ def _symbolic(robot: Any) -> Any:
 
 
 def declared_outputs(blocks: Mapping[str, AbstractBlock]) -> Outputs:
-    """Outputs as far as the classes say; an optional one is taken for stated where no other block surely has it."""
+    """Outputs declared by the classes; an optional one is included if no other block is certain to have it."""
     sure = {port.name for block in blocks.values() for port in block.outputs if not port.optional}
     declared = dict[str, dict[str, Output]]()
     for name, block in blocks.items():

@@ -1,4 +1,4 @@
-"""Sparse linear systems as straight-line expressions: the pivots are chosen when the expressions are built."""
+"""Sparse linear systems as straight-line expressions, with pivots chosen when the expressions are built."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import casadi as ca
 from dmframe.errors import EngineError
 
 MOST_FACTORS: Final = 5000
-"""What is written out, and compiled, in some seconds: 70 states of which each moves each."""
+"""Limit for expressions and compilation in a few seconds: 70 states, all coupled."""
 
 
 @final
 class Turn(NamedTuple):
-    """One pivot: its row, and by their places among `Elimination.factors` what the solution needs of it.
+    """One pivot: its row, and the indices in `Elimination.factors` of the factors that the solution uses.
 
-    `lower` are the multiples of the pivot's row that are taken from other rows, `upper` what is left of that row, and
-    `inverse` is 1 over the pivot; None for a pivot that is 1 by structure.
+    `lower` are the multiples of the pivot's row subtracted from other rows, `upper` the remaining entries of that row,
+    and `inverse` is 1 over the pivot; None for a pivot that is 1 by structure.
     """
 
     row: int
@@ -31,9 +31,9 @@ class Turn(NamedTuple):
 @final
 @dataclass(frozen=True)
 class Elimination:
-    """A square matrix, factorised with pivots on its diagonal, those that fill the least first [Markowitz1957]_.
+    """LU factorisation of a square matrix with diagonal pivots in the order of least fill-in [Markowitz1957]_.
 
-    No pivot is chosen by its value: `residual_small` is to be asked of a solution.
+    No pivot is chosen by its value: check a solution with `residual_small`.
     """
 
     turns: tuple[Turn, ...]
@@ -41,7 +41,7 @@ class Elimination:
 
     @classmethod
     def of(cls, matrix: Any) -> Elimination:
-        """Of a sparse SX matrix with a full diagonal. Raises `EngineError` for one too large to write out."""
+        """Factorise a sparse SX matrix with a full diagonal. Raises `EngineError` for one that is too large."""
         size = matrix.size1()
         rows = [dict[int, Any]() for _ in range(size)]
         for i, j in zip(*matrix.sparsity().get_triplet(), strict=True):
@@ -83,7 +83,7 @@ class Elimination:
         return cls(tuple(turns), tuple(factors))
 
     def solution(self, factors: Sequence[Any], right: Sequence[Any]) -> list[Any]:
-        """For a right-hand side; `factors` are `self.factors`, or symbols in their places."""
+        """Solution for a right-hand side; `factors` are `self.factors`, or symbols for them."""
         values = list(right)
         for turn in self.turns:
             for k, place in turn.lower:
@@ -97,13 +97,13 @@ class Elimination:
 
 
 BACKWARD: Final = 1e-8
-"""Of a solution's residual, relative to the sizes of what it is the difference of [OettliPrager1964]_."""
+"""Bound of the componentwise backward error of a solution [OettliPrager1964]_."""
 
 
 def residual_small(matrix: Any, solution: Any, right: Any) -> Any:
-    r"""Whether a solution is that of a system near by, :math:`|b - A x| \le \omega (|A| |x| + |b|)` in each row.
+    r"""True if a solution solves a nearby system, :math:`|b - A x| \le \omega (|A| |x| + |b|)` in each row.
 
-    False too where anything is not a number. A factorisation without a choice of pivots can lose all digits.
+    False also if a value is not a number. A factorisation without numeric pivoting can lose all digits.
     """
     sizes = ca.fabs(matrix) @ ca.fabs(solution) + ca.fabs(right)
     small = ca.SX(1)

@@ -1,7 +1,7 @@
-"""The hash of a model: what was proved is what runs, if both have the same.
+"""The hash of a model: if it is equal, the model that was proved is the model that runs.
 
-The model is the one `ClosedLoop`, from which runs, code, exports, analyses and proofs take the map of a sample and the
-flow, with the wires and the starts that blocks state.
+The model is the `ClosedLoop`, from which runs, code, exports, analyses and proofs take the map of a sample and the
+flow, with the wires and the initial values of blocks.
 """
 
 from __future__ import annotations
@@ -21,30 +21,30 @@ from dmframe.diagram.closed_loop import ClosedLoop, stack
 from dmframe.program import CONST, instructions
 
 SHORT: Final = 12
-"""How many digits of a hash are printed near a verdict."""
+"""Number of digits of a hash that are printed with a verdict."""
 
 
 def short(digits: str) -> str:
-    """A hash as a page for a reader has it."""
+    """A hash as it is printed on a page."""
     return digits[:SHORT]
 
 
-def fingerprint(loop: ClosedLoop, beside: Mapping[str, Any] | None = None) -> str:
-    """SHA-256 of a closed loop, in hexadecimal digits; `beside` is what else belongs to the model, by name.
+def fingerprint(loop: ClosedLoop, others: Mapping[str, Any] | None = None) -> str:
+    """SHA-256 of a closed loop, in hexadecimal digits; `others` are further parts of the model, by name.
 
-    It covers every field of the loop and of its parts: names, sizes, units, rates, next values, second terms,
-    trajectories and what they are later, what is drawn, measured and commanded, the sets and nominal rates of
-    projections, outputs, parameters with their values, and all flags. It covers the functions that others take from the
-    loop too: the map of a sample, the flow, what the plant is given over a sample, and the laws of projections. A field
-    of a kind that is unknown here raises `TypeError`: none is left out.
+    It covers every field of the loop and of its parts: names, sizes, units, rates, next values, second-order terms,
+    trajectories and their future values, random, measured and commanded signals, the sets and nominal rates of
+    projections, outputs, parameters with their values, and all flags. It also covers the functions that the loop
+    provides: the map of a sample, the flow, the plant's inputs over a sample, and the laws of projections. A field of
+    an unknown type raises `TypeError`, so that no field is omitted.
 
     Expressions enter operation by operation; a number enters as the bits of its double. The hash does not depend on
-    the layout of the graph file, on the clock, on the solver, or on the pose in which a run starts.
+    the layout of the graph file, on the clock, on the solver, or on the start pose of a run.
 
-    It takes a few hundredths of a second for a robot of six joints, once for each diagram.
+    It takes a few hundredths of a second for a robot with six joints, once for each diagram.
     """
     lines, expressions = list[str](), list[SX]()
-    for line, expression in _walk("", {"loop": loop, "functions": _functions(loop), **(beside or {})}):
+    for line, expression in _walk("", {"loop": loop, "functions": _functions(loop), **(others or {})}):
         lines.append(line)
         if expression is not None:
             expressions.append(ca.densify(expression))
@@ -56,7 +56,7 @@ def fingerprint(loop: ClosedLoop, beside: Mapping[str, Any] | None = None) -> st
 
 
 def _functions(loop: ClosedLoop) -> Mapping[str, Any]:
-    """What others take from the loop, in its leaves."""
+    """The functions that the loop provides, in its leaves."""
     return {
         "sample": loop.put_back(loop.advanced),
         "flow": loop.flow,
@@ -68,7 +68,7 @@ def _functions(loop: ClosedLoop) -> Mapping[str, Any]:
 
 
 def _walk(name: str, item: Any) -> Iterator[tuple[str, SX | None]]:
-    """Each part of an object as a line of text, and as an expression where it is one."""
+    """Each part of an object as a line of text, with the expression if it is one."""
     match item:
         case ca.SX():
             yield f"{name} {item.shape}", item
@@ -96,7 +96,7 @@ def _walk(name: str, item: Any) -> Iterator[tuple[str, SX | None]]:
             for field in fields(item):
                 yield from _walk(f"{name}.{field.name}", getattr(item, field.name))
         case _:
-            raise TypeError(f"{name}: the hash of a model knows no {type(item).__name__}")
+            raise TypeError(f"{name}: the hash of a model does not support {type(item).__name__}")
 
 
 def _instructions(column: SX) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""From resolved blocks to one `ClosedLoop`."""
+"""Flatten resolved blocks to one `ClosedLoop`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dmframe.port import Side
 
 
 def flatten(resolver: Resolver, parameters: Sequence[Parameter]) -> ClosedLoop:
-    """Resolve every rate and output of the diagram. Faults are left in ``resolver.faults``."""
+    """Resolve every rate and output of the diagram. Faults are collected in ``resolver.faults``."""
     sides: dict[Side, list[Variable]] = {side: [] for side in Side}
     outputs = list[Signal]()
     for name, model in resolver.models.items():
@@ -46,18 +46,18 @@ def flatten(resolver: Resolver, parameters: Sequence[Parameter]) -> ClosedLoop:
 
 
 def _led(resolver: Resolver) -> Iterator[tuple[str, str]]:
-    """Outputs s of the plant with the goal, made by a controller, of a block that reads both s and s_d."""
+    """Outputs s of the plant with the reference s_d of a controller block, if one block reads both."""
     for (name, port), goal in resolver.sources.items():
         actual = resolver.sources.get((name, port.removesuffix("_d")))
         if port.endswith("_d") and isinstance(goal, Wire) and isinstance(actual, Wire):
             sides = resolver.models[actual.block].block.side, resolver.models[goal.block].block.side
             if sides == (Side.PLANT, Side.CONTROLLER):
-                true = _behind(resolver, actual)  # a sensor that stands in for the signal is not what is led
+                true = _behind(resolver, actual)  # not the sensor that replaces it
                 yield f"{true.block}.{true.port}", f"{goal.block}.{goal.port}"
 
 
 def _behind(resolver: Resolver, wire: Wire) -> Wire:
-    """The signal for which others may stand in."""
+    """The signal that channel models replace."""
     block = resolver.models[wire.block].block
     port = next(port for port in block.outputs if port.name == wire.port)
     before = resolver.sources.get((wire.block, port.instead_of)) if port.instead_of else None
@@ -65,14 +65,14 @@ def _behind(resolver: Resolver, wire: Wire) -> Wire:
 
 
 def _output(resolver: Resolver, model: BlockModel, port: str) -> SX:
-    """An output; a source's is its trajectory, which stays a leaf."""
+    """An output; that of a source is its trajectory, which remains a leaf."""
     if resolver.side(model.name) is Side.SOURCE:
         return resolver.trajectory(model.name, port, 0).symbol
     return resolver.output(model.name, port)
 
 
 def _cycle(needs: Mapping[End, Sequence[End]]) -> list[End]:
-    """A closed way through signals that each need at least one other."""
+    """A cycle of signals, each of which depends on at least one other."""
     way = [next(iter(needs))]
     while way[-1] not in way[:-1]:
         way.append(needs[way[-1]][0])
@@ -80,7 +80,7 @@ def _cycle(needs: Mapping[End, Sequence[End]]) -> list[End]:
 
 
 def _crossings(resolver: Resolver) -> tuple[Leaf, ...]:
-    """Measured and commanded signals with their expressions in the leaves of their sides, in the order of need."""
+    """Measured and commanded signals with their expressions in the leaves of their sides, in order of evaluation."""
     waiting = dict[End, tuple[Leaf, SX]]()
     while missing := resolver.crossings.keys() - waiting.keys():  # resolving one may find another
         waiting |= {end: (resolver.crossings[end], resolver.output(*end)) for end in sorted(missing)}

@@ -1,4 +1,4 @@
-"""The functions of a linearly implicit step: its linear system, the first stage, and the solution for the others."""
+"""Functions of a linearly implicit step: its linear system, the first stage, and the solution of the other stages."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from dmframe.diagram.rosenbrock import ROS34PW2
 from dmframe.diagram.slopes import Slopes
 
 Bodies = Mapping[str, tuple[Sequence[Any], Sequence[Any]]]
-"""Of each function its inputs, but for the parameters, and its results."""
+"""Inputs of each function, without the parameters, and its results."""
 
 
 @final
 class Implicit(NamedTuple):
-    """What a linearly implicit method takes beside a tick's functions, each of (..., p, c).
+    """Functions of a linearly implicit method in addition to those of a tick, each of (..., p, c).
 
     Parameters
     ----------
     moving
         (t) -> (w, its derivative by time).
     begin
-        (x, u, w, dw, h) -> (factors, d, u_1) with the letters of `rosenbrock`; u_1 is not a number where the system has
-        no solution that can be trusted, so that the run ends there.
+        (x, u, w, dw, h) -> (factors, d, u_1) in the notation of `rosenbrock`; u_1 is NaN if the solution of the system
+        is not accurate, so that the run ends there.
     solve
         (factors, right-hand side) -> u_i.
     """
@@ -37,10 +37,10 @@ class Implicit(NamedTuple):
 
 
 def systems(trajectory: Any, rate: Any, slopes: Slopes, explicit: int, p: Any) -> Bodies:
-    """The expressions of `Implicit`, of a loop's functions (see `Parts`) and the symbol p.
+    """The expressions of `Implicit` from the functions of a loop (see `Parts`) and the symbol p.
 
-    The first `explicit` of the states are integrated explicitly. What their motion, and that of the trajectories, does
-    to the rates of the others enters through d.
+    The first `explicit` states are integrated explicitly. The effect of their motion, and of that of the trajectories,
+    on the rates of the other states enters through d.
     """
     x, u, w = (ca.SX.sym(name, rate.numel_in(i)) for i, name in enumerate("xuw"))
     t, h, dw = ca.SX.sym("t"), ca.SX.sym("h"), ca.SX.sym("dw", w.numel())

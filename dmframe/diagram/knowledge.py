@@ -1,17 +1,17 @@
-"""What the controller knows of the true robot: the numbers that its equations hold, block by block.
+"""True parameters of the robot that the equations of the controller contain, block by block.
 
-A block that uses the robot gets its symbolic model, true numbers and all. A proof holds for all values of those
-numbers, but for the same ones in the controller and in the plant: that the controller knows them exactly is an
-assumption, and has to be listed. So the equations are searched, in three ways:
+A block that uses the robot gets its symbolic model with the true numbers. A proof holds for all values of those
+numbers if controller and plant have the same values. That the controller knows them exactly is an assumption, which
+has to be listed. The equations are therefore searched in three ways:
 
-- for the robot's symbols, which is how they are meant to be read;
-- for numbers taken out of the chain itself, which leave no symbol: the equations are stated once more with a robot of
-  other numbers, and whatever changes was read;
-- for joint axes and rotations that are 0 or 1 and so leave no symbol either: the equations are stated once more with
+- for the symbols of the robot, which blocks should read;
+- for numbers read from the chain itself, which leave no symbol: the equations are evaluated again with a robot of
+  other numbers, and an expression that changes contains such a number;
+- for joint axes and rotations that are 0 or 1, which leave no symbol either: the equations are evaluated again with
   all of them as symbols.
 
-Only what acts counts: a rate of the controller, or what it commands. The value from which an estimate starts, such as
-``a_d_nominal``, is one of an assumption's many possible values and not held, unless a rate reads it, as a leak does.
+Only expressions that act are searched: rates of the controller, and commands. The initial value of an estimate, such as
+``a_d_nominal``, is not assumed to be exact, so it does not count unless a rate reads it, as a leak does.
 """
 
 from __future__ import annotations
@@ -48,16 +48,16 @@ WORDS: Final[Mapping[str, str]] = {
 @final
 @dataclass(frozen=True)
 class Known:
-    """What one controller block knows exactly.
+    """True parameters that one controller block contains.
 
     Parameters
     ----------
     block, kind
         Its name and type.
     groups
-        Keys of `WORDS`, in their order; and labels ``block.port`` of the plant's own numbers that it hands out.
+        Keys of `WORDS`, in their order; and labels ``block.port`` of measured outputs that are numbers of the plant.
     held_by
-        For each group, the outputs and states of the block whose equations hold it.
+        For each group, the outputs and states of the block whose equations contain it.
     """
 
     block: str
@@ -72,14 +72,14 @@ class Known:
 
 
 def known_truths(diagram: Diagram) -> tuple[Known, ...]:
-    """Each controller block whose equations hold true numbers of the robot or the plant; those with none left out."""
+    """Each controller block whose equations contain true numbers of the robot or the plant."""
     live = _live(diagram)
     found = []
     for name, model in diagram.models.items():
         if model.block.side is not Side.CONTROLLER:
             continue
         holding = dict[str, list[str]]()
-        for group, signal in (*_of_robot(diagram, model), *_handed_out(diagram, model)):
+        for group, signal in (*_of_robot(diagram, model), *_measured_constants(diagram, model)):
             if (name, signal) in live and signal not in holding.setdefault(group, []):
                 holding[group].append(signal)
         order = [*(group for group in WORDS if holding.get(group)), *sorted(g for g in holding if g not in WORDS)]
@@ -90,7 +90,7 @@ def known_truths(diagram: Diagram) -> tuple[Known, ...]:
 
 
 def _live(diagram: Diagram) -> set[End]:
-    """Outputs and states of controllers that act: on a rate of any block, directly or through other outputs."""
+    """Outputs and states of controllers that affect a rate of any block, directly or through other outputs."""
     live, waiting = set[End](), list[End]()
     for name, model in diagram.models.items():
         for state, move in model.equations.moves.items():
@@ -114,7 +114,7 @@ def _live(diagram: Diagram) -> set[End]:
 
 
 def _rates_that_are_known(diagram: Diagram) -> list[End]:
-    """What outputs need that are time derivatives: whoever differentiates a signal may use them."""
+    """Dependencies of outputs that are time derivatives: the derivative of a signal may use them."""
     return [
         (name, need)
         for name, model in diagram.models.items()
@@ -125,7 +125,7 @@ def _rates_that_are_known(diagram: Diagram) -> list[End]:
 
 
 def _of_robot(diagram: Diagram, model: BlockModel) -> Iterator[tuple[str, str]]:
-    """Groups of the robot's numbers with the signals of the block that hold them."""
+    """Groups of the robot's numbers with the signals of the block that contain them."""
     if model.robot is None:
         return
     stated = _signals(model)
@@ -145,7 +145,7 @@ def _of_robot(diagram: Diagram, model: BlockModel) -> Iterator[tuple[str, str]]:
 
 
 def _changed(diagram: Diagram, model: BlockModel, robot: Any) -> Iterator[str]:
-    """Outputs and rates that change with another robot's numbers, though the symbols are the same."""
+    """Outputs and rates that change with the numbers of the robot although the symbols are the same."""
     restated = _restated(diagram, model, robot)
     for signal, expression in _signals(model).items():
         if signal not in restated or not same_expression(restated[signal], expression):
@@ -162,7 +162,7 @@ def _groups(robot: Any) -> dict[str, set[int]]:
     links = robot.k - 3
     lengths = columns.pop("a_k")
     found = {"lengths": symbols_in([lengths[:links]]), "tool": symbols_in([lengths[links:]])}
-    if "rotations" in columns:  # the tool's stand last
+    if "rotations" in columns:  # those of the tool come last
         turns = columns.pop("rotations")
         own = turns.numel() - sum(x not in (0, 1, -1) for row in robot.chain.tool_rotation for x in row)
         found |= {"axes": symbols_in([turns[:own]]), "tool_rotation": symbols_in([turns[own:]])}
@@ -170,9 +170,9 @@ def _groups(robot: Any) -> dict[str, set[int]]:
 
 
 def _restated(diagram: Diagram, model: BlockModel, robot: Any) -> dict[str, SX]:
-    """The block's outputs and rates with another robot; none where it looks at numbers and cannot."""
+    """The block's outputs and rates with another robot; empty if the block cannot be evaluated with it."""
     parameters = {**model.parameters, **model.starts}
-    # as the model was made: what a block asks twice is one expression
+    # as in the model: a repeated call gives the same expression
     signals = signals_of(model.name, model.inputs, model.states, parameters, Recalled(robot))
     try:
         stated = stated_by(model.name, model.block, signals, diagram.sizes)
@@ -182,7 +182,7 @@ def _restated(diagram: Diagram, model: BlockModel, robot: Any) -> dict[str, SX]:
 
 
 def _others(robot: Any) -> dict[str, Any]:
-    """The same symbols with other numbers behind them, group by group and all; Pinocchio's model has them too."""
+    """Robots with the same symbols and other numbers, for each group and for all; in Pinocchio's model too."""
     import pinocchio as pin
 
     chain = robot.chain
@@ -228,12 +228,12 @@ def _others(robot: Any) -> dict[str, Any]:
 
 
 def _other(values: Sequence[Fraction]) -> tuple[Fraction, ...]:
-    """Other numbers, none of them left as it was; a zero or a one may be what a block looks for."""
+    """Other numbers, all of them changed; a block may test for a zero or a one."""
     return tuple(value * Fraction(12345, 10007) + Fraction(1, 997) for value in values)
 
 
-def _handed_out(diagram: Diagram, model: BlockModel) -> Iterator[tuple[str, str]]:
-    """Measured signals that are numbers of the plant and nothing else, with the signals of the block that read them."""
+def _measured_constants(diagram: Diagram, model: BlockModel) -> Iterator[tuple[str, str]]:
+    """Measured signals that are constant numbers of the plant, with the signals of the block that read them."""
     for port, symbol in model.inputs.items():
         source = diagram.sources[model.name, port]
         if not isinstance(source, Wire) or diagram.blocks[source.block].side is not Side.PLANT:

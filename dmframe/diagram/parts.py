@@ -1,4 +1,4 @@
-"""What a closed loop is made of, as CasADi functions: the one set of expressions from which every engine runs."""
+"""CasADi functions of a closed loop, from which every engine is made."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dmframe.diagram.slopes import Slopes
 
 @final
 class Hoisted(NamedTuple):
-    """The functions of one tick, each of (..., p, c), and c as a function of p: what stays the same for a run."""
+    """The functions of one tick, each of (..., p, c), and c(p), the values that are constant in a run."""
 
     trajectory: Any
     sample: Any
@@ -24,7 +24,7 @@ class Hoisted(NamedTuple):
 
 
 def split(bodies: Bodies, p: Any) -> tuple[list[Any], Any]:
-    """Functions of (inputs..., p, c), and c as a function of p: what stays the same for a whole run."""
+    """Functions of (inputs..., p, c), and c(p), the values that are constant in a run."""
     flat = [ca.vertcat(*map(ca.vec, map(ca.densify, expressions))) for _, expressions in bodies.values()]
     remaining, symbols, constants = ca.extract_parametric(ca.vertcat(*flat), p)
     c = ca.SX.sym("c", len(symbols))
@@ -42,24 +42,25 @@ def split(bodies: Bodies, p: Any) -> tuple[list[Any], Any]:
 @final
 @dataclass(frozen=True)
 class Parts:
-    """The functions of one tick; the state is what a sample moves, z, then what is integrated, x.
+    """The functions of one tick; the state consists of z, the stepped states, and x, the integrated states.
 
-    In continuous time z is empty and x is everything.
+    In continuous time z is empty and x contains all states.
 
     Parameters
     ----------
     trajectory
-        (t, p) -> w: what moves by itself.
+        (t, p) -> w, the exogenous signals.
     sample
-        (state, w, drawn, T, p) -> (z one sample later, u): u is what the plant is given, held until then.
+        (state, w, drawn, T, p) -> (z one sample later, u): u are the plant's inputs, held until then.
     rate
         (x, u, w, p) -> dx.
     outputs
-        (state, w, drawn, T, p) -> y: what is recorded beside the state.
+        (state, w, drawn, T, p) -> y, the recorded signals other than states.
     clip
-        (x, p) -> x put back into its sets.
+        (x, p) -> x projected onto its sets.
     explicit
-        How many of x, its first, a linearly implicit method integrates explicitly: the controller's in continuous time.
+        Number of leading elements of x that a linearly implicit method integrates explicitly: those of a continuous
+        controller.
     """
 
     trajectory: Any
@@ -71,19 +72,19 @@ class Parts:
 
     @cached_property
     def hoisted(self) -> Hoisted:
-        """The same, with what follows from p alone taken out of each."""
+        """The same functions, with the values that depend on p only computed separately."""
         p, bodies = self._bodies
         (trajectory, sample, rate, clip), constants = split(bodies, p)
         return Hoisted(trajectory, sample, rate, clip, constants)
 
     @cached_property
     def slopes(self) -> Slopes:
-        """The plant's Jacobian, in two forms where it is dear."""
+        """The plant's Jacobian, in two forms if it is expensive."""
         return Slopes.of(self.rate, self.explicit)
 
     @cached_property
     def implicit(self) -> tuple[Hoisted, Implicit]:
-        """`hoisted`, and beside it a linearly implicit method's own. Raises `EngineError` where that is too large."""
+        """`hoisted`, and the functions of a linearly implicit method. Raises `EngineError` if they are too large."""
         p, bodies = self._bodies
         more = systems(self.trajectory, self.rate, self.slopes, self.explicit, p)
         (trajectory, sample, rate, clip, *made), constants = split({**bodies, **more}, p)
@@ -91,7 +92,7 @@ class Parts:
 
     @cached_property
     def _bodies(self) -> tuple[Any, Bodies]:
-        """p, and of each function its inputs and expressions."""
+        """p, and the inputs and expressions of each function."""
         t, p = ca.SX.sym("t"), ca.SX.sym("p", self.trajectory.numel_in(1))
         state, w, drawn, period = (
             ca.SX.sym(name, self.sample.numel_in(i)) for i, name in enumerate(("state", "w", "drawn", "T"))
@@ -100,7 +101,7 @@ class Parts:
         seen = (state, w, drawn, period, p)
         return p, {
             "trajectory": ([t], [self.trajectory(t, p)]),
-            # sample and outputs see the same instant, and share most of their work
+            # sample and outputs are evaluated at the same instant and share most of their operations
             "sample": (list(seen[:-1]), ca.cse([*self.sample(*seen), self.outputs(*seen)])),
             "rate": ([x, u, w], [self.rate(x, u, w, p)]),
             "clip": ([x], [self.clip(x, p)]),
@@ -108,12 +109,12 @@ class Parts:
 
     @property
     def moved(self) -> bool:
-        """True where trajectories act within a tick, on what is integrated."""
+        """True if trajectories act on the integrated states within a tick."""
         return bool(self.rate.jac_sparsity(0, 2).nnz() > 0)
 
     @property
     def sizes(self) -> dict[str, int]:
-        """How many numbers each column holds, by its name in the C source."""
+        """Number of elements of each column, by its name in the C source."""
         return {
             "Z": self.sample.numel_out(0),
             "X": self.rate.numel_in(0),

@@ -1,4 +1,4 @@
-"""What a closed loop is made of: states, outputs, what is drawn, parameters."""
+"""Elements of a closed loop: states, outputs, random inputs, parameters."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from dmframe.certificate import SX
 class Variable:
     """A state of the closed loop; `shape` in letters, as declared.
 
-    `own_rate` is its time derivative, zero of a sampled state between samples; `own_next` a sampled state's value one
-    sample later, before it is projected, and None in continuous time. `own_second`, if a block states it, is what its
-    step on a clock adds to T times the rate, over T^2. Only `dmframe.diagram` reads these three: every other room takes
-    the flow and the map of a sample from the methods of `ClosedLoop`, so that it cannot form another map.
+    `own_rate` is its time derivative, zero for a sampled state between samples. `own_next` is the value of a sampled
+    state one sample later, before projection; None for a continuous state. `own_second`, if a block states it, is the
+    second-order term of its step on a clock, divided by T^2. Only `dmframe.diagram` reads these three: all other
+    packages take the flow and the map of a sample from the methods of `ClosedLoop`, so that there is one map only.
 
-    Results hold a state where it is `recorded` or asked for.
+    Results contain a state if it is `recorded` or requested.
     """
 
     block: str
@@ -41,19 +41,19 @@ class Variable:
 
     @property
     def sampled(self) -> bool:
-        """True for a state that keeps its value between samples."""
+        """True for a state that is constant between samples."""
         return self.own_next is not None
 
     @property
     def gained(self) -> SX | None:
-        """What a sampled state moves in one sample, before it is projected; None in continuous time."""
+        """Change of a sampled state over one sample, before projection; None for a continuous state."""
         return None if self.own_next is None else self.own_next - self.symbol
 
 
 @final
 @dataclass(frozen=True)
 class Signal:
-    """An output of a block; `own`, of a plant's, that it stands in for no other signal."""
+    """An output of a block; `own` is true for a plant output that replaces no other signal."""
 
     block: str
     name: str
@@ -71,7 +71,7 @@ class Signal:
 @final
 @dataclass(frozen=True)
 class Noise:
-    """An input that each sample draws anew, of a distribution of `dmframe.port.DISTRIBUTIONS`."""
+    """A random input, drawn at each sample from a distribution of `dmframe.port.DISTRIBUTIONS`."""
 
     label: str
     symbol: SX
@@ -83,7 +83,7 @@ class Noise:
 class Parameter:
     """A gain, a true parameter or a number of the robot: `symbol` in expressions, `value` in a run.
 
-    `exact` holds the rational numbers of which `value` is the doubles, column by column, where a file gives them.
+    `exact` contains the rational numbers that `value` rounds to doubles, column by column, if a file gives them.
     """
 
     label: str
@@ -94,14 +94,14 @@ class Parameter:
 
     @property
     def rational(self) -> tuple[Fraction, ...] | None:
-        """The exact numbers, as long as they are those of `value`."""
+        """The exact numbers, if they still belong to `value`."""
         known = self.exact and [float(number) for number in self.exact] == self.value.ravel(order="F").tolist()
         return self.exact if known else None
 
 
 @final
 class Followed(NamedTuple):
-    """A goal s_d and the plant's output s that should follow it: their labels and expressions."""
+    """A reference s_d and the plant output s that should track it: their labels and expressions."""
 
     desired: str
     actual: str

@@ -1,9 +1,9 @@
-r"""Convex sets onto which estimates are projected: boxes, balls and bodies.
+r"""Convex sets onto which estimates are projected: boxes, balls, and sets of physically consistent parameters.
 
-A projected state's rate is its `nominal` rate plus a `correction`: a free symbol in a proof, and what `law` says in a
-run. The projection lemma: with :math:`S = \tfrac12 |\theta - \theta_{true}|_W^2` the correction adds
-:math:`(\theta - \theta_{true})^\top W c \le 0` if the set is convex and holds the true value, and if c is normal to
-the set in the metric W. Where a run takes finite steps, `held` puts the state back into the set after each.
+The rate of a projected state is its `nominal` rate plus a `correction`: a free symbol in a proof, and the value of
+`law` in a run. Projection lemma: with :math:`S = \tfrac12 |\theta - \theta_{true}|_W^2` the correction adds
+:math:`(\theta - \theta_{true})^\top W c \le 0` to dS/dt if the set is convex and contains the true value, and if c is
+normal to the set in the metric W. After each finite step of a run, `held` projects the state onto the set.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from dmframe.linalg import square, times
 @final
 @dataclass(frozen=True)
 class Box:
-    """Lower and upper ends, element by element: normal to it is each coordinate, in any diagonal metric."""
+    """Lower and upper bounds, element by element; its normals are the coordinate axes, in any diagonal metric."""
 
     kind: ClassVar[str] = "box"
     bounds: ClassVar[bool] = True
@@ -35,7 +35,7 @@ class Box:
         return self.lower, self.upper
 
     def law(self, state: SX, nominal: SX) -> SX:
-        """Stops a rate that leads out of the box at the box's end."""
+        """Stops a rate that leaves the box at the boundary."""
         out = ca.logic_or(
             ca.logic_and(state <= self.lower, nominal < 0), ca.logic_and(state >= self.upper, nominal > 0)
         )
@@ -50,7 +50,7 @@ class Box:
         return ca.vertcat(truth - self.lower, self.upper - truth)
 
     def askew(self, weight: SX) -> SX:
-        """Zero where the correction is normal to the box in the metric of the weight: where that is diagonal."""
+        """Zero if the correction is normal to the box in the metric of the weight: if the weight is diagonal."""
         if weight.is_column():
             return ca.SX.zeros(1)
         return ca.vec(ca.densify(weight - ca.diag(ca.diag(weight))))
@@ -59,12 +59,12 @@ class Box:
 @final
 @dataclass(frozen=True)
 class Ball:
-    r"""The ellipsoid :math:`f = \sum_i (\theta_i - c_i)^2 / r_i^2 - 1 \le 0`, a ball where all half axes are equal.
+    r"""The ellipsoid :math:`f = \sum_i (\theta_i - c_i)^2 / r_i^2 - 1 \le 0`; a ball if all half axes are equal.
 
     `gain` is the adaptation's :math:`\Gamma`, a matrix or its diagonal. The normal in the metric
     :math:`\Gamma^{-1}` is :math:`\Gamma \nabla f`: with :math:`c = -\mu \Gamma \nabla f`, :math:`\mu \ge 0`,
-    :math:`(\theta - \theta_{true})^\top \Gamma^{-1} c = -\mu (\theta - \theta_{true})^\top \nabla f`, not above
-    zero on the boundary, since f is convex and not above zero at the true value.
+    :math:`(\theta - \theta_{true})^\top \Gamma^{-1} c = -\mu (\theta - \theta_{true})^\top \nabla f`. This is
+    :math:`\le 0` on the boundary, since f is convex and :math:`f \le 0` at the true value.
     """
 
     kind: ClassVar[str] = "ball"
@@ -80,7 +80,7 @@ class Ball:
         return self.center, self.radius, self.gain
 
     def law(self, state: SX, nominal: SX) -> SX:
-        r"""On the boundary, takes away what leads out of the nominal rate v.
+        r"""On the boundary, cancels the outward component of the nominal rate v.
 
         .. math:: c = -\Gamma \nabla f\, \frac{\max(0, \nabla f^\top v)}{\nabla f^\top \Gamma \nabla f}
         """
@@ -92,7 +92,7 @@ class Ball:
         return ca.if_else(out, -normal * (outward / steepness), ca.SX.zeros(state.shape[0]))
 
     def held(self, state: SX) -> SX:
-        """The point of the set on the way to its centre; the nearest one, of a ball."""
+        """The point of the set on the line to its centre; for a ball, the nearest point."""
         away = state - self.center
         return self.center + away / ca.sqrt(ca.fmax(self._reach(state), 1))
 
@@ -101,7 +101,7 @@ class Ball:
         return 1 - self._reach(truth)
 
     def askew(self, weight: SX) -> SX:
-        """Zero where the weight is a multiple of the gain's inverse, whose metric the correction is normal in."""
+        """Zero if the weight is a multiple of the inverse gain, in whose metric the correction is normal."""
         if weight.is_column() and self.gain.is_column():
             ratio = weight * self.gain
             return ratio - ratio[0]
@@ -118,7 +118,7 @@ class Ball:
 class Projection:
     """A projected state: its rate is `nominal` plus a correction that is zero inside the set.
 
-    `name` and `parameter` are labels: of the state, and of the parameter that holds its set.
+    `name` and `parameter` are the labels of the state and of the parameter that defines its set.
     """
 
     name: str
@@ -130,7 +130,7 @@ class Projection:
 
     @property
     def block(self) -> str:
-        """Whose state it is."""
+        """The name of the state's block."""
         return self.name.partition(".")[0]
 
     @property
@@ -145,7 +145,7 @@ class Projection:
 
     @property
     def law(self) -> SX:
-        """What the correction is in a run."""
+        """The correction in a run."""
         return self.set.law(self.state, self.nominal)
 
 

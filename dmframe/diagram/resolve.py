@@ -1,14 +1,15 @@
-"""From wired blocks to one set of expressions: outputs, rates and derived time derivatives, each resolved on demand.
+"""Resolve wired blocks to one set of expressions: outputs, rates and time derivatives, each on demand.
 
-Expressions stand in *leaves*: the states, the parameters, what is measured and commanded, and the
-desired trajectories with their derivatives. The two sides meet only in `closed_loop`, so that the controller can be
-had alone, as code, and the trajectories can be left free, as a theorem does.
+Expressions depend on *leaves*: the states, the parameters, the measured and commanded signals, and the desired
+trajectories with their derivatives. The two sides are joined only in `closed_loop`, so that the controller can be
+extracted alone, as code, and the trajectories can be left free, as in a theorem.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -28,7 +29,7 @@ from dmframe.port import TIME, Access, Side, State
 @final
 @dataclass(frozen=True)
 class Leaf:
-    """A signal cut out of the expressions: `name` is ``block.port``, `expression` what it stands for."""
+    """A signal that is an independent variable of expressions: `name` is ``block.port``, `expression` its value."""
 
     name: str
     side: Side
@@ -36,13 +37,13 @@ class Leaf:
     expression: SX
 
     def standing_for(self, expression: SX) -> Leaf:
-        """The same leaf with another meaning."""
+        """The same leaf with another expression."""
         return replace(self, expression=expression)
 
 
 @final
 class Resolver:
-    """Resolves each signal of a diagram once; faults are collected, so that all can be told together."""
+    """Resolves each signal of a diagram once; faults are collected, so that all can be reported together."""
 
     def __init__(self, models: Mapping[str, BlockModel], sources: Mapping[End, Source], sizes: Sizes) -> None:
         self.models, self.sources, self.sizes = models, sources, sizes
@@ -57,6 +58,13 @@ class Resolver:
         self._held = set[End]()
         self._open = list[str]()
 
+    def with_outputs(self, outputs: Mapping[End, SX]) -> Resolver:
+        """The same diagram with these outputs replaced by other expressions, wherever another block reads them."""
+        other = copy(self)
+        other._outputs, other._rates, other.faults = dict(outputs), {}, []
+        other.crossings, other.projections = dict(self.crossings), dict(self.projections)
+        return other
+
     def output(self, block: str, port: str) -> SX:
         """An output in the leaves of its own side."""
         end = (block, port)
@@ -67,7 +75,7 @@ class Resolver:
         return self._outputs[end]
 
     def rate(self, block: str, state: str) -> SX:
-        """The rate of a state between samples; a projected one carries its correction. A sampled state stands still."""
+        """The rate of a state between samples, with the correction of a projected one; zero for a sampled state."""
         end = (block, state)
         if end not in self._rates:
             model = self.models[block]
@@ -83,12 +91,12 @@ class Resolver:
         return self._rates[end]
 
     def next(self, block: str, state: str) -> SX | None:
-        """The value of a sampled state one sample later, before it is projected; None for one in continuous time."""
+        """The value of a sampled state one sample later, before projection; None for a continuous state."""
         stated = self.models[block].equations.next.get(state)
         return None if stated is None else self.expand(block, stated)
 
     def second(self, block: str, state: str) -> SX | None:
-        """What a state's step on a clock has over T^2 beside its rate; None for most."""
+        """Second-order term of a state's step on a clock, divided by T^2; None for most states."""
         stated = self.models[block].equations.second.get(state)
         return None if stated is None else self.expand(block, stated)
 
@@ -114,8 +122,8 @@ class Resolver:
                 return ca.SX.zeros(*model.inputs[port].shape)
 
     def _later(self, source: Source, samples: int) -> SX:
-        """A source's output whole samples later, as a leaf; of one whose time is a signal, what that is then."""
-        if not isinstance(source, Wire):  # `wire_blocks` refuses it
+        """A source's output whole samples later, as a leaf; an expression if the time of the source is a signal."""
+        if not isinstance(source, Wire):  # `wire_blocks` rejects it
             raise TypeError(source)
         if self.paced(source.block):
             return self._on_own_time(source, samples)
@@ -128,7 +136,7 @@ class Resolver:
         return self.ahead[key].symbol
 
     def _on_own_time(self, source: Wire, samples: int) -> SX:
-        """A source's output at the time that its clock will show: an output t_path, as t_path_1, ... say."""
+        """A source's output at a future time of its clock, which has the outputs t_path_1, ... for an output t_path."""
         clock = self.sources[source.block, TIME.name]
         if not isinstance(clock, Wire):
             raise TypeError(clock)
@@ -137,7 +145,7 @@ class Resolver:
         return ca.substitute([model.equations.outputs[source.port]], [model.inputs[TIME.name]], [then])[0]
 
     def expand(self, block: str, expression: SX) -> SX:
-        """An expression in a block's own symbols, its inputs replaced by what drives them."""
+        """An expression in a block's own symbols, with its inputs replaced by the signals that drive them."""
         model = self.models[block]
         needed = model.needs(expression)
         if not needed:
@@ -158,12 +166,12 @@ class Resolver:
         return ca.jtimes(expression, leaves, rates)
 
     def _refuse_steps(self, used: set[int], wanted_by: str) -> None:
-        """What moves in steps has no time derivative."""
+        """Report a time derivative of a signal that moves in steps."""
         drawn = (".".join(end) for end, leaf in self.drawn.items() if used & symbols_in([leaf]))
         for leaf in self.ahead.values():
             if used & symbols_in([leaf.symbol]):
                 text = f"{wanted_by} is a time derivative of what looks ahead at {leaf.name}; take differences"
-                self._tell_once(DerivativeError(text, path=("blocks", wanted_by.partition(".")[0])))
+                self._report_once(DerivativeError(text, path=("blocks", wanted_by.partition(".")[0])))
         steps = [
             f"{name}.{state}"
             for name, model in self.models.items()
@@ -175,9 +183,9 @@ class Resolver:
                 f"{wanted_by} is a time derivative of what moves with {name}, which jumps from sample to sample; "
                 "filter it in continuous time, or take differences"
             )
-            self._tell_once(DerivativeError(text, path=("blocks", wanted_by.partition(".")[0])))
+            self._report_once(DerivativeError(text, path=("blocks", wanted_by.partition(".")[0])))
 
-    def _tell_once(self, fault: DmframeError) -> None:
+    def _report_once(self, fault: DmframeError) -> None:
         if not any(str(known) == str(fault) for known in self.faults):
             self.faults.append(fault)
 
@@ -196,7 +204,7 @@ class Resolver:
                 yield crossing.symbol, self._rate_across(end, wanted_by)
 
     def _rate_across(self, end: End, wanted_by: str) -> SX:
-        """The rate of a signal of the other side: measured itself, or computed by a block that declares it."""
+        """The rate of a signal of the other side: a measured signal, or an output declared as its derivative."""
         block, port = end
         for other in self.models[block].block.outputs:
             if other.derivative_of == port and other.access is Access.MEASURED:
@@ -207,10 +215,10 @@ class Resolver:
                     return self.output(name, known.name)
         fault = DerivativeError(
             f"{wanted_by} is a time derivative and needs the rate of {block}.{port}, which is neither measured nor "
-            "computed by any block; a controller may use only what the robot hands out",
+            "computed by any block; a controller may use only measured signals",
             path=("blocks", wanted_by.partition(".")[0]),
         )
-        self._tell_once(fault)
+        self._report_once(fault)
         return ca.SX.zeros(*self._crossing(end).symbol.shape)
 
     def side(self, block: str) -> Side:
@@ -218,7 +226,7 @@ class Resolver:
         return Side.CONTROLLER if self.paced(block) else self.models[block].block.side
 
     def paced(self, block: str) -> bool:
-        """Whether a source's time is the signal of a block, and not t."""
+        """True if a source's time is the signal of a block instead of t."""
         own = self.models[block].block.side is Side.SOURCE
         return own and isinstance(self.sources.get((block, TIME.name)), Wire)
 
@@ -238,9 +246,9 @@ class Resolver:
         return self.crossings[end]
 
     def trajectory_rate(self, block: str, port: str, order: int) -> SX:
-        """The next derivative of a source's output: a leaf, or zero where the source does not read the time.
+        """The next derivative of a source's output: a leaf, or zero if the source does not read the time.
 
-        One that jumps between constants has the derivative zero too, but is not still.
+        A piecewise constant output also has the derivative zero, although it is not constant.
         """
         held = self.trajectory(block, port, order)
         if self.steps(block, port):
@@ -250,19 +258,19 @@ class Resolver:
         return self.trajectory(block, port, order + 1).symbol
 
     def steps(self, block: str, port: str) -> bool:
-        """Whether a source declares that its output is constant between steps."""
+        """True if a source declares that its output is piecewise constant."""
         return any(known.name == port and known.steps for known in self.models[block].block.outputs)
 
     def _hold_still(self, held: Leaf, block: str) -> None:
-        """Hold a source to its word that an output is constant between steps."""
+        """Check the declaration of a source that an output is piecewise constant."""
         if not _is_zero(ca.densify(ca.jtimes(held.expression, self.time, ca.SX(1)))):
             text = (
                 f"{held.name}: expected a signal that is constant between steps, as it declares, found one that moves"
             )
-            self._tell_once(DerivativeError(text, path=("blocks", block)))
+            self._report_once(DerivativeError(text, path=("blocks", block)))
 
     def trajectory(self, block: str, port: str, order: int) -> Leaf:
-        """A source's output, or a time derivative of it, as a leaf; of one that is stated too, one leaf for both."""
+        """A source's output or its time derivative, as a leaf; an output declared as derivative is the same leaf."""
         key = block, port, order = self._as_derivative(block, port, order)
         if key not in self.trajectories:
             if order == 0:
@@ -276,7 +284,7 @@ class Resolver:
         return self.trajectories[key]
 
     def _as_derivative(self, block: str, port: str, order: int) -> tuple[str, str, int]:
-        """An output that the source declares to be a derivative of another, as the derivative of that one."""
+        """The output and order of which an output is declared to be the derivative."""
         stated = {known.name: known.derivative_of for known in self.models[block].block.outputs}
         outputs = self.models[block].equations.outputs
         seen = {port}
@@ -287,7 +295,7 @@ class Resolver:
         return block, port, order
 
     def _hold_stated(self, block: str, port: str, stated: str) -> None:
-        """Hold an output that a source declares to be a derivative to the derivative. The fault is told once."""
+        """Compare an output declared as a derivative with the derivative; a fault is reported once."""
         if (block, stated) in self._held:
             return
         self._held.add((block, stated))
@@ -297,7 +305,7 @@ class Resolver:
             self.faults.append(DerivativeError(text, path=("blocks", block)))
 
     def _leaf_name(self, block: str, port: str, order: int) -> str:
-        """``path.dr``, or the output that is this derivative; where another output has that name, ``path.d(r)/dt``."""
+        """``path.dr``, or the output that is this derivative; ``path.d(r)/dt`` if another output has that name."""
         name = f"{'d' * order}{port}"
         for known in self.models[block].block.outputs if order else ():
             if self._as_derivative(block, known.name, 0) == (block, port, order):
@@ -322,8 +330,8 @@ class Resolver:
         gain = model.parameters.get(declared.gain)
         if chosen[0] == declared.box and gain is not None and not gain.is_column():
             text = (
-                f"{model.name}: expected no {declared.box} beside a {declared.gain} that is a full matrix: a box is "
-                f"normal to its coordinates in the metric of a diagonal alone; choose {declared.ball}; "
+                f"{model.name}: {declared.box} cannot be combined with a full matrix {declared.gain}: the projection "
+                f"onto a box is valid for a diagonal metric only; choose {declared.ball}; "
                 f"{declared.box}: null takes the box away"
             )
             self.faults.append(ValueFault(text, path=("blocks", model.name, declared.box)))
@@ -332,7 +340,7 @@ class Resolver:
         return self._among(model, state, rate, chosen[0], kept)
 
     def _among(self, model: BlockModel, state: str, rate: SX, parameter: str, kept: Box | Ball | Bodies) -> SX:
-        """The rate with a correction that keeps the state in a set."""
+        """The rate with the correction of the projection onto a set."""
         name, leaf = f"{model.name}.{state}", model.states[state]
         correction = symbol(f"{name}.correction", leaf.shape)
         self.projections[model.name, state] = Projection(
@@ -341,22 +349,22 @@ class Resolver:
         return rate + correction
 
     def _bodies(self, model: BlockModel, state: State) -> Bodies:
-        """The set of bodies around the nominal ones, which the parameters give."""
+        """The set of physically consistent parameters, relative to the nominal ones."""
         (links,) = self.sizes.of("n")
         nominal = ca.densify(self.input(model.name, state.nominal))[: TEN * links]
         parameters = symbols_in(item for other in self.models.values() for item in other.parameters.values())
         robots = [other.robot.inertia for other in self.models.values() if other.robot is not None]
         if symbols_in([nominal]) - parameters - symbols_in(robots):
             text = (
-                f"{model.name}: expected nominal bodies that stand still beside {state.bodies}, found {state.nominal} "
-                "that moves; take that of a regressor"
+                f"{model.name}: {state.bodies} requires constant nominal bodies, but {state.nominal} is not constant; "
+                "take that of a regressor"
             )
             self.faults.append(ValueFault(text, path=("blocks", model.name, state.bodies)))
         return Bodies(nominal, model.parameters[state.bodies])
 
     @contextmanager
     def _entered(self, node: str) -> Iterator[bool]:
-        """False where the node is already being resolved: an algebraic loop, recorded once."""
+        """False if the node is already being resolved: an algebraic loop, which is recorded once."""
         if node in self._open:
             loop = self._open[self._open.index(node) :]
             if not any(
@@ -373,15 +381,15 @@ class Resolver:
 
 
 def loop_fault(ports: Sequence[str]) -> AlgebraicLoopError:
-    """A loop through these ports, which ends where it begins."""
-    remedy = "break it with a block whose output depends on its states alone, such as a filter or an integrator"
+    """The fault of an algebraic loop through these ports."""
+    remedy = "break it with a block whose output depends on its states only, such as a filter or an integrator"
     fault = AlgebraicLoopError(ports, remedy)
     fault.path = ("blocks", ports[0].partition(".")[0])
     return fault
 
 
 def _is_zero(difference: SX) -> bool:
-    """True where it vanishes identically."""
+    """True if it vanishes identically."""
     if difference.is_zero():
         return True
     symbols = ca.veccat(ca.SX(0, 1), *ca.symvar(difference))

@@ -1,4 +1,4 @@
-r"""A linearly implicit method of the third order, and the linear systems that it solves, for plants that are stiff.
+r"""A third-order linearly implicit (Rosenbrock) method for stiff plants, and its linear systems.
 
 With :math:`A` in place of the rate's Jacobian and :math:`d` in place of its derivative by time, a step of length h is
 
@@ -8,8 +8,8 @@ With :math:`A` in place of the rate's Jacobian and :math:`d` in place of its der
           + h A \textstyle\sum_{j \le i} \gamma_{ij} k_j + \gamma_i h^2 d, \tag{1} \\
     x^+ &= x + \textstyle\sum_i b_i k_i. \tag{2}
 
-The order does not depend on :math:`A` and :math:`d` (a W-method), the stability for stiff plants does. With
-:math:`u_i = \sum_j \gamma_{ij} k_j` no product with :math:`A` is left, [Hairer1996]_ (IV.7.25):
+The order does not depend on :math:`A` and :math:`d` (a W-method); the stability for stiff plants does. The variables
+:math:`u_i = \sum_j \gamma_{ij} k_j` remove the products with :math:`A`, [Hairer1996]_ (IV.7.25):
 
 .. math::
 
@@ -51,7 +51,7 @@ class Rosenbrock:
 
     @property
     def stages(self) -> int:
-        """How many linear systems a step solves."""
+        """Number of linear systems per step."""
         return len(self.weights)
 
     @cached_property
@@ -62,17 +62,17 @@ class Rosenbrock:
 
     @property
     def nodes(self) -> Row:
-        r""":math:`\alpha_i`, at which times of a step the rate is evaluated."""
+        r""":math:`\alpha_i`, the times within a step at which the rate is evaluated."""
         return tuple(Fraction(sum(row)) for row in self.points)
 
     @property
     def drifts(self) -> Row:
-        r""":math:`\gamma_i`, how much of the derivative by time each stage takes."""
+        r""":math:`\gamma_i`, the coefficient of the time derivative in each stage."""
         return tuple(Fraction(sum(row)) for row in self.full)
 
     @cached_property
     def inverse(self) -> tuple[Row, ...]:
-        r"""Of :math:`\gamma_{ij}`: it turns (1) into (3)."""
+        r"""Inverse of :math:`\gamma_{ij}`, with which (3) follows from (1)."""
         rows = list[Row]()
         for i, row in enumerate(self.full):
             left = [
@@ -83,17 +83,17 @@ class Rosenbrock:
 
     @property
     def a(self) -> tuple[Row, ...]:
-        """Of (3)."""
+        r""":math:`a_{ij}` of (3)."""
         return tuple(self._times((*row, *[Fraction(0)] * (self.stages - i)))[:i] for i, row in enumerate(self.points))
 
     @property
     def c(self) -> tuple[Row, ...]:
-        """Of (3)."""
+        r""":math:`c_{ij}` of (3)."""
         return tuple(tuple(-value for value in row[:i]) for i, row in enumerate(self.inverse))
 
     @property
     def m(self) -> Row:
-        """Of (3)."""
+        """:math:`m_i` of (3)."""
         return self._times(self.weights)
 
     def _times(self, row: Sequence[Fraction]) -> Row:
@@ -123,4 +123,4 @@ ROS34PW2: Final = Rosenbrock(
         "2.4212380706095346e-01", "-1.2232505839045147e+00", "1.5452602553351020e+00", "4.3586652150845900e-01"
     ),
 )
-"""Four stages, third order for any A, L-stable with the exact one, stiffly accurate [RangAngermann2005]_."""
+"""Four stages, third order for any A, L-stable with the exact Jacobian, stiffly accurate [RangAngermann2005]_."""

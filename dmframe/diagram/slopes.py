@@ -1,4 +1,4 @@
-"""The matrix A of a linearly implicit step: the Jacobian of a rate, or what of it is cheap and can be stiff."""
+"""The matrix A of a linearly implicit step: the Jacobian of a rate, or its cheap part that can be stiff."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import casadi as ca
 
 from dmframe.program import CONST, INPUT, OPERATIONS, read
 
-DEAR: Final = 3
-"""An exact Jacobian that takes more than this many times the instructions of the rate is left for a cheaper one."""
+EXPENSIVE: Final = 3
+"""An exact Jacobian with more than this many times the instructions of the rate is replaced by a cheaper one."""
 
 _HOLDING: Final = frozenset(
     code
@@ -21,11 +21,11 @@ _FACTORS: Final = frozenset((ca.OP_MUL, ca.OP_DIV))
 
 @final
 class Slopes(NamedTuple):
-    """(x, u, w, p) -> what a linearly implicit method uses of the Jacobian of the rates by the states, and all of it.
+    """(x, u, w, p) -> the approximate Jacobian that a linearly implicit method uses, and the exact one.
 
-    They are one object where all is cheap. Of a dear one sines, cosines, powers, and products of what moves are held in
-    the first: exact then are the derivatives of servos and friction, whose slopes are steep, and left out are those of
-    inertia, gravity and Coriolis forces, which are not.
+    Both are the same object if the exact Jacobian is cheap. The approximate one treats sines, cosines, powers, and
+    products of moving values as constants. It contains the exact derivatives of servos and friction, which can be
+    stiff, and omits those of inertia, gravity and Coriolis forces, which are not.
     """
 
     used: Any
@@ -33,13 +33,13 @@ class Slopes(NamedTuple):
 
     @classmethod
     def of(cls, rate: Any, explicit: int) -> Slopes:
-        """Of (x, u, w, p) -> dx, but for the first `explicit` rows and columns."""
+        """Jacobians of (x, u, w, p) -> dx without the first `explicit` rows and columns."""
         given = x, u, w, p = [ca.SX.sym(name, rate.numel_in(i)) for i, name in enumerate("xuwp")]
         fast, others = x[explicit:], ca.vertcat(x[:explicit], u, w, p)
         (rates,) = ca.cse([rate(*given)[explicit:]])
         slopes = ca.sparsify(ca.jacobian(rates, fast))
         exact = ca.Function("exact", given, [slopes])
-        if _instructions([rates, slopes], given) <= (1 + DEAR) * _instructions([rates], given):
+        if _instructions([rates, slopes], given) <= (1 + EXPENSIVE) * _instructions([rates], given):
             return cls(exact, exact)
         moving = ca.SX.sym("moving", fast.numel())
         (cheap,) = ca.substitute([ca.jacobian(_held(rates, fast, others, moving), moving)], [moving], [fast])
@@ -47,9 +47,9 @@ class Slopes(NamedTuple):
 
 
 def _held(rate: Any, x: Any, others: Any, moving: Any) -> Any:
-    """The same numbers, with `moving` for x where its slope counts."""
+    """The same values, with `moving` for x in the operations whose derivative is used."""
     program = read(ca.Function("rate", [x, others], [ca.densify(rate)]))
-    still, live = list[Any](), list[Any]()  # each value, and the same with `moving`; None where nothing moves
+    still, live = list[Any](), list[Any]()  # each value, and the same with `moving`; None if it does not depend on x
     for node in program.nodes:
         if node.code == INPUT:
             still.append((x, others)[node.a].nz[node.b])

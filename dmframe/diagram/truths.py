@@ -1,10 +1,10 @@
-"""Whose true value a proof reads: one owner for each name, found along wires where a diagram has several.
+"""Find the block whose true value a proof reads: one owner per name, the nearest along wires if there are several.
 
-A block's start and certificate may read true values by name: the outputs of other blocks, and what other blocks'
-certificates state. An author writes ``truth.K`` and means the robot that the block drives, not any robot of the
-diagram. So the owner is the one block that has the value; of several, the one that the reader's own wires lead to by
-the shortest way. Sources do not count as a way, since one clock or path may drive loops that are otherwise apart.
-What the nearest plant itself reads under that name goes before both: of two loads, the one that the robot carries.
+Initial values and certificates of a block may read true values by name: outputs of other blocks, and values from other
+blocks' certificates. ``truth.K`` means that of the robot which the block drives, not of any robot in the diagram. The
+owner is the only block with the value; of several blocks it is the one with the shortest path of wires from the reader.
+Paths through sources do not count, since one clock or path may drive otherwise separate loops. A value that the nearest
+plant itself reads under that name has precedence: of two loads, the one that the robot carries.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from dmframe.errors import BlockError
 from dmframe.port import Input, Output, Side
 
 Stated = Mapping[str, Mapping[str, SX]]
-"""True values that certificates state, by the block that states them and by name."""
+"""True values from certificates, by block and by name."""
 
 
 def owner_of(diagram: Diagram, reader: str, port: Input, stated: Stated) -> str | None:
-    """The block whose value of that name `reader` gets; None where the diagram has none.
+    """The block whose value of that name `reader` gets; None if the diagram has none.
 
-    A signal of the plant goes before all others: nobody knows the plant better.
+    A signal of the plant has precedence over all others, since it is the true one.
 
     Raises
     ------
     BlockError
-        Several blocks have it, and the wires do not say which one is meant.
+        Several blocks have it, and the wires do not determine one.
     """
     having = _having(diagram, reader, port)
     plant = [name for name in having if diagram.blocks[name].side is Side.PLANT]
@@ -54,7 +54,7 @@ def owner_of(diagram: Diagram, reader: str, port: Input, stated: Stated) -> str 
 
 
 def value_of(diagram: Diagram, owner: str, name: str, stated: Stated) -> SX:
-    """A block's true value: its output of that name, or what its certificate states."""
+    """A block's true value: its output of that name, or the value from its certificate."""
     if name in diagram.models[owner].equations.outputs:
         if diagram.resolver.side(owner) is Side.SOURCE:
             return diagram.resolver.trajectory(owner, name, 0).symbol
@@ -63,7 +63,7 @@ def value_of(diagram: Diagram, owner: str, name: str, stated: Stated) -> SX:
 
 
 def _read_by_plant(diagram: Diagram, name: str, ways: Mapping[str, int]) -> list[str]:
-    """Blocks whose output the nearest blocks of the plant read as their input of that name."""
+    """Blocks whose output drives the input of that name in the nearest blocks of the plant."""
     reading = {
         block: source.block
         for (block, port), source in diagram.sources.items()
@@ -74,26 +74,26 @@ def _read_by_plant(diagram: Diagram, name: str, ways: Mapping[str, int]) -> list
 
 
 def distances(diagram: Diagram, start: str) -> dict[str, int]:
-    """How many wires each block is away, along or against their direction, through no source."""
-    beside = defaultdict[str, set[str]](set)
+    """Distance of each block in wires, in either direction, without paths through sources."""
+    neighbours = defaultdict[str, set[str]](set)
     for (block, _), source in diagram.sources.items():
         if isinstance(source, Wire) and diagram.blocks[source.block].side is not Side.SOURCE:
-            beside[block].add(source.block)
-            beside[source.block].add(block)
+            neighbours[block].add(source.block)
+            neighbours[source.block].add(block)
     found, waiting = {start: 0}, deque([start])
     while waiting:
         here = waiting.popleft()
-        for other in sorted(beside[here] - found.keys()):
+        for other in sorted(neighbours[here] - found.keys()):
             found[other] = found[here] + 1
             waiting.append(other)
     return found
 
 
 def conflicts(diagram: Diagram, stated: Stated) -> Iterator[str]:
-    """What is wrong with the true values that certificates state: each must have one owner.
+    """Faults of the true values in certificates: each must have one owner.
 
-    A name may not be that of another block's output. Two blocks of one loop may state the same name only if they state
-    the same value; blocks that no wire connects are about different robots.
+    A name may not be that of another block's output. Two blocks of one loop may state the same name only with the same
+    value; blocks that no wire connects belong to different robots.
     """
     for owner, values in stated.items():
         for name in values:
@@ -114,7 +114,7 @@ def conflicts(diagram: Diagram, stated: Stated) -> Iterator[str]:
 
 
 def _having(diagram: Diagram, reader: str, port: Input) -> list[str]:
-    """Blocks other than the reader with an output of that name, in a unit that the reader can take."""
+    """Blocks other than the reader with an output of that name in a compatible unit."""
     return [
         name
         for name, model in diagram.models.items()

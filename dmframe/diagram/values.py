@@ -1,4 +1,4 @@
-"""A diagram with other numbers: the same expressions, so that nothing need be built or compiled again."""
+"""Change the numbers of a diagram without building or compiling its expressions again."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from dmframe.gain import Prior
 from dmframe.parameter import specs
 
 _SYMBOLS: WeakKeyDictionary[Resolver, set[str]] = WeakKeyDictionary()
-"""Labels of parameters that were seen to be symbols wherever their block speaks of them."""
+"""Labels of parameters that are known to be symbols in all expressions of their block."""
 
 
 def with_values(diagram: Diagram, values: Mapping[str, Any]) -> Diagram:
@@ -35,11 +35,11 @@ def with_values(diagram: Diagram, values: Mapping[str, Any]) -> Diagram:
     Raises
     ------
     UnknownNameError
-        There is no such parameter, or it shapes the equations and so needs a diagram of its own.
+        There is no such parameter, or it changes the equations and therefore requires a new diagram.
     NeedsDiagramError
-        A block reads it as a number, and not as a symbol.
+        A block reads it as a number instead of a symbol.
     ValueFault, ShapeError, UnitError
-        A value that the parameter cannot take.
+        A value is invalid for the parameter.
     """
     by_block = dict[str, dict[str, Any]]()
     known = _numbers(diagram)
@@ -47,7 +47,7 @@ def with_values(diagram: Diagram, values: Mapping[str, Any]) -> Diagram:
         if label not in known:
             raise UnknownNameError(f"values.{label}", "parameter that is a number", label, known)
         if value is None:
-            raise ValueFault(f"values.{label}: expected a number, found none; leaving it out takes another diagram")
+            raise ValueFault(f"values.{label}: expected a number, found none; removing it requires another diagram")
         block, _, name = label.partition(".")
         by_block.setdefault(block, {})[name] = value
     blocks, models, faults = dict(diagram.blocks), dict(diagram.models), list[DmframeError]()
@@ -57,7 +57,7 @@ def with_values(diagram: Diagram, values: Mapping[str, Any]) -> Diagram:
             kept = {key: value for key, value in blocks[name].model_dump().items() if value is not None}
             blocks[name] = kind(**{**kept, **changed})
         except DmframeError as error:
-            for fault in error.faults:  # which says the type, where a reader has the name
+            for fault in error.faults:  # the message has the block's type; replace it by its name
                 fault.text = f"{name}.{fault.text.removeprefix(f'{type_name(kind)}.')}"
             faults += error.faults
     raise_all(faults)
@@ -77,7 +77,7 @@ def with_values(diagram: Diagram, values: Mapping[str, Any]) -> Diagram:
 
 
 def changed_numbers(blocks: Mapping[str, AbstractBlock], others: Mapping[str, AbstractBlock]) -> dict[str, Any] | None:
-    """What `with_values` has to set so that blocks become the others; None where they differ in more than numbers."""
+    """Arguments of `with_values` that change blocks into the others; None if they differ in more than numbers."""
     if blocks.keys() != others.keys():
         return None
     changed = dict[str, Any]()
@@ -99,7 +99,7 @@ def changed_numbers(blocks: Mapping[str, AbstractBlock], others: Mapping[str, Ab
 
 
 def _priors(blocks: Mapping[str, AbstractBlock], changed: Mapping[str, Any]) -> list[str]:
-    """Other blocks with a gain that follows from a block that changes."""
+    """Other blocks with a gain computed from a changed block."""
     return [
         name
         for name, block in blocks.items()
@@ -111,9 +111,9 @@ def _priors(blocks: Mapping[str, AbstractBlock], changed: Mapping[str, Any]) -> 
 
 
 def _hold_symbolic(diagram: Diagram, blocks: Mapping[str, AbstractBlock], name: str, keys: Collection[str]) -> None:
-    """Refuse a number that a block reads as such, ``self.k`` for ``p.k``: its expressions hold the old one.
+    """Reject a number that a block reads as ``self.k`` instead of ``p.k``: its expressions contain the old value.
 
-    It is looked at once for each parameter.
+    Each parameter is checked once.
     """
     seen, old, new = _SYMBOLS.setdefault(diagram.resolver, set()), diagram.blocks[name], blocks[name]
     fresh = [key for key in keys if f"{name}.{key}" not in seen and getattr(old, key) != getattr(new, key)]
@@ -130,7 +130,7 @@ def _hold_symbolic(diagram: Diagram, blocks: Mapping[str, AbstractBlock], name: 
 
 
 def _stated(diagram: Diagram, name: str, block: AbstractBlock) -> dict[str, Any]:
-    """All that a block states of its motion and its start, on the diagram's symbols."""
+    """A block's equations and initial values on the diagram's symbols."""
     model, seen = diagram.models[name], view(diagram, name)
     with fault_context(name, "start()"):
         starts = stated_start(block, seen)
@@ -138,7 +138,7 @@ def _stated(diagram: Diagram, name: str, block: AbstractBlock) -> dict[str, Any]
 
 
 def _valued(parameter: Parameter, models: Mapping[str, BlockModel]) -> Parameter:
-    """With the value that its block now has."""
+    """The parameter with the present value of its block."""
     block, _, name = parameter.label.partition(".")
     model = models[block]
     if name not in model.values:
@@ -151,7 +151,7 @@ def _valued(parameter: Parameter, models: Mapping[str, BlockModel]) -> Parameter
 
 
 def _numbers(diagram: Diagram) -> list[str]:
-    """Labels of what can be changed: parameters that are numbers, and that the diagram has."""
+    """Labels of the numeric parameters of the diagram, which can be changed."""
     return [
         f"{name}.{key}"
         for name, model in diagram.models.items()

@@ -1,14 +1,15 @@
-"""A block's symbols as the whole diagram sees them: for its start and its certificate, which may see the plant."""
+"""A block's signals expanded over the whole diagram, for its initial values and its certificate."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, final
 
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Signals
+from dmframe.block.model import Recalled, signals_of
 from dmframe.certificate import SX
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.diagram import Diagram
@@ -21,7 +22,7 @@ from dmframe.port import Input
 class View:
     """u, x, p and truth of one block, each signal expanded to the diagram's leaves.
 
-    `owners` says whose each true value is.
+    `owners` are the blocks of the true values.
     """
 
     u: Signals
@@ -32,10 +33,10 @@ class View:
 
 
 def view(diagram: Diagram, name: str, stated: Stated | None = None) -> View:
-    """The view of a block; `stated` holds true values that other blocks' certificates state, such as a_d.
+    """The view of a block; `stated` contains true values from other blocks' certificates, such as a_d.
 
-    A truth that the diagram does not have is left out; reading it raises `BlockError`. So does one that several blocks
-    have, where wires do not say which is meant (`dmframe.diagram.truths`).
+    A true value that the diagram does not have is omitted; reading it raises `BlockError`. A true value of several
+    blocks raises it too if wires do not determine one (`dmframe.diagram.truths`).
     """
     model, resolver = diagram.models[name], diagram.resolver
     _, x, p = model.signals()
@@ -49,14 +50,22 @@ def view(diagram: Diagram, name: str, stated: Stated | None = None) -> View:
     return View(u, x, p, Signals(name, "truths that this diagram has", truth), owners)
 
 
+def recalling(diagram: Diagram, name: str, seen: View) -> View:
+    """The view with a robot that keeps its answers: its functions take most of the time of a second evaluation."""
+    model = diagram.models[name]
+    if model.robot is None:
+        return seen
+    return replace(seen, p=signals_of(name, {}, {}, {**model.parameters, **model.starts}, Recalled(model.robot))[2])
+
+
 def stated_start(block: AbstractBlock, seen: View) -> dict[str, Any]:
-    """Where a block's states start, by the words for each, ``start of z``."""
+    """Initial values of a block's states, by a description of each, ``start of z``."""
     said: Any = block.composed_start(seen.u, seen.p, seen.truth)
     return {f"start of {name}": value for name, value in said.items()} if isinstance(said, Mapping) else {"start": said}
 
 
 def _settled(diagram: Diagram, expression: SX) -> SX:
-    """With what is measured or commanded for this reader alone put in place: the loop was built without such leaves."""
+    """The expression without the leaves of signals that cross sides for this reader only; the loop has none of them."""
     resolver, built = diagram.resolver, {leaf.name for leaf in diagram.loop.crossings}
     for _ in range(len(diagram.blocks)):
         late = [
@@ -72,7 +81,7 @@ def _settled(diagram: Diagram, expression: SX) -> SX:
 
 
 def owners_of(diagram: Diagram, name: str, stated: Stated) -> dict[str, str]:
-    """The block that has each true value that a block's proof reads; those that no block has are left out."""
+    """The owner of each true value that a block's proof reads; values without an owner are omitted."""
     found = {port.name: owner_of(diagram, name, port, stated) for port in diagram.blocks[name].truth}
     return {port: owner for port, owner in found.items() if owner is not None}
 

@@ -1,4 +1,4 @@
-"""Which output drives which input: by name, or as the graph file says; and whether it may."""
+"""Wiring: connect each input to an output by name or by the graph file, and check access, shape and unit."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Period:
 @final
 @dataclass(frozen=True)
 class Drawn:
-    """The input is drawn anew at each sample."""
+    """The input is random, drawn at each sample."""
 
 
 @final
@@ -64,7 +64,7 @@ class Ahead:
 @final
 @dataclass(frozen=True)
 class Zero:
-    """The optional input that nobody drives."""
+    """The optional input is not driven: zero."""
 
 
 Source = Wire | Derived | Time | Period | Drawn | Ahead | Zero
@@ -74,7 +74,7 @@ Outputs = Mapping[str, Mapping[str, Output]]
 def wire_blocks(
     blocks: Mapping[str, AbstractBlock], outputs: Outputs, wires: Mapping[str, str]
 ) -> tuple[dict[End, Source], list[DmframeError]]:
-    """A source for every input; the wires of the graph file win over names."""
+    """A source for every input; the wires of the graph file have precedence over names."""
     chosen, faults = _explicit(blocks, outputs, wires)
     sources = dict[End, Source]()
     for name, block in blocks.items():
@@ -99,7 +99,7 @@ def wire_blocks(
 def _as_the_plant(
     block: AbstractBlock, port: Input, blocks: Mapping[str, AbstractBlock], chosen: Mapping[End, Source]
 ) -> Source | None:
-    """For an input that something stands in for: the command that the graph file wires to the plant's of that name."""
+    """For an input that a channel model replaces: the command that the graph file wires to the plant's input."""
     if all(output.instead_of != port.name for output in block.outputs):
         return None
     commands = {
@@ -116,7 +116,7 @@ def _as_the_plant(
 def _unforeseen(
     blocks: Mapping[str, AbstractBlock], outputs: Outputs, sources: Mapping[End, Source]
 ) -> Iterator[WiringError]:
-    """Inputs that look ahead at a signal whose future nobody knows."""
+    """Faults of inputs that look ahead at a signal whose future is unknown."""
     for (name, port), source in sources.items():
         if not isinstance(source, Ahead):
             continue
@@ -127,8 +127,8 @@ def _unforeseen(
             clock = sources.get((now.block, TIME.name))
             if isinstance(clock, Wire) and f"{clock.port}_{source.samples}" not in outputs.get(clock.block, {}):
                 yield WiringError(
-                    f"{name}.{port}: expected {clock.block}, which keeps the time of {now.block}, to say what "
-                    f"{clock.port} will be, as an output {clock.port}_{source.samples}, found none; see path_pace",
+                    f"{name}.{port}: expected {clock.block}, which provides the time of {now.block}, to have an output "
+                    f"{clock.port}_{source.samples}, the future {clock.port}, found none; see path_pace",
                     path=("wires", f"{now.block}.{TIME.name}"),
                 )
             continue
@@ -144,7 +144,7 @@ def _unforeseen(
 @final
 @dataclass(frozen=True)
 class Way:
-    """How a signal goes from one side to the other: through which stand-ins, and to whom."""
+    """Path of a signal from one side to the other: the channel models on it, and the readers."""
 
     origin: Wire
     through: tuple[Wire, ...]
@@ -152,7 +152,7 @@ class Way:
 
 
 def ways(blocks: Mapping[str, AbstractBlock], outputs: Outputs, sources: Mapping[End, Source]) -> list[Way]:
-    """Each signal that has stand-ins (`Output.instead_of`), as wired."""
+    """Each signal that channel models replace (`Output.instead_of`), as wired."""
     stands = _stand_ins(blocks, outputs, sources)
     found = list[Way]()
     for origin, chain in stands.items():
@@ -165,7 +165,7 @@ def ways(blocks: Mapping[str, AbstractBlock], outputs: Outputs, sources: Mapping
 def _stand_ins(
     blocks: Mapping[str, AbstractBlock], outputs: Outputs, sources: Mapping[End, Source]
 ) -> dict[Wire, list[tuple[Wire, End]]]:
-    """The stand-ins of each signal in the order of the file, each with the input that it stands for."""
+    """The channel models of each signal in the order of the file, each with the input that it replaces."""
     roots, found = dict[Wire, Wire](), dict[Wire, list[tuple[Wire, End]]]()
     for name in blocks:
         for port in outputs.get(name, {}).values():
@@ -178,7 +178,7 @@ def _stand_ins(
 
 
 def _lead_through(blocks: Mapping[str, AbstractBlock], outputs: Outputs, sources: dict[End, Source]) -> None:
-    """Lead what has stand-ins through them, in the order of the file."""
+    """Route the signals through their channel models, in the order of the file."""
     for origin, chain in _stand_ins(blocks, outputs, sources).items():
         inside = {end for _, end in chain}
         for (_, end), (before, _) in zip(chain[1:], chain, strict=False):
@@ -227,7 +227,7 @@ def _by_name(
         ends = ", ".join(f"{wire.block}.{wire.port}" for wire in found)
         return WiringError(
             f"{end}: expected one output of that name, found {len(found)}: {ends}; "
-            f"say which under wires, for example {end}: {found[0].block}.{found[0].port}",
+            f"choose one under wires, for example {end}: {found[0].block}.{found[0].port}",
             path=("blocks", name),
         )
     if port.derivative_of:
@@ -242,8 +242,8 @@ def _by_name(
 
 
 def _remedy(name: str, port: Input, outputs: Outputs, blocks: Mapping[str, AbstractBlock]) -> str:
-    """What may be wired to an input instead: what has its shape and unit, and is not hidden from it."""
-    add, target = "add a block that has one", blocks[name].side  # which blocks have one, only the catalogue knows
+    """Hint: outputs that may be wired to an input, of its shape and unit and not hidden from it."""
+    add, target = "add a block that has one", blocks[name].side  # dmframe.config.places appends the types
     fitting = [
         f"{other}.{key}"
         for other, ports in outputs.items()
@@ -258,9 +258,9 @@ def _remedy(name: str, port: Input, outputs: Outputs, blocks: Mapping[str, Abstr
 
 
 def unread(blocks: Mapping[str, AbstractBlock], outputs: Outputs, sources: Mapping[End, Source]) -> list[Wire]:
-    """Outputs without which a graph would do the same: all of a block, or one of a source, that no block takes.
+    """Outputs without effect: all unused outputs of a block without other effect, or an unused output of a source.
 
-    Blocks whose outputs are there to be shown or told are left out, and parts of the plant that move by themselves.
+    Blocks whose outputs are shown or reported are not included, nor parts of the plant that move by themselves.
     """
     taken = {source for source in sources.values() if isinstance(source, Wire)}
     found = list[Wire]()
@@ -301,7 +301,7 @@ def check_wires(
 
 
 def check_truths(blocks: Mapping[str, AbstractBlock], outputs: Outputs) -> list[DmframeError]:
-    """A plant signal that a block's proof names must have the unit that it expects: else it is about another plant."""
+    """Check the units of the plant signals that a block's proof reads: another unit belongs to another plant."""
     plant = [
         (name, port) for name, ports in outputs.items() if blocks[name].side is Side.PLANT for port in ports.values()
     ]
@@ -313,7 +313,7 @@ def check_truths(blocks: Mapping[str, AbstractBlock], outputs: Outputs) -> list[
             if not found or any(same_unit(port, truth) for _, port in found):
                 continue
             other, port = found[0]
-            if other not in strangers:  # of several signals of one stranger, the first says it all
+            if other not in strangers:  # one fault per block is sufficient
                 strangers.add(other)
                 faults.append(
                     UnitError(
@@ -327,7 +327,7 @@ def check_truths(blocks: Mapping[str, AbstractBlock], outputs: Outputs) -> list[
 
 
 def same_unit(output: Output, reader: Input) -> bool:
-    """True where the reader can take the output's numbers as they are."""
+    """True if the reader can use the output's numbers without conversion."""
     return reader.unit == ANY or compatible(output.unit, reader.unit)
 
 
@@ -346,7 +346,7 @@ def _access(
             path=path,
         )
     if target is Side.SOURCE and origin is not Side.CONTROLLER:
-        return AccessError(f"{reader} is an input of a source, whose time is t or what a controller keeps", path=path)
+        return AccessError(f"{reader} is an input of a source, whose time is t or a controller's output", path=path)
     return None
 
 

@@ -1,4 +1,4 @@
-"""Dimensions with unknowns: products, and the linear equations that sums are."""
+"""Algebra of dimensions with unknowns: products, and linear equations from sums."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from typing import Final, final
 from dmframe.dimensions.dimension import BASES, NUMBER, ONE, Dimension, Power, product
 
 ANYTHING: Final = 0
-"""The handle of a zero, which is of any dimension."""
+"""The handle of zero, which has any dimension."""
 
 
 @final
 class Algebra:
-    """Dimensions by handle, whole numbers, so that each product of two is computed once.
+    """Dimensions by integer handles, so that each product of two is computed once.
 
-    Unknowns are found by elimination: an equation that holds one sets it, and one that holds none and is not fulfilled
-    is a contradiction.
+    Unknowns are determined by elimination: an equation with an unknown sets it; an equation without one that does not
+    hold is a contradiction.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class Algebra:
 
     def __init__(self) -> None:
         self.ignored: tuple[str, ...] = ()
-        self._known: list[Dimension] = [ONE]  # of a zero, which is never looked at
+        self._known: list[Dimension] = [ONE]  # the entry of zero, which is never read
         self._handles: dict[Dimension, int] = {}
         self._products: dict[tuple[int, int, Power], int] = {}
         self._solved: dict[int, Dimension] = {}
@@ -50,7 +50,7 @@ class Algebra:
         return self.handle(ONE._replace(unknowns=((self._count, 1),)))
 
     def product(self, one: int, other: int, power: Power = 1) -> int:
-        """One * other^power; zero where either is."""
+        """One * other^power; zero if either is zero."""
         if not one or not other:
             return ANYTHING
         key = (one, other, power)
@@ -60,7 +60,7 @@ class Algebra:
         return found
 
     def same(self, one: int, other: int) -> int | None:
-        """What both are, which is learnt if it was not known; None where they contradict one another."""
+        """The common dimension, which sets unknowns; None if the dimensions contradict each other."""
         if one == other or not other:
             return one
         if not one:
@@ -72,7 +72,7 @@ class Algebra:
             return self._sharper(one, other)
         *powers, angles = ((base not in self.ignored) * power for base, power in zip(BASES, apart.powers, strict=True))
         if b.number:
-            angles -= angles == 1  # a number that is written out may be one of radians
+            angles -= angles == 1  # a literal number may be in radians
         elif a.number:
             angles += angles == -1
         if any(powers) or (apart.angular and angles):
@@ -80,22 +80,22 @@ class Algebra:
         return self._sharper(one, other)
 
     def forget(self) -> None:
-        """Unknowns are unknown again."""
+        """Reset all unknowns."""
         self._solved.clear()
         self._resolved.clear()
         self._holding.clear()
 
     def of(self, handle: int) -> Dimension:
-        """The dimension, with what is known of its unknowns."""
+        """The dimension, with the unknowns that have been determined."""
         return self._known[self._resolve(handle)]
 
     def _sharper(self, one: int, other: int) -> int:
-        """The one of two equal dimensions of which more is known."""
+        """The more completely known of two equal dimensions."""
         a, b = self.of(one), self.of(other)
         return one if (not a.number, a.angular) >= (not b.number, b.angular) else other
 
     def _solve(self, apart: Dimension, *, exact: bool) -> None:
-        """Set the newest unknown so that the equation holds."""
+        """Set the newest unknown so that the equation is satisfied."""
         key, power = apart.unknowns[-1]
         rest = apart._replace(unknowns=apart.unknowns[:-1], angular=exact, number=False)
         value = product(ONE, rest, -power if power in (1, -1) else Fraction(-1) / power)

@@ -1,4 +1,4 @@
-"""The check of one block, and of all blocks of a diagram."""
+"""Unit check of one block, and of all blocks of a diagram."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from dmframe.units import base_units
 
 
 def unit_faults(models: Mapping[str, BlockModel], sizes: Sizes, robot: Any = None) -> list[UnitError]:
-    """What disagrees in the units of each block's equations, certificate and conditions: the first of each block.
+    """The first inconsistency of units in the equations, certificate and conditions of each block.
 
     Parameters
     ----------
     models, sizes
-        A diagram's.
+        Of the diagram.
     robot
-        Its chain, or None.
+        The robot's chain, or None.
     """
     found = (check.fault() for check in checks_of(models, sizes, robot))
     return [fault for fault in found if fault is not None]
@@ -48,7 +48,7 @@ def checks_of(models: Mapping[str, BlockModel], sizes: Sizes, robot: Any = None)
 
 
 def element_units(models: Mapping[str, BlockModel], robot: Any) -> dict[str, tuple[str, ...]]:
-    """The units of what letters count, as the blocks that bind the letters state them."""
+    """The units of the elements of each dimension, from the blocks that define the dimension."""
     found = dict[str, tuple[str, ...]]()
     for model in models.values():
         for letter, elements in model.block.elements(robot).items():
@@ -59,9 +59,9 @@ def element_units(models: Mapping[str, BlockModel], robot: Any) -> dict[str, tup
 @final
 @dataclass(frozen=True)
 class Disagreement:
-    """Where units disagree: in which statement, at which value of the program, and between which dimensions.
+    """An inconsistency of units: the expression, the value of the program, and the dimensions that differ.
 
-    `operands` are the places of what disagrees inside; none where a statement as a whole has not what it must have.
+    `operands` are the places of the operands that differ; empty if the dimension of a whole expression is wrong.
     """
 
     item: Item
@@ -71,12 +71,12 @@ class Disagreement:
 
 
 _POSES: Final = frozenset(by_code({"sin": 0, "cos": 0}))
-"""What the robot's functions of a pose are made of, and what nothing else that a robot knows is made of."""
+"""Operations that occur in the robot's functions of a pose, and in no other function of a robot."""
 
 
 @final
 class Check:
-    """One block's program on its own symbols, and the dimensions that its symbols have."""
+    """One block's program on its own symbols, with their dimensions."""
 
     def __init__(
         self, model: BlockModel, sizes: Sizes, units: Mapping[str, tuple[str, ...]], *, prismatic: bool = False
@@ -95,7 +95,7 @@ class Check:
     def of(
         cls, model: BlockModel, sizes: Sizes, units: Mapping[str, tuple[str, ...]], *, prismatic: bool = False
     ) -> Check:
-        """The check of a block; of one that seems to disagree, with the robot's limits as quantities, not numbers."""
+        """The check of a block; after an inconsistency it is repeated with the robot's limits as symbols with units."""
         check = cls(model, sizes, units, prismatic=prismatic)
         if model.robot is None or check.disagreement() is None:
             return check
@@ -113,17 +113,17 @@ class Check:
         for place, node in enumerate(program.nodes):
             if node.code == INPUT and node.a < len(given):
                 leaves[place] = given[node.a].leaf(node.b)
-            elif node.code == INPUT:  # what nobody declares is a symbol of the author's own
+            elif node.code == INPUT:  # an undeclared symbol is one that the block has created
                 leaves[place] = Leaf(str(free[node.b]), self._algebra.unknown())
         return program, leaves
 
     @property
     def parameters(self) -> list[str]:
-        """The parameters that anything stated depends on."""
+        """The parameters on which the block's expressions depend."""
         return sorted({leaf.parameter for leaf in self._compiled[1].values() if leaf.parameter})
 
     def disagreement(self, parameter: str = "", times: int | None = None) -> Disagreement | None:
-        """The first disagreement; with the dimension of a parameter multiplied by another one, if one is given."""
+        """The first inconsistency, optionally with the dimension of one parameter multiplied by another."""
         program, leaves = self._compiled
         algebra = self._algebra
         algebra.forget()
@@ -148,7 +148,7 @@ class Check:
 
     @property
     def storage(self) -> Dimension | None:
-        """The dimension of what the block stores; None where it stores nothing, or it is not known."""
+        """The dimension of the block's storage; None if it has none, or if the dimension is unknown."""
         if self._algebra.ignored == BASES or self.disagreement() is not None:
             return None
         stored = (item.expected[0] for item in self._items if item.what in STORED and item.expected)
@@ -160,7 +160,7 @@ class Check:
         return self._algebra.handle(dimension)
 
     def fault(self) -> UnitError | None:
-        """The first disagreement as a fault, with the one parameter whose unit would remove it."""
+        """The first inconsistency as a fault, with the one parameter whose unit would remove it."""
         declared = next(unlike(type(self.model.block)), None)
         if declared is not None:
             return UnitError(f"{self.model.name}: {declared}", path=("blocks", self.model.name))
@@ -168,7 +168,7 @@ class Check:
         if found is None:
             return None
         program, leaves = self._compiled
-        text = _told(found, program, {place: leaf.name for place, leaf in leaves.items()})
+        text = _text_of(found, program, {place: leaf.name for place, leaf in leaves.items()})
         return UnitError(f"{self.model.name}: {text}{self._remedy(found, program)}", path=("blocks", self.model.name))
 
     def _inside(self, program: Program, values: list[int], wrong: Contradiction) -> Disagreement:
@@ -195,7 +195,7 @@ class Check:
         return f"; {fitting[0]} would agree" if len(fitting) == 1 else ""
 
     def _fitting(self) -> Iterator[str]:
-        """Each parameter with the unit in which everything would agree, if there is one such unit."""
+        """Each parameter whose unit can be changed so that all expressions agree, with that unit."""
         units = {name: spec.unit for name, spec in specs(type(self.model.block)).items()}
         for parameter in self.parameters:
             factor = self._algebra.unknown()
@@ -208,14 +208,14 @@ class Check:
 
 
 def _bare(block: AbstractBlock) -> bool:
-    """Whether a block declares no units but those of time: its quantities are plain numbers then, time among them."""
+    """True if a block declares no units except those of time: all its quantities, time included, are plain numbers."""
     items: list[Signal | State] = [*block.inputs, *block.outputs, *block.states, *block.truth]
     units = {item.unit for item in items} | {spec.unit for spec in specs(type(block)).values()}
     return all(base_units(unit)[1].keys() <= {"s"} for unit in units - {ANY})
 
 
 def unlike(block: type[AbstractBlock]) -> Iterator[str]:
-    """Declarations that no equation compares: starts, boxes and balls of states, and ports that are derivatives."""
+    """Faults of declarations outside equations: initial values, boxes and balls of states, and derivative ports."""
     numbers = specs(block)
     for state in block.states:
         for name, what in ((state.name, "start"), (state.box, "box"), (state.ball, "ball")):
@@ -237,7 +237,7 @@ def unlike(block: type[AbstractBlock]) -> Iterator[str]:
                 )
 
 
-def _told(found: Disagreement, program: Program, names: Mapping[int, str]) -> str:
+def _text_of(found: Disagreement, program: Program, names: Mapping[int, str]) -> str:
     where = expression(program, found.place, names)
     if not found.operands:
         expected, other = found.found

@@ -1,4 +1,4 @@
-"""The dimension of each symbol of a block, as ports, states, parameters and the robot declare it."""
+"""The dimension of each symbol of a block, from the declarations of ports, states, parameters and the robot."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from dmframe.port import ANY, Signal, State
 from dmframe.robot.parameters import DynamicParameters
 
 _OF_JOINTS_AND_TASK: Final = ("n", "m")
-"""Letters whose elements have one unit: joints, and coordinates of the task."""
+"""Letters whose elements have the same unit: joints, and coordinates of the task."""
 
 
 @final
 class Leaf(NamedTuple):
-    """A scalar symbol as a message names it, its dimension, and the parameter that it is one of, if it is."""
+    """A scalar symbol: its name in messages, its dimension, and the parameter to which it belongs, if any."""
 
     name: str
     dimension: int
@@ -32,7 +32,7 @@ class Leaf(NamedTuple):
 @final
 @dataclass(frozen=True)
 class Argument:
-    """Symbols that are declared together, each of which is asked for where a program reads it."""
+    """Symbols that are declared together; the dimension of each is computed when a program reads it."""
 
     symbols: SX
     leaf: Callable[[int], Leaf]
@@ -40,14 +40,14 @@ class Argument:
 
 @final
 class Declared:
-    """What a block declares, as handles of an algebra.
+    """The declarations of a block as handles of an algebra.
 
     Parameters
     ----------
     model
         The block.
     units
-        Units of elements that blocks of the diagram state, by letter.
+        Units of elements from the blocks of the diagram, by letter.
     """
 
     def __init__(self, algebra: Algebra, model: BlockModel, units: Mapping[str, tuple[str, ...]]) -> None:
@@ -108,7 +108,7 @@ class Declared:
         return self._element(name, shape, spec.unit, i, j)
 
     def _follows(self, name: str) -> bool:
-        """Whether a parameter's unit follows from the error that drives an adaptation, or from what it estimates."""
+        """True if a parameter's unit follows from the error that drives an adaptation, or from the estimate."""
         block = self.model.block
         error = getattr(block, "driven_by", "")
         open_unit = any(port.name == error and port.unit == ANY for port in (*block.inputs, *block.outputs))
@@ -130,11 +130,11 @@ class Declared:
         self.arguments.append(Argument(symbol, of))
 
     def _open(self, unit: str) -> int:
-        """What a unit says, but for rad."""
+        """The dimension of a unit with the power of rad undetermined."""
         return self.algebra.handle(declared(unit)._replace(angular=False))
 
     def _element(self, name: str, shape: str, unit: str, i: int, j: int) -> int:
-        """The dimension of one element of what has this name, shape and unit."""
+        """The dimension of one element of an array with this name, shape and unit."""
         words = shape.split()
         if unit == ANY or name in self._memories:
             return self._free(name, shape, i, j)
@@ -147,11 +147,11 @@ class Declared:
         return self.unit(unit)
 
     def _mixed(self, shape: str) -> bool:
-        """Whether elements of an array without a unit may differ in theirs."""
+        """True if the elements of an array without a unit may have different units."""
         return any(word not in _OF_JOINTS_AND_TASK for word in shape.split())
 
     def _free(self, name: str, shape: str, i: int, j: int) -> int:
-        """An unknown: one for all joints, one for each element of another kind; of a matrix, row times column."""
+        """An unknown dimension: one for all joints, one per element of other kinds; for a matrix, row times column."""
         words = shape.split()
         counted = [letter in self._units for letter in words]
         places = [
@@ -170,7 +170,7 @@ class Declared:
 
 
 def _label(name: str, leaf: SX, i: int, j: int) -> str:
-    """An element as an author writes it."""
+    """Name of an element as a block writes it."""
     if leaf.numel() == 1:
         return name
     return f"{name}[{i}]" if leaf.shape[1] == 1 else f"{name}[{i}, {j}]"

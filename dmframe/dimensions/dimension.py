@@ -1,4 +1,4 @@
-"""The powers of the base units that a quantity has, as a unit declares them, and as a unit is written."""
+"""Dimensions: powers of the base units, read from declared units and written as units."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _NEWTON: Final = {"g": 1, "m": 1, "s": -2}
 
 
 Power = int | Fraction
-"""An exponent; most are whole numbers, with which Python is faster."""
+"""An exponent; most are integers, with which Python is faster."""
 
 
 @final
 class Dimension(NamedTuple):
-    """Powers of the base units, and what is not known of them.
+    """Powers of the base units, with unknown parts.
 
     Parameters
     ----------
@@ -29,9 +29,9 @@ class Dimension(NamedTuple):
     unknowns
         Powers of quantities whose own dimension is not known yet, by their number.
     angular
-        The power of rad is known. It is not where a sine or a plain number has entered.
+        The power of rad is known. It is unknown after a sine or a plain number.
     number
-        It comes from a number that is written out. In a sum such a number may be one of radians.
+        It comes from a literal number. In a sum such a number may be in radians.
     """
 
     powers: tuple[Power, ...]
@@ -62,14 +62,14 @@ def product(one: Dimension, other: Dimension, power: Power = 1) -> Dimension:
 
 @functools.cache
 def declared(unit: str) -> Dimension:
-    """What a declared unit says; a plain number, and a unit with a mass in it, leave the power of rad open."""
+    """The dimension of a declared unit; for a plain number and a unit with kg the power of rad is unknown."""
     found = counted(unit)
     massive = any(base_units(name)[1] == {"g": 1} for name in factors(unit))
     return found._replace(angular=found != ONE and not massive)
 
 
 def counted(unit: str) -> Dimension:
-    """The powers in a unit, a lever's metres counted per radian."""
+    """The powers in a unit; the metres of a lever arm count as metres per radian."""
     _, powers = base_units(unit)
     forces = metres = 0
     for name, power in factors(unit).items():
@@ -81,14 +81,14 @@ def counted(unit: str) -> Dimension:
 
 
 def _levers(forces: int, metres: int) -> int:
-    """How many of the metres are those of lever arms: one beside each newton, above the fraction or below it."""
+    """Number of metres that are lever arms: one with each newton, in the numerator or the denominator."""
     if forces * metres <= 0:
         return 0
     return min(abs(forces), abs(metres)) * (1 if forces > 0 else -1)
 
 
 def spelled(dimension: Dimension) -> str:
-    """A unit with these powers, such as a person writes it: N m/rad, not kg m^2/(s^2 rad^2)."""
+    """The usual unit with these powers: N m/rad, not kg m^2/(s^2 rad^2)."""
     powers = dict(zip(BASES, dimension.powers, strict=True))
     if any(power.denominator != 1 for power in powers.values()):
         return _text({("kg" if base == "g" else base): power for base, power in powers.items()})
@@ -96,7 +96,7 @@ def spelled(dimension: Dimension) -> str:
 
 
 def _named(powers: Mapping[str, Power], *, angular: bool) -> dict[str, Power]:
-    """The same powers of V, N and the base units that are left."""
+    """The same powers, expressed in V, N and the remaining base units."""
     names = {"V": -powers["A"], "N": 0, "kg": powers["g"], **{base: powers[base] for base in BASES[1:]}}
     for base, each in (("kg", 1), ("m", 2), ("s", -3), ("A", -1)):
         names[base] -= names["V"] * each

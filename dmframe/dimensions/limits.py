@@ -1,4 +1,4 @@
-"""A block's equations once more, with the robot's limits as symbols: as numbers they have lost their units."""
+"""A block's equations with the robot's limits as symbols: as numbers they have no units."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LIMITS: Final[Mapping[str, str]] = {
     "lower_limits": "rad",
     "upper_limits": "rad",
 }
-"""What a robot knows of its joints as plain numbers, with the units."""
+"""Numeric joint limits of a robot model, with their units."""
 
 
 @final
@@ -37,7 +37,7 @@ class Limited:
 
 
 def with_limits(model: BlockModel, sizes: Sizes) -> BlockModel | None:
-    """The block with such a robot; None for one whose equations read no limits."""
+    """The block with such a robot; None if its equations read no limits."""
     robot = Limited(model.robot)
     parameters = {**model.parameters, **model.starts}
     signals = signals_of(model.name, model.inputs, model.states, parameters, Recalled(robot))

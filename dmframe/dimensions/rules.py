@@ -1,4 +1,4 @@
-"""What each operation does to dimensions: one table of rules, by the operation's code."""
+"""Rules for the dimension of the result of each operation, by the operation's code."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dmframe.dimensions.dimension import NUMBER, PLAIN
 from dmframe.program import CONST, INPUT, POWERS, Program, by_code
 
 _UNLIMITED: Final = 1e9
-"""From here on a number stands for a limit that there is not, of any unit."""
+"""Numbers from here on mean that there is no limit; they have any unit."""
 
 
 _TRANSCENDENTAL: Final = ("exp", "expm1", "log", "log1p", "sinh", "cosh", "tanh", "erf", "erfinv")
@@ -23,7 +23,7 @@ _CIRCULAR: Final = ("sin", "cos", "tan", "asin", "acos", "atan", "asinh", "acosh
 @final
 @dataclass(frozen=True)
 class Contradiction:
-    """The place of the operation whose operands disagree; with one operand, that is no plain number."""
+    """The place of the operation whose operands disagree; a single operand is not a plain number where it has to be."""
 
     node: int
     operands: tuple[int, ...]
@@ -39,8 +39,8 @@ Rule = Callable[..., int]
 def dimensions(program: Program, algebra: Algebra, given: Mapping[int, int]) -> tuple[list[int], list[Contradiction]]:
     """The dimension of each value of a program, and the operations whose operands disagree.
 
-    Such a value counts as one of any dimension from there on, so that each contradiction is found once. The cost is one
-    look into a table for most instructions.
+    The result of such an operation has any dimension, so that each contradiction is found once. Most instructions cost
+    one table look-up.
     """
     rules, numbers = _rules(algebra), _Numbers(algebra)
     values, wrong = list[int](), list[Contradiction]()
@@ -65,7 +65,7 @@ def dimensions(program: Program, algebra: Algebra, given: Mapping[int, int]) -> 
 
 @final
 class _Numbers:
-    """Numbers that are written out: zero, and what stands for it or for no limit at all, is of any dimension."""
+    """Literal numbers: zero, and values that replace zero or mean no limit, have any dimension."""
 
     def __init__(self, algebra: Algebra) -> None:
         self._number = algebra.number

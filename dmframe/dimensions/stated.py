@@ -1,4 +1,4 @@
-"""What a block states, as expressions each with the dimension that it has to have."""
+"""The expressions of a block, each with its required dimension."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from dmframe.dimensions.declared import Declared
 from dmframe.errors import DmframeError
 
 STORED = ("the storage S", "the weight of a storage term")
-"""Items that have the unit of what a block stores."""
+"""Items that have the unit of a block's storage."""
 
 
 @final
@@ -36,13 +36,13 @@ class Item:
     Parameters
     ----------
     what
-        As a message names it: ``the output tau_c``.
+        Its name in messages: ``the output tau_c``.
     expression
         A matrix.
     expected
-        The dimension of each element, column by column; none where any will do, so that only its sums are checked.
+        The dimension of each element, column by column; empty for any dimension, so that only sums are checked.
     numbers
-        Numbers that are written out are in the unit that is expected, as in a graph file.
+        Literal numbers are in the expected unit, as in a graph file.
     """
 
     what: str
@@ -52,7 +52,7 @@ class Item:
 
 
 def items_of(model: BlockModel, sizes: Sizes, declared: Declared) -> list[Item]:
-    """All that a block states. A method that raises, as `verify` tells, states nothing here."""
+    """All expressions of a block. A method that raises gives none here; `verify` reports the exception."""
     found = list(_equations(model, declared))
     truth = _truth(model, sizes, declared)
     u, x, p = model.signals()
@@ -149,7 +149,7 @@ def _certificate(certificate: Certificate, declared: Declared, sampled: bool) ->
 
 
 def _consumed(certificate: Certificate, declared: Declared) -> Iterator[Item]:
-    """The dissipated vectors of which what is consumed is composed."""
+    """The weighted sum of dissipated vectors that dominates a cross term."""
     terms = list(zip(certificate.dominates, certificate.dissipation, strict=False))
     if len(terms) < 2:
         return
@@ -158,7 +158,7 @@ def _consumed(certificate: Certificate, declared: Declared) -> Iterator[Item]:
 
 
 def _driven(driven: Driven, declared: Declared) -> Iterator[Item]:
-    """Each equation's signals have units of their own; a rate A_jk turns that of z_k into that of z_j per second."""
+    """The signals of each equation have their own units; a rate A_jk maps that of z_k to that of z_j per second."""
     algebra, second = declared.algebra, declared.unit("s")
     vectors = [ca.SX(vector) for vector in driven.vectors]
     units = [[algebra.unknown() for _ in range(vector.numel())] for vector in vectors]
@@ -188,7 +188,7 @@ def _condition(condition: Condition, declared: Declared) -> Iterator[Item]:
 
 
 def _over_samples(certificate: Certificate, declared: Declared) -> Iterator[Item]:
-    """Of steps all terms of V have one unit; each row's answer and its goal have one."""
+    """All terms of V of sampled steps have one unit; so have the prediction and the output of each row."""
     algebra, second = declared.algebra, declared.unit("s")
     for steps in certificate.steps:
         error = ca.SX(steps.theta - steps.true)

@@ -1,4 +1,4 @@
-"""Expressions as a message quotes them, from the instructions that run."""
+"""Text of expressions for messages, from the compiled instructions."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Final
 from dmframe.program import CONST, INPUT, Program, sign_of
 
 _INFIX: Final = {"add": (" + ", 1), "sub": (" - ", 1), "mul": ("*", 2), "div": ("/", 2)}
-_MOST: Final = 60  # characters of a quoted expression; what is longer is cut inside
+_MOST: Final = 60  # characters of a quoted expression; a longer one is shortened inside
 
 
 def expression(program: Program, place: int, names: Mapping[int, str]) -> str:
-    """The sub-expression at a place; parts that are too deep to be read are dots."""
+    """The sub-expression at a place; deeply nested parts are replaced by dots."""
     for depth in range(8, 0, -1):
         text, _ = _written(program, place, names, depth)
         if len(text) <= _MOST:
@@ -21,7 +21,7 @@ def expression(program: Program, place: int, names: Mapping[int, str]) -> str:
 
 
 def _written(program: Program, place: int, names: Mapping[int, str], depth: int) -> tuple[str, int]:
-    """The text, and how tightly it binds."""
+    """The text, and its operator precedence."""
     node = program.nodes[place]
     if node.code == INPUT:
         return names[place], 4

@@ -17,7 +17,8 @@ from dmframe.runtime.journal import Journal
 from dmframe.runtime.signals import FIELDS
 from dmframe.runtime.steered import Steered
 from dmframe.simulate import Recording, Solver
-from dmframe.simulate.run import ExtraSignal, moving_outputs
+from dmframe.simulate.recording import ExtraSignal
+from dmframe.simulate.run import moving_outputs
 from dmframe.units import plain
 
 MOST_BYTES: Final = 48 * 2**20

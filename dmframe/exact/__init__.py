@@ -6,7 +6,8 @@ from dmframe.exact.evaluation import Evaluation
 from dmframe.exact.identity import Witness, ZeroTest, sign_choices, zero_test
 from dmframe.exact.linear import Echelon, NoRationalError, null_space, rank, rational_reconstruction, reduced_echelon
 from dmframe.exact.primes import MERSENNE_127, is_prime, random_prime
-from dmframe.exact.tape import Bound, Tape
+from dmframe.exact.sizes import Bound
+from dmframe.exact.tape import Tape
 from dmframe.exact.trial import Trial, ZeroDivision
 
 __all__ = [

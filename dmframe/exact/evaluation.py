@@ -6,13 +6,11 @@ from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
 from typing import Final, final
 
-import casadi as ca
-
 from dmframe.exact.tape import Tape
 from dmframe.exact.trial import Trial
-from dmframe.program import CONST, INPUT, OPERATIONS
+from dmframe.program import BY_NAME, CONST, INPUT, OPERATIONS
 
-_SIGNED: Final = frozenset((ca.OP_SIGN, ca.OP_FABS))
+_SIGNED: Final = frozenset(BY_NAME[name].code for name in ("sign", "fabs"))
 _SIGNS: Final = 1
 
 
@@ -27,6 +25,8 @@ class Evaluation:
     ----------
     moving
         Positions of the inputs that may change.
+    places
+        The instructions to evaluate, in order, with all that they need; all of them by default.
 
     Raises
     ------
@@ -34,31 +34,39 @@ class Evaluation:
         A denominator vanishes, here or at the other point.
     """
 
-    def __init__(self, tape: Tape, inputs: Sequence[Sequence[int]], trial: Trial, moving: Collection[int] = ()) -> None:
+    def __init__(
+        self,
+        tape: Tape,
+        inputs: Sequence[Sequence[int]],
+        trial: Trial,
+        moving: Collection[int] = (),
+        places: Sequence[int] | None = None,
+    ) -> None:
         self._tape, self._inputs, self._trial = tape, list(inputs), trial
+        self._places: Sequence[int] = range(len(tape)) if places is None else places
         self._moving = {position: 2 << place for place, position in enumerate(moving)}
-        self._values = [0] * len(tape)
-        tape.compute(enumerate(tape.nodes), self._values, self._inputs, trial)
+        self.values = [0] * len(tape)
+        nodes = tape.nodes
+        tape.compute(((place, nodes[place]) for place in self._places), self.values, self._inputs, trial)
 
     @property
     def outputs(self) -> list[list[int]]:
         """The outputs, dense and column-major."""
-        return self._tape.outputs_of(self._values, self._trial)
+        return self._tape.outputs_of(self.values, self._trial)
 
-    def changed(self, inputs: Mapping[int, Sequence[int]]) -> list[list[int]]:
-        """The outputs with other residues of some of the inputs that may change, by position."""
+    def changed(self, inputs: Mapping[int, Sequence[int]]) -> list[int]:
+        """The residues of all instructions with other ones of some of the inputs that may change, by position."""
         given = list(self._inputs)
         for position, values in inputs.items():
             given[position] = values
-        return self._tape.outputs_of(self._again(sum(self._moving[k] for k in inputs), given), self._trial)
+        return self._again(sum(self._moving[k] for k in inputs), given)
 
-    def signed_anew(self) -> list[list[int]]:
-        """The outputs with the trial's present choice of signs."""
-        self._values = self._again(_SIGNS, self._inputs)
-        return self.outputs
+    def sign_anew(self) -> None:
+        """Evaluate with the trial's present choice of signs."""
+        self.values = self._again(_SIGNS, self._inputs)
 
     def _again(self, mask: int, inputs: Sequence[Sequence[int]]) -> list[int]:
-        values, nodes = self._values.copy(), self._tape.nodes
+        values, nodes = self.values.copy(), self._tape.nodes
         found = sorted(place for own, places in self._depending.items() if own & mask for place in places)
         self._tape.compute(((place, nodes[place]) for place in found), values, inputs, self._trial)
         return values
@@ -66,9 +74,10 @@ class Evaluation:
     @cached_property
     def _depending(self) -> Mapping[int, Sequence[int]]:
         """The places of instructions by what they depend on: bits of the inputs that may change, and of the signs."""
-        masks, found = list[int](), dict[int, list[int]]()
+        masks, found, nodes = [0] * len(self._tape), dict[int, list[int]](), self._tape.nodes
         moving, arity = self._moving, {code: operation.arity for code, operation in OPERATIONS.items()}
-        for place, (code, a, b, _, _) in enumerate(self._tape.nodes):
+        for place in self._places:
+            code, a, b, _, _ = nodes[place]
             if code == INPUT:
                 mask = moving.get(a, 0)
             elif code == CONST:
@@ -77,7 +86,7 @@ class Evaluation:
                 mask = masks[a] | masks[b] if arity[code] == 2 else masks[a]
                 if code in _SIGNED:
                     mask |= _SIGNS
-            masks.append(mask)
+            masks[place] = mask
             if mask:
                 found.setdefault(mask, []).append(place)
         return found

@@ -8,15 +8,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from hashlib import sha256
-from typing import final
-
-import casadi as ca
+from typing import TYPE_CHECKING, final
 
 from dmframe.errors import ShapeError, UnknownNameError, ValueFault
 from dmframe.exact.evaluation import Evaluation
 from dmframe.exact.primes import is_prime, random_prime
-from dmframe.exact.tape import Bound, Tape
+from dmframe.exact.sizes import Bound, degrees
+from dmframe.exact.tape import Tape
 from dmframe.exact.trial import Trial, ZeroDivision
+
+if TYPE_CHECKING:
+    import casadi as ca
 
 _ATTEMPTS = 20
 
@@ -98,7 +100,7 @@ def zero_test(
             raise ValueFault(f"zero test of {f.name()}: expected primes, found {prime}; random_prime draws one")
     tape = Tape.from_function(f)
     known = _known(tape, values or {})
-    bound = tape.degrees(known)
+    bound = degrees(tape, known)
     seed = _own_seed(f) if seed is None else seed
     rng = random.Random(seed)
     used: list[int] = []
@@ -107,7 +109,7 @@ def zero_test(
         used.append(prime)
         if witness is not None:
             return ZeroTest(False, len(used), tuple(used), bound.degree_total, -math.inf, witness, seed)
-    errors = [_log2_error(bound, prime, bits, bool(primes)) for prime in used]
+    errors = [log2_error(bound, prime, bits, bool(primes)) for prime in used]
     return ZeroTest(True, len(used), tuple(used), bound.degree_total, sum(errors), None, seed)
 
 
@@ -115,7 +117,8 @@ def _own_seed(f: ca.Function) -> int:
     return int.from_bytes(sha256(f.serialize().encode()).digest()[:8], "big")
 
 
-def _log2_error(bound: Bound, prime: int, bits: int, given: bool) -> float:
+def log2_error(bound: Bound, prime: int, bits: int, given: bool) -> float:
+    """Bound on log2 of the probability that one trial misses an expression that is not zero."""
     if given:
         return min(0.0, 2 + math.log2(max(1, bound.degree_total)) - math.log2(prime))
     return min(0.0, 3 + math.log2(max(1, bound.degree_total + bound.height_total)) - bits)
@@ -181,7 +184,8 @@ def sign_choices(tape: Tape, point: Sequence[Sequence[int]], trial: Trial) -> It
     while True:
         if trial.on_a_jump and any(map(any, outputs)):
             trial.zero_is_its_own_size = True
-            others = evaluation.signed_anew()
+            evaluation.sign_anew()
+            others = evaluation.outputs
             trial.zero_is_its_own_size = False
             outputs = [
                 [a and b and a for a, b in zip(one, other, strict=True)]
@@ -190,4 +194,5 @@ def sign_choices(tape: Tape, point: Sequence[Sequence[int]], trial: Trial) -> It
         yield outputs
         if not trial.next_signs():
             return
-        outputs = evaluation.signed_anew()
+        evaluation.sign_anew()
+        outputs = evaluation.outputs

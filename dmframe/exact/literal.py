@@ -48,6 +48,11 @@ def literal(value: float) -> Fraction:
     return simple if simple.denominator <= SMALL_DENOMINATOR and float(simple) == value else exact
 
 
+def exact(value: float | Fraction) -> Fraction:
+    """The rational number of a constant: a fraction is itself, a float what it stands for."""
+    return value if isinstance(value, Fraction) else literal(value)
+
+
 def computed(value: Fraction) -> bool:
     """True for a `literal` that no rule but the last one reads: what a program computed, and rounded."""
     return value.denominator & (value.denominator - 1) == 0 and rounded(float(value))

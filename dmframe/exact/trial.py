@@ -78,6 +78,25 @@ class Trial:
         numerator, denominator = value.as_integer_ratio()
         return numerator * self.inverse(denominator) % self.prime
 
+    number = residue
+
+    def reduced(self, value: int) -> int:
+        """The residue of a number that sums have left unreduced."""
+        return value % self.prime
+
+    def power(self, value: int, exponent: int) -> int:
+        """A whole power; raises `ZeroDivision`."""
+        return pow(value if exponent >= 0 else self.inverse(value), abs(exponent), self.prime)
+
+    def call(self, name: str, *arguments: int) -> int:
+        """The value of a function at numbers that need not be reduced."""
+        given = tuple(argument % self.prime for argument in arguments)
+        if name in ("cos", "sin"):
+            return self.cos_sin(given[0])[name == "sin"]
+        if name in ("sign", "fabs"):
+            return (self.sign if name == "sign" else self.size)(given[0])
+        return self.opaque(name, given)
+
     def inverse(self, value: int) -> int:
         """1 / value; raises `ZeroDivision`."""
         known = self._inverses.get(value)
@@ -147,7 +166,11 @@ class Trial:
         return False
 
     def opaque(self, name: str, arguments: tuple[int, ...]) -> int:
-        """The free value of a function at reduced arguments."""
+        """The free value of a function at reduced arguments; a condition that is 0 or 1 decides what it can."""
+        if name == "if_else_zero" and (arguments[0] in (0, 1) or arguments[1] == 0):
+            return arguments[1] if arguments[0] else 0
+        if name == "not" and arguments[0] == 0:
+            return 1
         key = (name, arguments)
         value = self._values.get(key)
         if value is None:

@@ -1,4 +1,4 @@
-"""Laws, printed from the code that runs: read from CasADi expressions, written as text, LaTeX and Unicode."""
+"""Printed laws: formulas read from the CasADi expressions that run, written as text, LaTeX and Unicode."""
 
 from dmframe.formula.formula import Formula
 from dmframe.formula.law import Line, PrintedLaw, PrintedTerm

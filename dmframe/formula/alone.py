@@ -1,4 +1,4 @@
-"""The law of a block type, without a graph: on a robot of three joints, its options at their defaults or one by one."""
+"""The law of a block type without a graph: for a robot with three joints, with default options or with each option."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from dmframe.robot.chain import Joint, SerialChain
 from dmframe.robot.symbolic import SymbolicRobot
 
 _SIZES: Final = {"n": 3, "m": 2, "k": 12, "p": 33, "h": 4, "r": 5, "c": 9}
-"""Letters of shapes: all different, so that what is not square does not look so."""
+"""Sizes of the letters of shapes, all different, so that only square matrices have equal sizes."""
 
 
 def law_of_type(block: type[AbstractBlock], **values: Any) -> PrintedLaw | None:
-    """The law of a block type with these options; None where it cannot stand without numbers of its own."""
+    """The law of a block type with these options; None if it cannot be created without parameter values."""
     read = read_type(block, **values)
     if read is None:
         return None
@@ -32,9 +32,9 @@ def law_of_type(block: type[AbstractBlock], **values: Any) -> PrintedLaw | None:
 
 
 def read_type(block: type[AbstractBlock], **values: Any) -> ReadBlock | None:
-    """A block of a type, read and compared with what runs at the first points. Raises `BlockError` where they differ.
+    """A block of a type, read and compared with its code at the first points. Raises `BlockError` if they differ.
 
-    That is enough for a docstring, which is held to what runs; what prints is compared further.
+    This is sufficient for a docstring, which is compared with the code that runs; printed laws are compared further.
     """
     return _read(block, tuple(sorted(values.items())))
 
@@ -57,7 +57,7 @@ def _read(block: type[AbstractBlock], options: tuple[tuple[str, Any], ...]) -> R
         if faults:
             return None
         model = model_block(type_name(block), made, arrays, sizes, functions.of if functions else None)
-    except (DmframeError, KeyError):  # it needs a graph: a file, a path through points, another option
+    except (DmframeError, KeyError):  # it requires a graph: a file, a path through points, another option
         return None
     shapes = {port.name: sizes.matrix(port.shape) for port in made.truth}
     read = ReadBlock(model, functions, truths=shapes, made=frozenset(shapes))
@@ -67,9 +67,9 @@ def _read(block: type[AbstractBlock], options: tuple[tuple[str, Any], ...]) -> R
 
 
 def variants(block: type[AbstractBlock]) -> Iterator[tuple[ReadBlock, bool]]:
-    """The block with its options at their defaults, then each option by itself, then all that go together.
+    """The block with default options, then with each option by itself, then with all compatible options.
 
-    Each with the answer to: are these the defaults?
+    The flag is true for the default options.
     """
     base, choices = base_of(block), list[dict[str, Any]]()
     if base is not None and (read := read_type(block, **base[1])) is not None:
@@ -89,14 +89,14 @@ def variants(block: type[AbstractBlock]) -> Iterator[tuple[ReadBlock, bool]]:
 
 
 def plainest(block: type[AbstractBlock]) -> tuple[str, PrintedLaw] | None:
-    """The law with the options at their defaults or, where the block does not stand so, with the first that helps."""
+    """The law with default options or, if the block cannot be created with them, with the first option that helps."""
     base = base_of(block)
     law = law_of_type(block, **base[1]) if base is not None else None
     return (base[0], law) if base is not None and law is not None else None
 
 
 def options_of(block: type[AbstractBlock]) -> Iterator[tuple[str, tuple[Line, ...]]]:
-    """What each option of a block changes: ``leak``, with the lines that it replaces or adds."""
+    """Each option of a block, such as ``leak``, with the lines of the law that it replaces or adds."""
     found = plainest(block)
     if found is None:
         return
@@ -111,7 +111,7 @@ def options_of(block: type[AbstractBlock]) -> Iterator[tuple[str, tuple[Line, ..
 
 @functools.lru_cache(maxsize=512)
 def base_of(block: type[AbstractBlock]) -> tuple[str, dict[str, Any]] | None:
-    """The least that a block stands with beside what it needs: nothing, a parameter that has no default, an option."""
+    """The smallest addition to the required parameters with which a block can be created: none, or one parameter."""
     given = [(name, {name: value}) for name, value in _free(block).items()]
     for label, values in [("", {}), *given, *_switches(block)]:
         if read_type(block, **values) is not None:
@@ -120,7 +120,7 @@ def base_of(block: type[AbstractBlock]) -> tuple[str, dict[str, Any]] | None:
 
 
 def switched(block: type[AbstractBlock]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Each option at another value than its default; one that needs a second comes with it, or without the base's."""
+    """Each option at a value other than its default, with a second option if it requires one, or without the base."""
     found = base_of(block)
     if found is None:
         return
@@ -145,7 +145,7 @@ def _switches(block: type[AbstractBlock]) -> list[tuple[str, dict[str, Any]]]:
 
 
 def _free(block: type[AbstractBlock]) -> dict[str, Any]:
-    """Parameters that are absent unless given."""
+    """Parameters without a value by default."""
     known = specs(block).items()
     return {name: _some(spec) for name, spec in known if _is_off(block, name) and spec.form not in PAIRS}
 
@@ -180,9 +180,9 @@ def _choices(kind: Any, default: Any) -> Iterator[Any]:
 
 
 def _some(spec: Spec, place: int = 0) -> Any:
-    """A number, or numbers, that fit; of a table three rows, of a list without a size three numbers that increase.
+    """Valid numbers for a parameter: three rows for a table, three increasing numbers for a list without a size.
 
-    A vector has another direction at each place: three of them lie in no plane.
+    Vectors at different places have different directions, so that three of them are linearly independent.
     """
     if spec.form == "table":
         return tuple((float(row),) * _size(spec.shape.split()[-1]) for row in range(3))

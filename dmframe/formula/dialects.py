@@ -12,7 +12,7 @@ from dmframe.names import latex_name, unicode_name
 
 
 class _Plain(Dialect):
-    """What the two dialects of running text share."""
+    """Base class of the two dialects for plain text."""
 
     prime: str
     square: str
@@ -126,7 +126,7 @@ class _Latex(Dialect):
         return rf"\tfrac{{{value.numerator}}}{{{value.denominator}}}"
 
     def lead(self, coefficient: Fraction, more: bool, below: bool) -> tuple[str, str]:
-        """A number stands before its factors, unless it joins a quotient's."""
+        """A number precedes its factors, unless it is combined with that of a quotient."""
         if (coefficient == 1 and more) or (below and not more and coefficient == 1):
             return "" if more else "1", ""
         return self.fraction(coefficient), ""

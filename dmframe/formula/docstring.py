@@ -1,8 +1,9 @@
-r"""The law that a block's docstring carries, held to the code: every displayed equation is evaluated and compared.
+r"""Check of the equations in a block's docstring: each displayed equation is evaluated and compared with the code.
 
-An equation's left side is an output, the rate of a state, S, :math:`\dot S`, or a new name that others use; a name
-may also be defined in the text, ``:math:`e = q - q_r```. Where an option changes the law, the docstring may state the
-laws of several options: each has to hold for one, and each output and rate that is stated at all for the defaults.
+The left side of an equation is an output, the rate of a state, S, :math:`\dot S`, or a new name that other equations
+use; a name may also be defined in the text, ``:math:`e = q - q_r```. If an option changes the law, the docstring may
+state the laws of several options: each equation has to hold for one option, and each output and rate in the docstring
+needs an equation that holds for the default options.
 """
 
 from __future__ import annotations
@@ -31,18 +32,18 @@ from dmframe.parameter import specs
 
 @final
 class UnreadError(DmframeError):
-    """An equation of a docstring that cannot be read, so that nobody knows whether it is what the code computes."""
+    """An equation of a docstring that cannot be read, so that it cannot be compared with the code."""
 
 
 def check_docstring(block: type[AbstractBlock]) -> list[DmframeError]:
-    """What the docstring of a block says that its code does not compute; each with file and line."""
+    """Equations in the docstring of a block that its code does not compute; each with file and line."""
     return list(_checked(block))
 
 
 def check_docstrings(blocks: Mapping[str, ReadBlock]) -> list[str]:
-    """Raise what the docstrings of a diagram's blocks say that their code does not compute.
+    """Raise the equations in the docstrings of a diagram's blocks that their code does not compute.
 
-    Returns the equations that are held to nothing, each with file and line.
+    Returns the equations that cannot be compared, each with file and line.
     """
     found = _faults(blocks)
     raise_all([fault for fault in found if not isinstance(fault, UnreadError)])
@@ -50,7 +51,7 @@ def check_docstrings(blocks: Mapping[str, ReadBlock]) -> list[str]:
 
 
 def _faults(blocks: Mapping[str, ReadBlock]) -> list[DmframeError]:
-    """What is wrong with the docstrings, of block types and of the blocks with the values of this diagram."""
+    """Faults of the docstrings, for block types and for the blocks with the values of this diagram."""
     kinds = dict.fromkeys(type(read.model.block) for read in blocks.values())
     found = [fault for kind in kinds for fault in check_docstring(kind)]
     if any(not isinstance(fault, UnreadError) for fault in found):
@@ -62,20 +63,20 @@ def _faults(blocks: Mapping[str, ReadBlock]) -> list[DmframeError]:
     for read in blocks.values():
         equations = stated[type(read.model.block)]
         if equations and (seen := _seen(read)) not in _FINE:
-            told = list(_with_these_values(read, equations))
-            here += told
-            if not told:
+            faults = list(_with_these_values(read, equations))
+            here += faults
+            if not faults:
                 _FINE.add(seen)
     known = {fault.text for fault in found}
     return found + [fault for fault in here if fault.text not in known]
 
 
 _FINE: Final = set[tuple[Any, ...]]()
-"""Blocks whose docstrings hold, so that a sweep or a second look at a graph does not read them again."""
+"""Blocks whose docstrings are correct, so that a sweep or another check of a graph does not read them again."""
 
 
 def _seen(read: ReadBlock) -> tuple[Any, ...]:
-    """A block with its values, and with the sizes and truths that a diagram gives it."""
+    """A block with its values, and its sizes and true values in a diagram."""
     model = read.model
     symbols = (*model.inputs.items(), *model.states.items(), *model.parameters.items())
     sizes = tuple((name, symbol.shape) for name, symbol in symbols)
@@ -83,10 +84,11 @@ def _seen(read: ReadBlock) -> tuple[Any, ...]:
 
 
 def _with_these_values(read: ReadBlock, equations: Sequence[Stated]) -> Iterator[DmframeError]:
-    """What the docstring says that the block with its values does not compute.
+    """Equations of the docstring that the block does not compute with the values of this diagram.
 
-    A type that stands alone has been held to it with one option after another, and may have a law that no equation
-    states with one that is not its default. With several together that is told, and is no fault of what is stated.
+    Docstrings are checked for a type with each option separately. An option may have a law that is not in the
+    docstring. If such options are combined in a diagram, a missing equation is reported, but it is not a fault of the
+    equations that are stated.
     """
     block = read.model.block
     checker = _Checker(equations)
@@ -95,10 +97,10 @@ def _with_these_values(read: ReadBlock, equations: Sequence[Stated]) -> Iterator
     if next(variants(type(block)), None) is None:
         yield from (kind(f"{file}:{line}: {text}") for line, text, kind in checker.faults())
         return
-    if not checker.late:  # to read the block with all its options takes long
+    if not checker.late:  # reading the block with all its options is slow
         return
     known = [(_options(other.model.block), plain) for other, plain in variants(type(block))]
-    if (_options(block), False) in known:  # an option whose law the docstring leaves out
+    if (_options(block), False) in known:  # an option whose law is not in the docstring
         return
     fault = BlockError if (_options(block), True) in known else UnreadError
     for item in checker.late:
@@ -107,7 +109,7 @@ def _with_these_values(read: ReadBlock, equations: Sequence[Stated]) -> Iterator
 
 
 def _options(block: AbstractBlock) -> dict[str, Any]:
-    """The values of a block's options, and which parameters it has."""
+    """The values of a block's options, and the parameters that it has."""
     known = specs(type(block))
     held = {name: getattr(block, name) for name in type(block).model_fields}
     return {name: value is not None if name in known else value for name, value in held.items()}
@@ -129,11 +131,11 @@ def _checked(block: type[AbstractBlock]) -> tuple[DmframeError, ...]:
 
 
 _TURNS: Final = re.compile(r"max|min|sgn|clip|[<>]")
-"""What switches in LaTeX that can be read."""
+"""Switching functions in readable LaTeX."""
 
 
 def _name_of(item: Stated) -> tuple[Symbol, bool] | None:
-    """The name on the left of an equation; None where something else stands there."""
+    """The name on the left of an equation; None if the left side is something else."""
     try:
         return name_in(item.left)
     except UnreadableLatexError:
@@ -141,7 +143,7 @@ def _name_of(item: Stated) -> tuple[Symbol, bool] | None:
 
 
 class _Verdict(Enum):
-    """What an equation is, with some options."""
+    """Result of checking an equation with some options."""
 
     HOLDS = "holds"
     DIFFERS = "is not what the code computes"
@@ -175,7 +177,7 @@ class _Trial:
         return self.point.look(name) is None and undotted(name) is None and not name.start
 
     def is_computed(self, item: Stated) -> bool:
-        """True where its left side is something that the block computes with these options."""
+        """True if the block computes its left side with these options."""
         left = _name_of(item)
         if left is None:
             return False
@@ -188,7 +190,7 @@ class _Trial:
         if name not in self._open:
             return None
         self.used.add(name)
-        meant = self._open.pop(name)  # taken away while it is read, so that it cannot need itself
+        meant = self._open.pop(name)  # removed while it is read, so that it cannot depend on itself
         try:
             self._known[name] = self._value(meant.right)
         finally:
@@ -200,9 +202,9 @@ class _Trial:
         return value
 
     def verdict(self, item: Stated) -> tuple[_Verdict, str]:
-        """What an equation is, and the sentence about it."""
+        """The result for an equation, and the message."""
         try:
-            with np.errstate(all="ignore"):  # what is not finite is compared, not warned of
+            with np.errstate(all="ignore"):  # values that are not finite are compared, without warnings
                 self.compared = (np.zeros(0), np.zeros(0))
                 found = self._verdict(item)
                 differ = found[0] is _Verdict.DIFFERS and self.compared[0].size
@@ -210,11 +212,11 @@ class _Trial:
                 return (_Verdict.HOLDS, "") if doubted and is_rounding(*self.compared, self._near(item)) else found
         except UnreadableLatexError as error:
             return _Verdict.UNREADABLE, f"{item.source}: it cannot be read: {error}"
-        except Exception as error:  # an author may write anything; it is no fault of the code
+        except Exception as error:  # a docstring may contain anything; that is not a fault of the code
             return _Verdict.UNREADABLE, f"{item.source}: it cannot be read: {type(error).__name__}: {error}"
 
     def _near(self, item: Stated) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """What is compared, at points that differ in their last digits."""
+        """The compared values at points that differ in their last digits."""
         for values in jittered(self._values):
             trial = _Trial(self._read, values, self._equations)
             trial._verdict(item)
@@ -223,7 +225,7 @@ class _Trial:
     def _verdict(self, item: Stated) -> tuple[_Verdict, str]:
         left = name_in(item.left)
         if not item.left:
-            raise UnreadableLatexError("it is no equation")
+            raise UnreadableLatexError("it is not an equation")
         if left is None:
             if not item.displayed:
                 return _Verdict.SKIPPED, ""
@@ -255,7 +257,7 @@ class _Trial:
         if name in self.point.rates:
             return self._compared(self.point.rates[name], words, f"rate of {said(name)}")
         if item.displayed:
-            raise UnreadableLatexError("an integral is understood of a state alone")
+            raise UnreadableLatexError("an integral is allowed for a state only")
         return _Verdict.SKIPPED, ""
 
     def _compared(self, computed: Numbers, words: Sequence[str], shown: str) -> tuple[_Verdict, str]:
@@ -265,17 +267,17 @@ class _Trial:
         self.compared = computed, value
         text = f"{shown}: the docstring's law is not what the equations compute"
         if shown in ("S", r"\dot{S}"):
-            text = f"{shown}: the docstring's law is not what the certificate claims"
+            text = f"{shown}: the docstring's law is not that of the certificate"
         return (_Verdict.DIFFERS, text) if differs(computed, value) else (_Verdict.HOLDS, "")
 
 
 @final
 class _Checker:
-    """One block's docstring, held to its code with one choice of options after another."""
+    """Compares one block's docstring with its code for several choices of options."""
 
     def __init__(self, equations: Sequence[Stated]) -> None:
         self._equations = equations
-        self._told = dict[Stated, tuple[_Verdict, str]]()
+        self._verdicts = dict[Stated, tuple[_Verdict, str]]()
         self._fine, self._used = set[Stated](), set[str]()
         self._late = dict[str, Stated]()
         self.late = list[Stated]()
@@ -284,7 +286,7 @@ class _Checker:
         self._turns = any(_TURNS.search("".join(item.right)) for item in equations)
 
     def hold(self, read: ReadBlock, *, plain: bool) -> bool:
-        """Hold all equations to a block; returns whether nothing is left to be shown."""
+        """Compare all equations with a block; returns true if every equation has been confirmed."""
         seeds = range(ALL_SIZES) if self._turns or read.turns else FEW
         points = [values_at(read, seed, self._equations) for seed in seeds]
         trials = [
@@ -297,35 +299,37 @@ class _Checker:
             worst = next((one for one in chain([first], found) if one[0] in _BAD), first)
             if worst[0] in (_Verdict.HOLDS, _Verdict.DEFINES, _Verdict.SKIPPED):
                 fine.add(item)
-            if item not in self._told or (self._told[item][0] is not _Verdict.DIFFERS and worst[0] is _Verdict.DIFFERS):
-                self._told[item] = worst
+            if item not in self._verdicts or (
+                self._verdicts[item][0] is not _Verdict.DIFFERS and worst[0] is _Verdict.DIFFERS
+            ):
+                self._verdicts[item] = worst
         self._used |= {said(name) for trial in trials for name in trial.used}
         self._meant |= {shown(item.left) for item in self._equations if trials[0].is_computed(item)}
         if plain:
             self._late = self._not_yet(fine, trials[0])
         self._fine |= fine
         self.tried += 1
-        # what the text says in names that mean nothing here is no law, and asks for no further options
+        # an equation in the text with unknown names is not a law, and requires no further options
         return all(
-            item in self._fine or (not item.displayed and self._told[item][0] is _Verdict.UNREADABLE)
+            item in self._fine or (not item.displayed and self._verdicts[item][0] is _Verdict.UNREADABLE)
             for item in self._equations
         )
 
     def _not_yet(self, fine: set[Stated], trial: _Trial) -> dict[str, Stated]:
-        """Left sides of which no equation holds for the defaults, each with the first of them."""
+        """Left sides without an equation that holds for the default options, each with its first equation."""
         sides = dict[str, list[Stated]]()
         for item in self._equations:
             if trial.is_computed(item):
                 sides.setdefault(shown(item.left), []).append(item)
         bad = [items for items in sides.values() if not any(item in fine for item in items)]
-        self.late = [items[0] for items in bad if all(self._told[item][0] is _Verdict.DIFFERS for item in items)]
+        self.late = [items[0] for items in bad if all(self._verdicts[item][0] is _Verdict.DIFFERS for item in items)]
         return {shown(items[0].left): items[0] for items in bad if any(item.displayed for item in items)}
 
     def faults(self) -> Iterator[tuple[int, str, type[DmframeError]]]:
-        """Lines and what is wrong there."""
+        """Lines with their faults."""
         held = {shown(item.left) for item in self._fine}
         for item in self._equations:
-            verdict, text = self._told[item]
+            verdict, text = self._verdicts[item]
             if item not in self._fine:
                 if item.displayed or verdict is _Verdict.DIFFERS or shown(item.left) in self._meant - held:
                     yield item.line, text, UnreadError if verdict is _Verdict.UNREADABLE else BlockError

@@ -1,4 +1,4 @@
-"""Where a block cannot be read as matrices: its formulas element by element, from the scalar expressions that run."""
+"""Formulas element by element from scalar expressions, for blocks that cannot be read as matrices."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from dmframe.formula.tree import SCALAR, Applied, Name, Node, Number, Piece, Pow
 from dmframe.program import by_code
 
 FEW: Final = 16
-"""Elements of a matrix up to which it is written out."""
+"""Largest number of elements of a matrix that is printed completely."""
 
 
 @final
 class Elements:
-    """Reads scalar expressions whose symbols have names: whole columns or matrices of symbols."""
+    """Reads scalar expressions of the elements of named columns or matrices of symbols."""
 
     def __init__(self, symbols: Mapping[str, SX]) -> None:
         self._symbols, self._count = symbols, 0
@@ -41,7 +41,7 @@ class Elements:
         return known
 
     def read(self, expression: SX) -> Node:
-        """The tree of an expression; what is too long to be read is named by its symbols."""
+        """The tree of an expression; an expression that is too long is given by its symbols."""
         if expression.is_constant():
             return constant(ca.DM(expression))
         self._count = 0
@@ -110,7 +110,7 @@ RULES: Final[dict[int, Callable[..., Node]]] = {
 
 
 def lifted(rows: tuple[tuple[Node, ...], ...], shape: tree.Shape) -> Node | None:
-    """One formula for all elements of a column, where they are the same but for the element; else None."""
+    """One formula for all elements of a column if they differ only in the index of the element; else None."""
     if shape[1] != 1:
         return None
     wholes = {_without(row[0], place) for place, row in enumerate(rows)}
@@ -119,7 +119,7 @@ def lifted(rows: tuple[tuple[Node, ...], ...], shape: tree.Shape) -> Node | None
 
 
 def _without(node: Any, place: int) -> Any:
-    """The node with the element of this place taken for the whole column."""
+    """The node with elements at this index replaced by the whole columns."""
     if isinstance(node, Piece) and node.columns is None and node.rows == (place, place + 1):
         return node.of
     if isinstance(node, tuple):

@@ -1,4 +1,4 @@
-"""Outputs of a block that stand as a part of its other formulas print there by their names."""
+"""Replace sub-formulas that are outputs of the block by the names of the outputs."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from dmframe.formula import tree
 from dmframe.formula.tree import Identity, Name, Node, Number, Piece, Product, Stack, Sum, Unprinted
 
 _PLAIN: Final = (Name, Number, Identity, Piece, Stack, Unprinted)
-"""What is short, or says nothing: its name would tell less."""
+"""Nodes that are not replaced: short ones, and ones that are more informative than a name."""
 
 
 def folded(node: Node, names: Mapping[Node, Name], own: str = "") -> Node:
-    """The formula with every part that has a name replaced by it; `own` is what the formula itself is called."""
+    """The formula with every part that has a name replaced by the name; `own` is the name of the formula itself."""
     if not names:
         return node
     if node in names and names[node].name != own:
         return names[node]
-    if isinstance(node, Product | Sum):  # as it is, and once more when its parts have their names
+    if isinstance(node, Product | Sum):  # before and after its parts are replaced
         node = _product(node, names, own) if isinstance(node, Product) else _sum(node, names, own)
     inside: Any = {field.name: _within(getattr(node, field.name), names) for field in fields(node)}
     match replace(node, **inside):
@@ -38,7 +38,7 @@ def _within(item: Any, names: Mapping[Node, Name]) -> Any:
 
 
 def _product(product: Product, names: Mapping[Node, Name], own: str) -> Node:
-    """A product that ends in a known one: it is read from right to left, so that the end is a result of its own."""
+    """A product that ends with a known one: products are evaluated from right to left, so the end is a result."""
     for known, name in names.items():
         if isinstance(known, Product) and name.name != own and known.coefficient == 1 and not known.below:
             count = len(known.factors)
@@ -66,7 +66,7 @@ def is_difference(node: Node) -> bool:
 
 
 def names_of(outputs: Mapping[str, Node], taken: Mapping[str, str]) -> dict[Node, Name]:
-    """The formulas of outputs that may stand by their names elsewhere; of equal ones the first."""
+    """The formulas of outputs that may be replaced by their names; the first of equal ones."""
     found = dict[Node, Name]()
     for name, node in outputs.items():
         short = isinstance(node, _PLAIN) or (isinstance(node, Product) and len(node.factors) < 2 and not node.below)

@@ -1,4 +1,4 @@
-"""A formula, in the dialect in which it is asked for."""
+"""A formula in three dialects: code, LaTeX, Unicode."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dmframe.formula.tree import Node
 @final
 @dataclass(frozen=True)
 class Formula:
-    """One formula, in three dialects; each is written when it is first asked for."""
+    """One formula in three dialects; each is written at first use."""
 
     node: Node
 

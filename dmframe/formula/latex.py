@@ -1,9 +1,8 @@
-r"""LaTeX formulas as numbers: what a docstring says, evaluated like the code that it describes.
+r"""Numeric evaluation of LaTeX formulas in docstrings, for comparison with the code.
 
 The grammar: sums, products by juxtaposition or ``\cdot``, quotients, brackets, ``\frac``, ``|a|^2_W`` (bars of any
-kind), ``\top``, ``^{-1}``, powers,
-``bmatrix``, common functions, and names as `dmframe.names` writes them. A product is read from right to left;
-a column that is not its last factor stands for a diagonal matrix.
+kind), ``\top``, ``^{-1}``, powers, ``bmatrix``, common functions, and names as in `dmframe.names`. A product is
+evaluated from right to left; a column that is not its last factor means a diagonal matrix.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ _BLANK: Final = (
     "&",
 )
 _BARS: Final = dict.fromkeys(("\\lVert", "\\rVert", "\\lvert", "\\rvert", "\\Vert", "\\vert", "\\|"), "|")
-"""What else opens or closes a norm."""
+"""Other delimiters of a norm."""
 _ACCENTS: Final = ("hat", "bar", "tilde", "dot", "ddot")
 _ALIAS: Final = {"varepsilon": "epsilon", "varphi": "phi", "vartheta": "theta"}
 _FUNCTIONS: Final[Mapping[str, Callable[..., Numbers]]] = {
@@ -60,7 +59,7 @@ _FUNCTIONS: Final[Mapping[str, Callable[..., Numbers]]] = {
     "floor": np.floor, "diag": lambda a: np.diagflat(a), "vec": lambda a: np.reshape(a, (-1, 1), order="F"),
     "clip": lambda a, v: np.clip(a, -v, v),
 }  # fmt: skip
-"""By the word after the backslash, or in operatorname."""
+"""Functions by the word after the backslash, or in operatorname."""
 
 
 def tokens(text: str) -> list[str]:
@@ -72,13 +71,13 @@ def tokens(text: str) -> list[str]:
 
 
 Look = Callable[[Symbol], Numbers | None]
-"""The numbers of a name, or None."""
+"""Returns the value of a name, or None."""
 Call = Callable[[Symbol, Sequence[Numbers]], Numbers | None]
-"""The numbers of a function of the robot, J(q), or None."""
+"""Returns the value of a function of the robot, J(q), or None."""
 
 
 def evaluate(words: Sequence[str], look: Look, call: Call) -> Any:
-    """The numbers of a formula. Raises `UnreadableLatexError`."""
+    """The value of a formula. Raises `UnreadableLatexError`."""
     reader = LatexReader(words, look, call)
     value = reader.sum()
     if reader.rest():
@@ -94,7 +93,7 @@ _RELATIONS: Final = ("=", "+", "\\ge", "\\le", "\\to", "<", ">")
 
 
 def in_unicode(text: str) -> str:
-    """A short formula of a docstring's text for a terminal: its names as symbols, the rest as it stands."""
+    """A short formula of a docstring's text for a terminal: names as symbols, the rest unchanged."""
     reader, out = LatexReader(tokens(text), lambda symbol: None, lambda symbol, arguments: None), ""
     while reader.rest():
         found, word = reader.named_or_word()
@@ -106,7 +105,7 @@ def in_unicode(text: str) -> str:
 
 
 def name_in(words: Sequence[str]) -> tuple[Symbol, bool] | None:
-    """The name that a left-hand side is, and whether it stands for a start, ``w(0)``; None where it is more."""
+    """The name on a left-hand side, and true for an initial value, ``w(0)``; None if it is more than a name."""
     reader = LatexReader(words, lambda symbol: None, lambda symbol, arguments: None)
     symbol = reader.symbol()
     return (symbol, symbol.start) if symbol is not None and not reader.rest() else None
@@ -120,11 +119,11 @@ class LatexReader:
         self._words, self._place, self._look, self._call = list(words), 0, look, call
 
     def rest(self) -> str:
-        """What has not been read."""
+        """The words that have not been read."""
         return " ".join(self._words[self._place :])
 
     def named_or_word(self) -> tuple[Symbol | None, str]:
-        """The name that comes next, or else the one word."""
+        """The next name, or else the next word."""
         start = self._place
         found = self.symbol()
         if found is None:
@@ -171,7 +170,7 @@ class LatexReader:
         return value
 
     def factor(self) -> Any:
-        """A base with what is raised or lowered."""
+        """A base with its exponents and indices."""
         word = self._next()
         if word == "|":
             return self._norm()
@@ -193,7 +192,7 @@ class LatexReader:
         return value
 
     def _group(self) -> list[str]:
-        r"""What stands in braces, or one word; ``\dot q`` and its like count as one."""
+        r"""The words in braces, or one word; ``\dot q`` and the like count as one."""
         if self._next() != "{":
             word = self._take()
             if not word:
@@ -245,7 +244,7 @@ class LatexReader:
         return self._named()
 
     def _digit(self) -> list[str]:
-        r"""An argument of \tfrac: of ``12`` each digit is one."""
+        r"""An argument of \tfrac: each digit of ``12`` is one argument."""
         word = self._next()
         if word.isdigit() and len(word) > 1:
             self._words[self._place : self._place + 1] = list(word)
@@ -297,7 +296,7 @@ class LatexReader:
             return value
         if symbol == Symbol("I"):
             return Eye(1.0)
-        raise UnreadableLatexError(f"nothing bears the name {said(symbol)}")
+        raise UnreadableLatexError(f"the name {said(symbol)} is unknown")
 
     def symbol(self) -> Symbol | None:
         """A name with its accents, index and start."""
@@ -364,7 +363,7 @@ class LatexReader:
     def _bmatrix(self) -> Numbers:
         self._take()
         if self._group() not in (list("bmatrix"), list("pmatrix")):
-            raise UnreadableLatexError("of environments only bmatrix is understood")
+            raise UnreadableLatexError("bmatrix is the only supported environment")
         words = self._words[self._place :]
         end = words.index("\\end") if "\\end" in words else len(words)
         self._place += end

@@ -1,4 +1,4 @@
-"""A block's law as it prints: outputs, rates, and the terms of its certificate."""
+"""Printed law of a block: outputs, rates, and the terms of its certificate."""
 
 from __future__ import annotations
 
@@ -52,13 +52,13 @@ class PrintedTerm:
     kind
         ``square``, ``norm square``, ``lemma``, ``gathered``, ``clipped``, ``potential`` or ``log det``.
     vector
-        What is squared; of a lemma the difference of its two columns, of a clipped term what multiplies it, of a
-        logarithm of determinants the matrix that estimates.
+        The squared vector; for a lemma the difference of its two columns, for a clipped term its other factor, for a
+        log det the matrix of estimates.
     weight
-        Its weight; of a clipped term the width.
+        Its weight; for a clipped term the width.
     by
-        What else stands in it: of a norm square the vector of the norm, of a gathered one the matrix, of a clipped one
-        what is clipped, of a potential the width, of a logarithm of determinants the true matrix.
+        Its further argument: for a norm square the vector of the norm, for a gathered term the matrix, for a clipped
+        term the clipped vector, for a potential the width, for a log det the true matrix.
     whole
         The term itself.
     """
@@ -73,31 +73,31 @@ class PrintedTerm:
 @final
 @dataclass(frozen=True)
 class PrintedLaw:
-    """What a block computes and claims.
+    """Equations and certificate of a block.
 
     Parameters
     ----------
     name
         Of the block in its diagram.
     outputs, rates
-        Its equations; an output that is a state or a parameter as it stands is left out. Rates come first, then the
-        sampled states one sample later.
+        Its equations, without outputs that equal a state or a parameter. Rates come first, then the sampled states
+        one sample later.
     storage, dissipation, excess, errors
         Terms of the certificate, in its order; S is half the sum of the first, and the last are in no sum.
     driven
-        Of each `Driven` of the certificate, in its order, what is bounded.
+        The bounded signals of each `Driven` of the certificate, in its order.
     estimates
-        What each estimate estimates, by the estimate's name.
+        True values of the estimates, by the estimate's name.
     truths
-        True values that the certificate states for others.
+        True values that the certificate states for other blocks.
     supply, consumption
-        Of the certificate, where there is one.
+        Supply rate and cross term of the certificate, if it has them.
     definitions
-        What the names of parts stand for.
+        Definitions of named sub-expressions.
     S, dS
         S and dS/dt as lines.
     matrices
-        It was read as matrices; else element by element.
+        True if it was read as matrices; else it was read element by element.
     """
 
     name: str
@@ -119,13 +119,13 @@ class PrintedLaw:
 
     @property
     def lines(self) -> tuple[Line, ...]:
-        """All equations in the order in which they are read."""
+        """All equations in the order in which they are printed."""
         energy = [line for line in (self.S, self.dS) if line is not None]
         return (*self.outputs, *self.rates, *energy, *self.truths, *self.definitions)
 
     @property
     def silent(self) -> PrintedLaw:
-        """The same without its energy."""
+        """The same law without its storage function."""
         return replace(
             self,
             storage=(),
@@ -142,10 +142,10 @@ class PrintedLaw:
 
 
 ROLES: Final = ("storage", "dissipation", "excess", "errors")
-"""The fields of a certificate that hold terms."""
+"""The fields of a certificate that contain terms."""
 
 Reader = Callable[[Any, Any], Node]
-"""The tree of an expression, given as it was read and as scalars."""
+"""Returns the tree of an expression, given as it was read and as scalars."""
 
 
 def line(left: Node, right: Node) -> Line:
@@ -155,12 +155,12 @@ def line(left: Node, right: Node) -> Line:
 
 
 def lines(equations: Sequence[tuple[Node, Node]]) -> tuple[Line, ...]:
-    """One line an equation, without those that say that a name is itself."""
+    """One line per equation, without identities such as w = w."""
     made = (line(*equation) for equation in equations)
-    return tuple(item for item in made if not _says_nothing(item))
+    return tuple(item for item in made if not _is_trivial(item))
 
 
-def _says_nothing(equation: Line) -> bool:
+def _is_trivial(equation: Line) -> bool:
     """True for w = w, and for the rate of q where that is called dq."""
     return isinstance(equation.right.node, Name) and equation.left.latex == equation.right.latex
 
@@ -190,7 +190,7 @@ class Energy:
         return tuple(term for term, _ in self._nodes[role])
 
     def driven(self) -> tuple[tuple[Formula, ...], ...]:
-        """What is bounded without standing in S."""
+        """Signals that are bounded although they are not in S."""
         pairs = zip(self._certificate.driven, self._scalars.driven, strict=True)
         return tuple(
             tuple(Formula(self._reader(*pair)) for pair in zip(mine.bounded, theirs.bounded, strict=True))
@@ -209,7 +209,7 @@ class Energy:
         return lines([(Name(name, node.shape), node) for name, node in nodes.items()])
 
     def supply(self) -> Node:
-        """The supply."""
+        """The supply rate."""
         return self._reader(self._certificate.supply, self._scalars.supply)
 
     def consumption(self) -> PrintedTerm | None:
@@ -227,7 +227,7 @@ class Energy:
         return squared(self._reader(mine.vector, theirs.vector), self._reader(mine.c, theirs.c))
 
     def S(self) -> Node:
-        """Half the sum of the storage."""
+        """Half the sum of the storage terms."""
         total: Node = Number(Fraction(0))
         for _, node in self._nodes["storage"]:
             total = tree.add(total, tree.scale(Fraction(1, 2), node), SCALAR)
@@ -259,7 +259,7 @@ def _square(term: Any, nodes: Sequence[Node]) -> Said:
 
 
 def squared(vector: Node, weight: Node) -> Node:
-    """|a|^2_W; a weight that is one number stands in front."""
+    """|a|^2_W; a scalar weight is a factor in front."""
     if isinstance(vector, Product) and vector.coefficient == -1:
         vector = tree.scale(tree.MINUS, vector)
     if isinstance(weight, Number):

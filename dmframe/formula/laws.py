@@ -1,4 +1,4 @@
-"""The laws of a diagram: each block is read as it prints, compared with what runs, and printed."""
+"""The laws of a diagram: each block is read, compared with its code, and printed."""
 
 from __future__ import annotations
 
@@ -41,17 +41,17 @@ from dmframe.naming import as_mx, expression_of
 
 
 def printed(diagram: Diagram, name: str) -> PrintedLaw:
-    """The law of one block. Raises `BlockError` where what is read is not what runs."""
+    """The law of one block. Raises `BlockError` if it differs from the code that runs."""
     return laws_of(diagram)[name]
 
 
 def laws_of(diagram: Diagram) -> dict[str, PrintedLaw]:
-    """The laws of all blocks of a diagram. Raises `BlockError`, or several, where what is read is not what runs."""
+    """The laws of all blocks of a diagram. Raises `BlockError`, or several, if one differs from the code that runs."""
     return {name: block.law() for name, block in read_blocks(diagram).items()}
 
 
 def read_blocks(diagram: Diagram, *, near: bool = False) -> dict[str, ReadBlock]:
-    """All blocks of a diagram, read and held to what runs; with `near` at a few points alone. Raises as `laws_of`."""
+    """All blocks of a diagram, read and compared with their code; at a few points if `near`. Raises as `laws_of`."""
     robots = [model.robot for model in diagram.models.values() if model.robot is not None]
     functions = RobotFunctions(robots[0]) if robots else None
     blocks = {name: _read(diagram, name, functions) for name in diagram.blocks}
@@ -62,7 +62,7 @@ def read_blocks(diagram: Diagram, *, near: bool = False) -> dict[str, ReadBlock]
 
 
 def certify(blocks: Mapping[str, ReadBlock]) -> None:
-    """Read every certificate; those that need another block's truth come after it, and those that only may, again."""
+    """Read every certificate, in the order of the true values that they need from each other."""
     waiting, stated = list(blocks), dict[str, Any]()
     for _ in range(2 * len(blocks)):
         later = []
@@ -79,7 +79,7 @@ def certify(blocks: Mapping[str, ReadBlock]) -> None:
 
 
 def _truths(diagram: Diagram, name: str) -> dict[str, tuple[int, int]]:
-    """The shapes of the truths whose letters are bound."""
+    """The shapes of the true values whose letters are bound."""
     shapes = dict[str, tuple[int, int]]()
     for port in diagram.blocks[name].truth:
         if all(word.isdigit() or word in diagram.sizes.bound for word in port.shape.split()):
@@ -102,18 +102,18 @@ def _read(diagram: Diagram, name: str, functions: RobotFunctions | None) -> Read
 
 @final
 class ReadBlock:
-    """One block while it is read: as matrices (MX) and, where that fails, as scalars (SX).
+    """One block while it is read: as matrices (MX) or, if that fails, as scalars (SX).
 
     Parameters
     ----------
     model
-        The block's equations as they run.
+        The block's equations that run.
     truths
-        Shapes of the truths that it may read.
+        Shapes of the true values that it may read.
     made
-        Those that outputs of other blocks are; others come from certificates.
+        True values that are outputs of other blocks; the others come from certificates.
     zero
-        Inputs that nobody drives.
+        Inputs that are not driven.
     """
 
     def __init__(
@@ -135,7 +135,7 @@ class ReadBlock:
             self._read(ca.MX)
         except (DmframeError, KeyboardInterrupt):
             raise
-        except BaseException:  # a block that mixes its own SX into MX may fail in any way; as scalars it has run before
+        except BaseException:  # a block that mixes SX into MX may fail in any way; it is then read as scalars
             self._read(ca.SX)
 
     def _read(self, kind: Any) -> None:
@@ -145,7 +145,7 @@ class ReadBlock:
         self.elements = Elements(self.signs.names if kind is ca.SX else {})
 
     def certify(self, stated: Mapping[str, Any]) -> Certificate | None:
-        """Read the certificate with the truths that other blocks have stated; None where one is missing."""
+        """Read the certificate with the true values from other blocks; None if one is missing."""
         self.claimed = list(self._known(stated))
         try:
             self.certificate = self._certificate(self.signs)
@@ -163,11 +163,11 @@ class ReadBlock:
         return self.certificate
 
     def lacked(self, stated: Mapping[str, Any]) -> bool:
-        """True where a truth was not stated yet that the certificate may read, and now is."""
+        """True if a true value that the certificate may read has become available since it was read."""
         return list(self._known(stated)) != self.claimed
 
     def _known(self, stated: Mapping[str, Any]) -> Iterator[str]:
-        """The truths that this diagram has, as `dmframe.diagram.view` finds them."""
+        """The true values that this diagram has, as in `dmframe.diagram.view`."""
         found = set[str]()
         for port in self.model.block.truth:
             if port.name in stated:
@@ -188,11 +188,11 @@ class ReadBlock:
 
     @cached_property
     def turns(self) -> bool:
-        """True where what runs holds a switch."""
+        """True if the code that runs contains a switch."""
         return self.reading.of_running().turns() is not None
 
     def compare(self, *, near: bool = False) -> None:
-        """Hold what was read to what runs; with `near` at the first points alone. Raises `BlockError`."""
+        """Compare the reading with the code that runs; at the first points only if `near`. Raises `BlockError`."""
         reading, signs = self.reading, self.signs
         runs, printed = self.model.equations, self.stated
         names = [f"the output {name}" for name in runs.outputs]
@@ -225,7 +225,7 @@ class ReadBlock:
             self._compared(method, labels, first, second, near=near)
 
     def _compared(self, method: str, labels: Sequence[str], first: Evaluated, second: Evaluated, *, near: bool) -> None:
-        """Hold expressions to others: exactly, else at points on both sides of each switch. Raises `BlockError`."""
+        """Compare expressions: exactly, or at points on both sides of each switch. Raises `BlockError`."""
         both = None if near else self.reading.exactly(first, second)
         known = [False] * len(labels)
         if both is not None:
@@ -257,10 +257,10 @@ class ReadBlock:
         return self._points[seed]
 
     def hold(self, proved: Certificate, seen: View, loop: ClosedLoop, *, near: bool = False) -> None:
-        """Compare the certificate that prints with the one that is proved, which sees the whole closed loop.
+        """Compare the printed certificate with the one that is proved for the whole closed loop.
 
-        With `near` at the first points alone. Raises `BlockError`: a method that answers its callers differently could
-        prove one law and print another.
+        If `near`, at the first points only. Raises `BlockError`: a method that returns different results to its callers
+        could prove one law and print another.
         """
         given = (seen.u, seen.x, seen.p, seen.truth)
         pairs = dict[str, tuple[Any, Any]]()
@@ -281,7 +281,7 @@ class ReadBlock:
         done = [False] * len(ones) if near else equal(ones, others)
         if all(done):
             return
-        known = symbols_in([constants])  # with others a robot's rotations would be none, and M(q) not one matrix
+        known = symbols_in([constants])  # other values would not be rotations, and M(q) would not be symmetric
         leaves = [leaf for leaf in ca.symvar(ca.veccat(*both)) if leaf.element_hash() not in known]
         left = [item for side in (ones, others) for item, shown in zip(side, done, strict=True) if not shown]
         open_labels = [label for label, shown in zip(labels, done, strict=True) if not shown]
@@ -295,8 +295,8 @@ class ReadBlock:
             *numbers, turned = (item.full() for item in function.call([point, values]))
             for place, label in enumerate(open_labels):
                 one, two = numbers[place], numbers[place + len(open_labels)]
-                beside = (function.call([moved["point"], values]) for moved in jittered({"point": point}))
-                moved = ((found[place].full(), found[place + len(open_labels)].full()) for found in beside)
+                jittered_values = (function.call([moved["point"], values]) for moved in jittered({"point": point}))
+                moved = ((found[place].full(), found[place + len(open_labels)].full()) for found in jittered_values)
                 if not differs(one, two) or is_rounding(one, two, moved):
                     continue
                 if not agree(*(in_balls(function, [point, values], k) for k in (place, place + len(open_labels)))):
@@ -315,20 +315,20 @@ class ReadBlock:
 
     def _fault(self, method: str, label: str) -> BlockError:
         where = place_of(self.type, method)
-        text = f"{where}: {label} is not the same when {method}() is called again; what prints would not be what runs"
+        text = f"{where}: {label} differs when {method}() is called again; the printed law would not be what runs"
         return BlockError(f"{self.name}: {text}", path=("blocks", self.name))
 
     def _unseen(self, method: str, labels: Sequence[str]) -> BlockError:
         where = place_of(self.type, method)
         text = (
             f"{where}: {', '.join(dict.fromkeys(labels))}: a switch, such as a min or a comparison, takes one side at "
-            f"all of {MOST} points, so that nobody knows whether what prints is what runs on the other side; expected "
-            f"one that turns at sizes from 1e-3 to 1e3"
+            f"all of {MOST} points, so that the printed law cannot be checked on the other side; expected one that "
+            f"switches at magnitudes from 1e-3 to 1e3"
         )
         return BlockError(f"{self.name}: {text}", path=("blocks", self.name))
 
     def law(self) -> PrintedLaw:
-        """Print what was read."""
+        """The printed law."""
         running = self.model.equations
         scalars = Elements(self.reading.running_names())
 
@@ -379,12 +379,12 @@ class ReadBlock:
         return folded(self._node(read_as, runs, elements), self.names)
 
     def _vector(self, read_as: Any, runs: Any, elements: Elements) -> Node:
-        """A difference of two signals says more than the name of the output that it is."""
+        """The tree of a vector; a difference of two signals is not replaced by the name of an output."""
         node = self._node(read_as, runs, elements)
         return node if is_difference(node) else folded(node, self.names)
 
     def _node(self, read_as: Any, runs: Any, elements: Elements) -> Node:
-        """As matrices; else element by element of what runs; else by the names on which it depends."""
+        """The tree from matrices, else element by element from the code that runs, else the names it depends on."""
         if self.signs.kind is ca.MX:
             try:
                 return read(as_mx(read_as))
@@ -395,7 +395,7 @@ class ReadBlock:
         return elements.read(self._driven(ca.SX(expression_of(read_as if runs is None else runs))))
 
     def _driven(self, expression: Any) -> Any:
-        """With zeros for what nobody drives."""
+        """The expression with zeros for inputs that are not driven."""
         zero = [self.model.inputs[name] for name in self.reading.zero]
         return (
             ca.substitute([ca.SX(expression)], zero, [ca.SX.zeros(*s.shape) for s in zero])[0] if zero else expression
@@ -403,7 +403,7 @@ class ReadBlock:
 
 
 def _pieces(certificate: Certificate) -> list[tuple[str, Any]]:
-    """All expressions of a certificate, with what they are."""
+    """All expressions of a certificate, with a description of each."""
     found = list[tuple[str, Any]]()
     for role in ROLES:
         for place, term in enumerate(getattr(certificate, role), start=1):

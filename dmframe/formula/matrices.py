@@ -1,4 +1,4 @@
-"""Arithmetic of formulas by the shapes of what they hold: what stands side by side in a docstring, as numbers."""
+"""Arithmetic of LaTeX formulas with numbers, in which the shapes determine the kind of product."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ Numbers = np.ndarray
 
 @final
 class UnreadableLatexError(Exception):
-    """A formula outside of the grammar, or a name that nothing bears."""
+    """A formula outside of the grammar, or an unknown name."""
 
 
 @final
 class Eye:
-    """A multiple of an identity matrix, whose size is still open."""
+    """A multiple of an identity matrix of undetermined size."""
 
     def __init__(self, scale: float) -> None:
         self.scale = scale
@@ -42,9 +42,9 @@ def stacked(parts: Sequence[Any]) -> Numbers:
 
 
 def as_matrix(value: Any) -> Numbers:
-    """The numbers; an identity whose size is open has none."""
+    """The numbers; an identity of undetermined size has none."""
     if isinstance(value, Eye):
-        raise UnreadableLatexError("the identity I needs a matrix beside it")
+        raise UnreadableLatexError("the identity I needs a matrix next to it")
     return np.asarray(value, dtype=float)
 
 
@@ -73,7 +73,7 @@ def _size(value: Numbers) -> str:
 
 
 def multiplied(left: Any, right: Any) -> Any:
-    """By shapes: a number scales, a column in front is a diagonal, else a matrix product."""
+    """Product by shapes: a number scales, a column in front is a diagonal matrix, else a matrix product."""
     if isinstance(left, Eye):
         return scaled(left.scale, right)
     if isinstance(right, Eye):
@@ -86,7 +86,7 @@ def multiplied(left: Any, right: Any) -> Any:
 
 
 def inverted(value: Any, *, matrix: bool = False) -> Any:
-    """One over a value; of a square matrix, its inverse."""
+    """One over a value; for a square matrix its inverse."""
     value = as_matrix(value)
     if value.shape[0] == value.shape[1] and value.shape[0] > 1:
         if not matrix:

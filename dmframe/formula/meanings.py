@@ -1,4 +1,4 @@
-"""What the names of a docstring mean: numbers of one point, given to the block or computed by it."""
+"""Values of the names in a docstring at one point, given to the block or computed by it."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ _PAPER: Final = tuple((method, sign) for sign, method in PAPER.items())
 @final
 @dataclass(frozen=True)
 class Point:
-    """What the names of a docstring are at one random point, with some options of the block.
+    """Values of the names in a docstring at one random point, with some options of the block.
 
     Parameters
     ----------
     names
-        All that may be named.
+        Values of all names.
     computed
-        What the code computes of it, so that an equation can be held to it: outputs, S, names of parts.
+        Values computed by the code, with which equations are compared: outputs, S, named sub-expressions.
     rates
-        Of states, and of S.
+        Rates of states and of S.
     after
         Sampled states one sample later.
     """
@@ -47,14 +47,14 @@ class Point:
     read: ReadBlock
 
     def look(self, name: Symbol) -> Numbers | None:
-        """The numbers of a name, or of the rate that a dotted name is."""
+        """The value of a name, or the rate for a dotted name."""
         for known in (self.computed, self.names):
             if name in known:
                 return known[name]
         return self.moved(name)
 
     def moved(self, name: Symbol) -> Numbers | None:
-        """The numbers of a dotted name, or of one with a plus above; None for another name, or of no state."""
+        """The value of a dotted name, or of one with a plus above; None for other names and for other than states."""
         bare, before = undotted(name), _before(name)
         found = None if before is None else self.after.get(before)
         return self.rates.get(bare) if found is None and bare is not None else found
@@ -69,15 +69,15 @@ class Point:
         try:
             function = functions.of_method(methods[0], tuple(parameters))
             given = {name: ca.DM(value) for name, value in zip(parameters, arguments, strict=True)}
-            if "inertia" in given:  # a_d, of which the robot's own quantities take the inertial parameters
+            if "inertia" in given:  # a_d, whose inertial parameters the quantities of the robot use
                 given["inertia"] = given["inertia"][DynamicParameters(robot.chain).inertial, :]
             return np.array(function(*given.values(), functions.values).full())
-        except (RuntimeError, KeyError, TypeError):  # arguments of other sizes: it is a product after all
+        except (RuntimeError, KeyError, TypeError):  # arguments of other sizes: it is a product
             return None
 
 
 def _is_inverted(name: str, equations: Sequence[Stated]) -> bool:
-    """True where an equation holds ``name^{-1}``."""
+    """True if an equation contains ``name^{-1}``."""
     wanted = " ".join(_bare([*tokens(latex_name(name)), "^", "-", "1"]))
     return any(f" {wanted} " in f" {' '.join(_bare(item.right))} " for item in equations)
 
@@ -87,7 +87,7 @@ def _bare(words: Sequence[str]) -> list[str]:
 
 
 def undotted(name: Symbol) -> Symbol | None:
-    """The name whose rate this one is; None without a dot on top."""
+    """The name without its dot; None if it has none."""
     last = name.accents[-1:]
     if last == ("dot",):
         return replace(name, accents=name.accents[:-1])
@@ -95,15 +95,15 @@ def undotted(name: Symbol) -> Symbol | None:
 
 
 def _before(name: Symbol) -> Symbol | None:
-    """The name of which this one is the value one sample later; None without a plus above.
+    """The name without its plus, which means one sample later; None if it has none.
 
-    A plus stands for a pseudo-inverse too, so that only the name of a sampled state is taken for one.
+    A plus also means a pseudo-inverse, so only the plus of a sampled state is read as the next value.
     """
     return replace(name, index=name.index[:-1]) if name.index[-1:] == ("^+",) else None
 
 
 def values_at(read: ReadBlock, seed: int, equations: Sequence[Stated]) -> dict[str, Any]:
-    """One point; a matrix that the docstring inverts is symmetric and positive definite, as full gains are anyway."""
+    """One random point; full gains and matrices that the docstring inverts are symmetric and positive definite."""
     values, gains = read.reading.values(read.signs, seed), full_gains(read.model.block, read.model.parameters)
     values |= {name: number.full() for name, number in read.reading.constants.items()}
     for name, value in values.items():
@@ -119,7 +119,7 @@ def values_at(read: ReadBlock, seed: int, equations: Sequence[Stated]) -> dict[s
 
 
 def point_of(read: ReadBlock, values: Mapping[str, Any]) -> Point:
-    """All that a docstring of this block may name."""
+    """The values of all names that a docstring of this block may use."""
     names = {symbol(name): np.array(ca.DM(value)) for name, value in values.items()}
     names |= {symbol(name): np.zeros(read.model.inputs[name].shape) for name in read.reading.zero}
     definitions = read.signs.naming.definitions
@@ -143,7 +143,7 @@ def point_of(read: ReadBlock, values: Mapping[str, Any]) -> Point:
 
 
 def energies(stated: Certificate) -> list[Any]:
-    """S, and what the certificate claims of its rate."""
+    """S, and its rate according to the certificate."""
 
     def total(terms: Sequence[Any]) -> Any:
         return sum((ca.SX(term.value) for term in terms), ca.SX(0))

@@ -1,4 +1,4 @@
-"""Where two laws are compared: exactly where that goes, else at points of all sizes, on both sides of every switch."""
+"""Comparison of two laws: exactly if possible, else at points of all magnitudes and on both sides of every switch."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from dmframe.exact.balls import UndecidedError, enclosed
 from dmframe.program import OPERATIONS, codes, read, run
 
 POINTS: Final = 6
-"""Points at which all is compared that is not shown to be equal exactly."""
+"""Number of points at which expressions are compared that are not shown to be equal exactly."""
 FEW: Final = (0, 2, 3)
-"""The points for a docstring where nothing switches."""
+"""The points for a docstring without switches."""
 MOST: Final = 100
-"""Points that are drawn where a switch has taken one side only."""
+"""Largest number of points drawn while a switch has been seen on one side only."""
 ALL_SIZES: Final = 16
-"""Points after which every power of ten of `_POWERS` has been taken, with both signs."""
+"""Number of points that cover every power of ten of `_POWERS` with both signs."""
 
 NEAR: Final = 2
 """The first points: states in (-1, 1), parameters in (0.5, 1.5)."""
 _POWERS: Final = (2, -2, 3, 1, -1, -3, 0)
 
 _VANISHING: Final = (0.0, 0.0, 0.5, 1.0)
-"""How likely a signal is zero at a point beyond `ALL_SIZES`."""
+"""Probabilities that a signal is zero at a point beyond `ALL_SIZES`."""
 _CLOSE: Final = 1e-7
 _ROUNDED: Final = 1e-11
-"""What rounding may leave of the largest element in one that should vanish; of 1 where all are smaller."""
+"""Tolerance for rounding, relative to the largest element, or to 1 if all elements are smaller."""
 _JITTERS: Final = 3
 _JITTER: Final = 1e-14
-"""How far numbers are moved, relative to their size, to see whether a difference is rounding."""
+"""Relative perturbation of numbers, with which it is decided whether a difference is rounding."""
 _SPREADS: Final = 10
-"""How many times what both sides move then rounding may leave."""
+"""A difference of up to this many times the change by the perturbation is rounding."""
 _TINY: Final = 1e-300
 _BITS: Final = (256, 1024, 4096)
 """Precisions of a point at which floats differ, until all of its balls are narrow."""
@@ -48,11 +48,11 @@ _EQUALITY: Final = frozenset((ca.OP_EQ, ca.OP_NE))
 
 @final
 class Draw:
-    """The numbers of one point: elements of one size, each with a factor of its own.
+    """The random numbers of one point: elements of one magnitude with random factors.
 
-    Points come in pairs that differ in the signs of all that may be negative: what switches in one state, at whatever
-    threshold of these sizes, is seen on both sides. Beyond `ALL_SIZES` each element has a size of its own, and at some
-    points signals are zero: a law may treat an error differently that is none.
+    Points are drawn in pairs with opposite signs of all numbers that may be negative: a switch in one state, with a
+    threshold in the range of magnitudes, is seen on both sides. Beyond `ALL_SIZES` each element has its own magnitude,
+    and at some points signals are zero, since a law may treat a zero error differently.
     """
 
     def __init__(self, seed: int) -> None:
@@ -78,9 +78,9 @@ class Draw:
 
 
 def differs(first: np.ndarray, second: np.ndarray) -> bool:
-    """True for numbers that differ by more than rounding; what is not finite must not be so on both sides.
+    """True for numbers that differ by more than rounding; a value that is not finite has to be so on both sides.
 
-    Each element is held to its own size: a large one beside it lends it no more than what rounding may leave.
+    The tolerance of each element is relative to its own magnitude; larger elements add the tolerance for rounding only.
     """
     if first.shape != second.shape:
         return True
@@ -93,7 +93,7 @@ def differs(first: np.ndarray, second: np.ndarray) -> bool:
 
 
 def differs_near(first: np.ndarray, second: np.ndarray) -> bool:
-    """True for numbers of one of the first points, where no terms are large, that differ beyond all rounding there."""
+    """True for numbers at one of the first points, where no terms are large, that differ by more than rounding."""
     if first.shape != second.shape:
         return True
     largest = np.max(np.abs(first[np.isfinite(first)]), initial=0.0)
@@ -101,10 +101,10 @@ def differs_near(first: np.ndarray, second: np.ndarray) -> bool:
 
 
 def is_rounding(first: np.ndarray, second: np.ndarray, moved: Iterable[tuple[np.ndarray, np.ndarray]]) -> bool:
-    """True for a difference that rounding leaves of large terms that cancel.
+    """True for a difference that is due to rounding of large terms that cancel.
 
-    `moved` are the same numbers with all on which they depend moved by `jittered`. Where terms are large, both move
-    then by more than rounding leaves of them; a difference beyond that is none of rounding, on whichever side it is.
+    `moved` are the same numbers with arguments perturbed by `jittered`. If terms are large, the perturbation changes
+    both by more than rounding does; a larger difference is not due to rounding.
     """
     finite = np.isfinite(first)
     if first.shape != second.shape or np.any(finite != np.isfinite(second)):
@@ -120,8 +120,8 @@ def is_rounding(first: np.ndarray, second: np.ndarray, moved: Iterable[tuple[np.
 def in_balls(function: Any, given: Sequence[Any], place: int) -> np.ndarray | None:
     """One result of a function in ball arithmetic, with as many bits as it takes; None where `_BITS` are too few.
 
-    Where a matrix is inverted that has no inverse but for rounding, or a sign taken of what is zero but for it, floats
-    are no witnesses: not one of their digits is right.
+    If a matrix is singular up to rounding, or the argument of a sign is zero up to rounding, floating-point results
+    have no correct digit.
     """
     symbols = [ca.SX.sym(f"given{k}", function.size_in(k)) for k in range(function.n_in())]
     try:
@@ -138,12 +138,12 @@ def in_balls(function: Any, given: Sequence[Any], place: int) -> np.ndarray | No
 
 
 def agree(first: np.ndarray | None, second: np.ndarray | None) -> bool:
-    """True for numbers `in_balls` that are there, and the same."""
+    """True if both results of `in_balls` exist and are equal."""
     return first is not None and second is not None and not differs(first, second)
 
 
 def jittered(values: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """The same point again, its last digits changed."""
+    """The same point with its last digits changed."""
     for seed in range(_JITTERS):
         rng = np.random.default_rng(seed)
         moved = {name: np.asarray(value, dtype=float) for name, value in values.items()}
@@ -151,7 +151,7 @@ def jittered(values: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def equal(ones: Sequence[Any], others: Sequence[Any]) -> list[bool]:
-    """Which SX expressions are identically equal, shown in a prime field; False is no proof of a difference."""
+    """For each pair of SX expressions, true if they are shown to be equal in a prime field; False proves nothing."""
     differences = [
         ca.vec(ca.densify(one - other)) if one.shape == other.shape else None
         for one, other in zip(ones, others, strict=True)
@@ -174,7 +174,7 @@ def _vanish(columns: Sequence[Any]) -> bool:
     whole = ca.vertcat(*columns)
     try:
         return zero_test(ca.Function("difference", [ca.veccat(ca.SX(0, 1), *ca.symvar(whole))], [whole]), trials=1).zero
-    except ValueFault:  # a constant that is not finite, a denominator that is zero: it has no value to be compared
+    except ValueFault:  # a constant that is not finite, or a zero denominator: no value to compare
         return False
 
 
@@ -188,17 +188,17 @@ def _rebuilt(code: int, arity: int) -> Callable[..., Any]:
 
 REBUILT: Final = {code: _rebuilt(code, operation.arity) for code, operation in OPERATIONS.items()}
 _RULES: Final = REBUILT | dict.fromkeys((ca.OP_CALL, ca.OP_PRINTME), lambda: None)
-"""Of a function kept whole nothing is known: what turns in it or by it is met by the points alone."""
+"""Functions that are not expanded have no rule: switches in them are covered by the points only."""
 _SWITCHES: Final = frozenset(code for code, operation in OPERATIONS.items() if operation.turns)
 
 
 def _is_tiny(value: Any) -> bool:
-    """True for the floor under a root of squares, which no point can be on both sides of."""
+    """True for the lower bound of the radicand of a norm; no point is on both sides of it."""
     return bool(value.is_constant()) and 0 < abs(float(value)) < 1e-20
 
 
 def switching(expressions: Sequence[Any]) -> list[Any]:
-    """What the switches in SX expressions turn at: each has been seen once its sign has been seen as + and as -."""
+    """Switching functions of SX expressions: a switch is covered when both signs of its function have occurred."""
     whole = ca.veccat(ca.SX(0, 1), *expressions)
     symbols = ca.veccat(ca.SX(0, 1), *ca.symvar(whole))
     function = ca.Function("switching", [symbols], [whole])
@@ -223,19 +223,19 @@ def switching(expressions: Sequence[Any]) -> list[Any]:
 
 @final
 class Sides:
-    """Which sides of their switches points have seen."""
+    """The sides of switches that points have covered."""
 
     def __init__(self) -> None:
         self._plus: Any = None
         self._minus: Any = None
 
     def see(self, turns: np.ndarray) -> None:
-        """One point."""
+        """Add one point."""
         plus, minus = turns > 0, turns < 0
         self._plus = plus if self._plus is None else self._plus | plus
         self._minus = minus if self._minus is None else self._minus | minus
 
     @property
     def complete(self) -> bool:
-        """True where every switch has been on both sides."""
+        """True if every switch is covered on both sides."""
         return self._plus is None or bool(np.all(self._plus & self._minus))

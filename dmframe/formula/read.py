@@ -1,4 +1,4 @@
-"""From a CasADi MX expression to the tree of a formula: the structure in which the code was written survives."""
+"""Convert a CasADi MX expression to the tree of a formula, with the structure of the code."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ from dmframe.terms import norm
 
 @final
 class UnreadableError(Exception):
-    """An expression that holds something that has no sign in print here."""
+    """An expression with an operation that has no printed symbol."""
 
 
 MOST: Final = 250
-"""Nodes of a formula; a longer one is nothing to read."""
+"""Largest number of nodes of a printed formula."""
 
 FUNCTIONS: Final[Mapping[int, str]] = {
     ca.OP_SIN: "sin",
@@ -85,7 +85,7 @@ def read(expression: Any) -> Node:
 
 @final
 class _Reader:
-    """Reads one expression, and counts."""
+    """Reads one expression and counts its nodes."""
 
     def __init__(self) -> None:
         self._count = 0
@@ -133,10 +133,10 @@ class _Reader:
             raise UnreadableError(f"it holds an operation that has no sign here: {of}")
         called = operation_of(of.which_function())
         if called is None:
-            raise UnreadableError(f"it calls {of.which_function().name()}, which is no operation")
+            raise UnreadableError(f"it calls {of.which_function().name()}, which is not an operation")
         if (
             called.sign == "derivative" and called.function is None
-        ):  # what it is of and by; its third argument is its value
+        ):  # numerator and denominator of the derivative; the third argument is its value
             return Derivative(self.node(of.dep(0)), self.node(of.dep(1)), x.shape)
         arguments = [self.node(of.dep(k)) for k in range(of.n_dep())]
         if called.given:
@@ -170,7 +170,7 @@ class _Reader:
         return tree.add(self.node(base), product, shape)
 
     def reshape(self, x: Any, shape: Shape) -> Node:
-        """A column transposed; the columns of a matrix above one another."""
+        """A transposed column; the stacked columns of a matrix."""
         of = x.dep(0)
         if of.shape == shape:
             return self.node(of)
@@ -211,11 +211,11 @@ class _Reader:
         raise UnreadableError("it picks elements that are not side by side")
 
     def stacked(self, x: Any, shape: Shape) -> Node:
-        """Blocks above one another."""
+        """Vertically stacked blocks."""
         return Stack(tuple((self.node(x.dep(k)),) for k in range(x.n_dep())), shape)
 
-    def beside(self, x: Any, shape: Shape) -> Node:
-        """Blocks side by side; blockcat makes them of transposes."""
+    def side_by_side(self, x: Any, shape: Shape) -> Node:
+        """Horizontally stacked blocks; blockcat makes them from transposes."""
         parts = [self.node(x.dep(k)) for k in range(x.n_dep())]
         heights = {len(part.rows) if isinstance(part, Stack) else 0 for part in parts}
         if len(heights) == 1 and heights != {0}:
@@ -239,7 +239,7 @@ class _Reader:
 
 
 def relation(sign: str, left: Node, right: Node, shape: Shape) -> Node:
-    """A relation; CasADi writes 0 < a for a > 0."""
+    """A relation; CasADi represents a > 0 as 0 < a."""
     if isinstance(left, Number) and sign in ("<", "<="):
         return Relation(sign.replace("<", ">"), right, left, shape)
     return Relation(sign, left, right, shape)
@@ -258,7 +258,7 @@ def _ones(shape: Shape) -> Node:
 
 
 def constant(value: Any) -> Node:
-    """Numbers: a uniform matrix, the identity, or written out."""
+    """Numbers: a uniform matrix, the identity, or all elements."""
     shape = value.shape
     dense = ca.densify(value)
     if dense.numel() == 0:
@@ -275,7 +275,7 @@ def constant(value: Any) -> Node:
 
 
 def _fraction(value: float) -> Fraction:
-    """What was meant: the shortest decimal or small fraction that is this number."""
+    """The intended number: the shortest decimal or small fraction with this value."""
     small = Fraction(value).limit_denominator(1000)
     return small if float(small) == value else Fraction(repr(value))
 
@@ -302,7 +302,7 @@ _RULES: Final[Mapping[int, Rule]] = {
     ca.OP_SPARSITY_CAST: _Reader.cast,
     ca.OP_GETNONZEROS: _Reader.nonzeros,
     ca.OP_VERTCAT: _Reader.stacked,
-    ca.OP_HORZCAT: _Reader.beside,
+    ca.OP_HORZCAT: _Reader.side_by_side,
     ca.OP_DOT: lambda self, x, shape: tree.dot(self.node(x.dep(0)), self.node(x.dep(1))),
     ca.OP_NORMF: lambda self, x, shape: Norm(self.node(x.dep(0))),
     ca.OP_NORM2: lambda self, x, shape: Norm(self.node(x.dep(0))),
@@ -318,4 +318,4 @@ _SIGNS: Final[Mapping[Callable[..., Any] | None, Callable[[list[Node], Shape], N
     unwrap(solve_spd): _solved,
     unwrap(norm): lambda arguments, shape: Norm(arguments[0]),
 }
-"""Operations that have a sign of their own, by the function itself; all others print as one, ``clip(a, v)``."""
+"""Operations with their own symbol, by the function itself; all others print as functions, ``clip(a, v)``."""

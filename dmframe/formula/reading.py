@@ -1,4 +1,4 @@
-"""A block's methods called a second time, on symbols of their own, and held to what runs."""
+"""Evaluation of a block's methods on separate symbols, for printing and for comparison with the code that runs."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ class Signs:
     columns
         Inputs, states, parameters and truths by kind and name.
     names
-        Each printed name with its symbol, without what is a number.
+        Each printed name with its symbol, without numbers.
     naming
-        What the block names.
+        Sub-expressions that the block names.
     """
 
     kind: Any
@@ -47,7 +47,7 @@ class Signs:
     naming: Naming
 
     def signals(self, owner: str, truths: Sequence[str]) -> tuple[Signals, Signals, Signals, Signals]:
-        """u, x, p and truth as the block's methods take them."""
+        """u, x, p and truth for the block's methods."""
         parameters = self.columns["parameters"] | ({} if self.robot is None else {"robot": self.robot})
         truth = {name: self.columns["truths"][name] for name in truths}
         return (
@@ -62,7 +62,7 @@ class Signs:
         return as_mx(value) if self.kind is ca.MX else ca.SX(expression_of(value))
 
     def meant(self, expressions: Sequence[Expression]) -> list[Expression]:
-        """Expressions in ports, states, parameters and truths: named parts put in place."""
+        """Expressions in ports, states, parameters and true values, with named sub-expressions substituted."""
         out = list(expressions)
         for symbol, meaning in reversed(self.naming.definitions.values()):
             out = list(ca.substitute(out, [symbol], [ca.densify(self.as_kind(meaning))]))
@@ -72,16 +72,16 @@ class Signs:
 @final
 @dataclass
 class Reading:
-    """One block, read once as matrices and, where it is compared, once as it runs.
+    """One block, read as matrices and, for the comparison, as scalars.
 
     Parameters
     ----------
     where
-        How a fault names the block.
+        The block's name in messages.
     zero
-        Inputs that nobody drives.
+        Inputs that are not driven.
     constants
-        Truths that are numbers, such as whether an adaptation is direct.
+        True values that are numbers, such as the flag of a direct adaptation.
     """
 
     name: str
@@ -98,7 +98,7 @@ class Reading:
         def sign(name: str, shape: tuple[int, int]) -> Expression:
             if name not in names:
                 names[name] = kind.sym(name, *shape)
-            return kind(names[name])  # a copy: a block that assigns to elements of it leaves the symbol alone
+            return kind(names[name])  # a copy, so that assignments to elements do not change the symbol
 
         inputs = {
             key: kind(*symbol.shape) if key in self.zero else sign(key, symbol.shape)
@@ -127,21 +127,21 @@ class Reading:
     def equations(self, signs: Signs) -> Equations:
         """The block's equations on these symbols."""
         u, x, p, _ = signs.signals(self.name, ())
-        with reading(signs.naming), told_at(self.name, self.model.block):
+        with reading(signs.naming), name_faults_at(self.name, self.model.block):
             stated = self.model.block.composed_equations(u, x, p)
         parts = (stated.outputs, stated.rates, stated.next)
         return Equations(*({name: signs.as_kind(value) for name, value in part.items()} for part in parts))
 
     def certificate(self, signs: Signs, truths: Sequence[str]) -> Certificate | None:
-        """The block's certificate on these symbols, with the truths that there are."""
-        with reading(signs.naming), told_at(self.name, self.model.block):
+        """The block's certificate on these symbols, with the available true values."""
+        with reading(signs.naming), name_faults_at(self.name, self.model.block):
             stated = self.model.block.composed_certificate(*signs.signals(self.name, truths))
         return _as_kind(stated, signs.as_kind) if isinstance(stated, Certificate) else None
 
     def values(self, signs: Signs, seed: int) -> dict[str, Any]:
-        """Random numbers for the names of a reading (see `Draw`), the robot's its own.
+        """Random numbers for the names of a reading (see `Draw`), with the robot's own numbers.
 
-        Parameters are above zero, and so is the sampling period.
+        Parameters and the sampling period are positive.
         """
         draw, positive = Draw(seed), {*self.model.parameters, *self.model.starts}
         positive |= {port.name for port in self.model.block.inputs if port == PERIOD}
@@ -158,14 +158,14 @@ class Reading:
         return found
 
     def of_signs(self, signs: Signs, expressions: Sequence[Expression]) -> Evaluated:
-        """Expressions of a reading, to be had in numbers."""
+        """Expressions of a reading, for numeric evaluation."""
         symbols = dict(signs.names)
         if signs.robot is not None:
             symbols[_CONSTANTS] = signs.robot.constants
         return Evaluated(symbols, signs.meant([signs.as_kind(item) for item in expressions]))
 
     def of_running(self) -> Evaluated:
-        """The outputs, rates and next values that run, to be had in numbers."""
+        """The outputs, rates and next values that run, for numeric evaluation."""
         symbols = self.running_names()
         if self.functions is not None and self.model.robot is not None:
             symbols[_CONSTANTS] = self.functions.constants
@@ -192,13 +192,13 @@ class Reading:
         return one, other
 
     def called(self, parameter: str) -> str:
-        """How a parameter prints: by another name where an output of its name is something else, of another shape."""
+        """Printed name of a parameter; a modified one if an output of the same name has another shape."""
         output = self.model.equations.outputs.get(parameter)
         other = output is not None and output.shape != self.model.parameters[parameter].shape
         return parameter + GIVEN if other else parameter
 
     def running_names(self) -> dict[str, Any]:
-        """The symbols of the equations that run, by how they print."""
+        """The symbols of the equations that run, by printed name."""
         model = self.model
         starts = {key.removesuffix("_0") + START: symbol for key, symbol in model.starts.items()}
         parameters = {self.called(key): s for key, s in model.parameters.items() if key not in model.starts}
@@ -207,7 +207,7 @@ class Reading:
 
 @final
 class Evaluated:
-    """Expressions as a function of named numbers; names of `zero` are zero, matrices of `gains` hold symbols twice."""
+    """Expressions as a function of named numbers; names in `zero` are zero, matrices in `gains` are symmetric."""
 
     def __init__(
         self,
@@ -231,7 +231,7 @@ class Evaluated:
         return [value.full() for value in self._function.call(self._given(values))]
 
     def in_balls(self, values: Mapping[str, Any], place: int) -> np.ndarray | None:
-        """The numbers of one of them, as `dmframe.formula.points.in_balls` has them."""
+        """The numbers of one expression by `dmframe.formula.points.in_balls`."""
         return in_balls(self._function, self._given(values), place)
 
     def _given(self, values: Mapping[str, Any]) -> list[Any]:
@@ -251,12 +251,12 @@ class Evaluated:
         return list(self._function.call(given))
 
     def only(self, done: Sequence[bool]) -> Evaluated:
-        """Without the expressions that are done."""
+        """The expressions that are not done."""
         left = [item for item, shown in zip(self.expressions, done, strict=True) if not shown]
         return self if len(left) == len(self.expressions) else Evaluated(self.symbols, left, self.zero, self.gains)
 
     def turns(self) -> Evaluated | None:
-        """What the switches of the expressions turn at; None where there are none, or none that can be seen, in MX."""
+        """Switching functions of the expressions; None if there are none, or for MX, where they cannot be found."""
         if not all(isinstance(item, ca.SX | ca.DM) for item in (*self.symbols.values(), *self.expressions)):
             return None
         found = switching(self.expressions)
@@ -265,20 +265,20 @@ class Evaluated:
 
 @functools.lru_cache(maxsize=8)
 def _numbers_of(functions: RobotFunctions) -> dict[str, np.ndarray]:
-    """The numbers of a robot, by how they print, and all of them."""
+    """The numbers of a robot, by printed name, and all of them."""
     return {CONSTANTS[name]: functions.value(name).full() for name in CONSTANTS} | {_CONSTANTS: functions.values.full()}
 
 
 START: Final = "(0)"
-"""What a name ends with that is the start of a state."""
+"""Suffix of a name that is the initial value of a state."""
 GIVEN: Final = "_given"
-"""What a parameter's name ends with where its output is another thing: the points of a path, and the path."""
+"""Suffix of a parameter with the name of a different output: the points of a path, and the path."""
 _CONSTANTS: Final = "constants of the robot"
 _KINDS: Final = {"inputs": "an input", "states": "a state", "parameters": "a parameter", "truths": "a truth"}
 
 
 def _as_kind(stated: Certificate, convert: Callable[[Expression], Expression]) -> Certificate:
-    """A certificate with all its expressions of one kind."""
+    """A certificate with all its expressions converted to one type."""
 
     def terms(role: str) -> tuple[Any, ...]:
         return tuple(term.with_pieces([convert(piece) for piece in term.pieces]) for term in getattr(stated, role))
@@ -301,8 +301,8 @@ def _as_kind(stated: Certificate, convert: Callable[[Expression], Expression]) -
 
 
 @contextmanager
-def told_at(name: str, block: AbstractBlock) -> Iterator[None]:
-    """Tell a name that cannot be given with the file and line of the block that gives it."""
+def name_faults_at(name: str, block: AbstractBlock) -> Iterator[None]:
+    """Report an invalid name with the file and line of the block that uses it."""
     try:
         yield
     except NamingError as error:

@@ -1,4 +1,4 @@
-"""The symbolic robot while a block is read: each quantity is one sign, J(q), with the robot's numbers behind it."""
+"""The symbolic robot while a block is read: each quantity prints as one function, J(q), and has the robot's values."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ SIGNS: Final[Mapping[str, str]] = {
     "gravity_torque": "g_full",
     "coulomb": "phi",
 }
-"""How each quantity prints; the inverse dynamics print as a sum of three. Y_d and g are signals of the blocks: with
-columns for friction, and without what the maker's servo compensates."""
+"""Printed symbol of each quantity; the inverse dynamics print as a sum of three. Y_d and g are signals of the blocks:
+Y_d has columns for friction, and g excludes the gravity that the manufacturer's servo compensates."""
 
 PAPER: Final[Mapping[str, str]] = {"Y_d": "regressor", "g": "gravity_torque"}
-"""What the paper calls those two, as functions; a docstring may call them so."""
+"""The two functions under the names of the paper; a docstring may use these."""
 
 CONSTANTS: Final[Mapping[str, str]] = {
     "inertia": "a_inertia",
@@ -45,19 +45,19 @@ CONSTANTS: Final[Mapping[str, str]] = {
     "lower_limits": "q_min",
     "upper_limits": "q_max",
 }
-"""The robot's numbers that blocks read, by how they print."""
+"""The robot's numbers that blocks read, by printed name."""
 
 MEANINGS: Final[Mapping[str, str]] = {
-    "a_inertia": "ten inertial parameters a link: mass, first moments, inertia about the joint frame",
+    "a_inertia": "ten inertial parameters per link: mass, first moments, inertia about the joint frame",
     "a_k": "the true translations between joints, and to the tool",
     "g_0": "the acceleration of gravity",
-    "v_0": "the velocity over which Coulomb friction turns its sign, the robot's friction_velocity",
-    "v_max": "the joints' largest velocities, as the robot's URDF states them",
-    "tau_max": "the joints' largest torques, as the robot's URDF states them",
-    "q_min": "the lower ends of the joints' ranges, as the robot's URDF states them",
-    "q_max": "the upper ends of the joints' ranges, as the robot's URDF states them",
+    "v_0": "the velocity scale of smoothed Coulomb friction, the robot's friction_velocity",
+    "v_max": "the velocity limits of the joints in the robot's URDF",
+    "tau_max": "the torque limits of the joints in the robot's URDF",
+    "q_min": "the lower position limits of the joints in the robot's URDF",
+    "q_max": "the upper position limits of the joints in the robot's URDF",
 }
-"""What those are, beside a law that holds them."""
+"""Meaning of the numbers, printed with a law that contains them."""
 
 _MOTION: Final = ("q", "dq", "dq_ref", "ddq_ref")
 
@@ -66,8 +66,9 @@ _MOTION: Final = ("q", "dq", "dq_ref", "ddq_ref")
 class RobotFunctions:
     """The quantities of a `SymbolicRobot` as CasADi functions, each built when it is first called.
 
-    The robot's constants are the last argument of each, one column. All dynamics come from one regressor, in which
-    they are linear: one function to build instead of five, and another way than the robot's own to the same numbers.
+    The robot's constants are the last argument of each, one column. All dynamics are computed from one regressor, in
+    which they are linear: one function is built instead of five, and the numbers are computed independently of the
+    robot's own functions.
     """
 
     def __init__(self, robot: SymbolicRobot) -> None:
@@ -124,17 +125,17 @@ class _Dynamics:
         return self.torque(q, self.zero, self.zero, self.zero)
 
     def inverse_dynamics(self, a: Mapping[str, Any]) -> Any:
-        """With a share of gravity."""
+        """Inverse dynamics with a fraction of gravity."""
         torque = self.torque(*(a[name] for name in _MOTION))
         return torque if "gravity_share" not in a else torque - (1 - a["gravity_share"]) * self.gravity(a["q"])
 
     def mass_matrix(self, a: Mapping[str, Any]) -> Any:
-        """Column by column."""
+        """M(q), column by column."""
         still = self.gravity(a["q"])
         return ca.horzcat(*(self.torque(a["q"], self.zero, self.zero, unit) - still for unit in self.units))
 
     def coriolis(self, a: Mapping[str, Any]) -> Any:
-        """Column by column."""
+        """C(q, dq), column by column."""
         still = self.gravity(a["q"])
         return ca.horzcat(*(self.torque(a["q"], a["dq"], unit, self.zero) - still for unit in self.units))
 
@@ -153,9 +154,9 @@ _DYNAMICS: Final[Mapping[str, Callable[[_Dynamics, Mapping[str, Any]], Any]]] = 
 
 @final
 class ReadRobot:
-    """What a block finds as ``p.robot`` while it is read: the methods and numbers of `SymbolicRobot` that print.
+    """The object ``p.robot`` while a block is read: the methods and numbers of `SymbolicRobot` that print.
 
-    With `symbolic` it takes and gives MX, and its numbers are symbols; else it takes and gives SX.
+    With `symbolic` its arguments and results are MX and its numbers are symbols; else they are SX.
     """
 
     def __init__(self, functions: RobotFunctions, *, symbolic: bool) -> None:
@@ -183,7 +184,7 @@ class ReadRobot:
         return self._call("position", q=q, a_k=a_k)
 
     def jacobian(self, q: Any, a_k: Any = None) -> Any:
-        """The Jacobian of the tool's position; of other translations where a second argument gives them."""
+        """The Jacobian of the tool's position; a second argument gives other translations."""
         return self._call("jacobian", q=q, a_k=a_k)
 
     def rotation(self, q: Any) -> Any:
@@ -195,11 +196,11 @@ class ReadRobot:
         return self._call("angular_jacobian", q=q)
 
     def kinematic_regressor(self, q: Any, psi: Any) -> Any:
-        """The kinematic regressor: J(`q`) `psi` is Y_k(`q`, `psi`) `a_k`, but for sliding joints."""
+        """The kinematic regressor: J(`q`) `psi` is Y_k(`q`, `psi`) `a_k`, except for prismatic joints."""
         return self._call("kinematic_regressor", q=q, psi=psi)
 
     def position_regressor(self, q: Any) -> Any:
-        """The regressor of the position: it is W_k(`q`) `a_k`, but for sliding joints."""
+        """The regressor of the position: it is W_k(`q`) `a_k`, except for prismatic joints."""
         return self._call("position_regressor", q=q)
 
     def inverse_dynamics(
@@ -210,40 +211,40 @@ class ReadRobot:
         return self._call("inverse_dynamics", **motion, inertia=inertia, gravity_share=gravity_share)
 
     def regressor(self, q: Any, dq: Any, dq_ref: Any, ddq_ref: Any) -> Any:
-        """The regressor of the torque of this motion, without friction, in ten inertial parameters a link."""
+        """The regressor of the torque of this motion, without friction, in ten inertial parameters per link."""
         return self._call("regressor", q=q, dq=dq, dq_ref=dq_ref, ddq_ref=ddq_ref)
 
     def momentum_regressor(self, q: Any, dq: Any) -> Any:
-        """The regressor of the joints' momentum M(`q`) `dq`, in ten inertial parameters a link."""
+        """The regressor of the joints' momentum M(`q`) `dq`, in ten inertial parameters per link."""
         return self._call("momentum_regressor", q=q, dq=dq)
 
     def kinetic_regressor(self, q: Any, dq: Any) -> Any:
-        """The regressor of the slope of the kinetic energy in `q`, in ten inertial parameters a link."""
+        """The regressor of the gradient of the kinetic energy in `q`, in ten inertial parameters per link."""
         return self._call("kinetic_regressor", q=q, dq=dq)
 
     def gravity_regressor(self, q: Any) -> Any:
-        """The regressor of the torque of gravity, in ten inertial parameters a link."""
+        """The regressor of the gravity torque, in ten inertial parameters per link."""
         return self._call("gravity_regressor", q=q)
 
     def mass_matrix(self, q: Any, inertia: Any = None) -> Any:
-        """The mass matrix; of other inertial parameters where a second argument gives them."""
+        """The mass matrix; a second argument gives other inertial parameters."""
         return self._call("mass_matrix", q=q, inertia=inertia)
 
     def coriolis(self, q: Any, dq: Any, inertia: Any = None) -> Any:
-        """The Coriolis and centrifugal matrix, of Christoffel's symbols."""
+        """The Coriolis and centrifugal matrix of the Christoffel symbols."""
         return self._call("coriolis", q=q, dq=dq, inertia=inertia)
 
     def gravity_torque(self, q: Any, inertia: Any = None) -> Any:
-        """The torque of all of gravity."""
+        """The complete gravity torque."""
         return self._call("gravity_torque", q=q, inertia=inertia)
 
     def coulomb(self, dq: Any) -> Any:
-        """The smooth sign tanh(`dq`/`v_0`) of Coulomb friction, `v_0` being the robot's friction_velocity."""
+        """The smooth sign tanh(`dq`/`v_0`) of Coulomb friction; `v_0` is the robot's friction_velocity."""
         return self._call("coulomb", dq=dq)
 
 
 def written(called: Operation, arguments: Sequence[Node], shape: Shape) -> Node:
-    """A quantity of the robot as the paper writes it; the constants, the last argument, stay away."""
+    """A quantity of the robot in the notation of the paper, without the last argument, the constants."""
     given = dict(zip(called.given, arguments, strict=False))
     if called.sign == "inverse_dynamics":
         return _inverse_dynamics(given, shape)
@@ -251,12 +252,12 @@ def written(called: Operation, arguments: Sequence[Node], shape: Shape) -> Node:
 
 
 def quantity(method: str, arguments: tuple[Node, ...], shape: Shape) -> Applied:
-    """A method of the robot as its sign."""
+    """A method of the robot as its symbol."""
     return Applied(SIGNS[method], arguments, shape, symbol=True, said=said_of(getattr(ReadRobot, method)))
 
 
 def _inverse_dynamics(given: Mapping[str, Node], shape: Shape) -> Node:
-    """M ddq_ref + C dq_ref + g, without what is zero."""
+    """M ddq_ref + C dq_ref + g, without zero terms."""
     square, more = (shape[0], shape[0]), (given["inertia"],) if "inertia" in given else ()
 
     def sign(method: str, *arguments: Node, of: Shape = square) -> Node:

@@ -1,4 +1,4 @@
-"""The equations of a docstring: displayed ones, and those in its text, each with the line of its file."""
+"""Equations of a docstring, displayed and in the text, each with its line in the file."""
 
 from __future__ import annotations
 
@@ -60,14 +60,14 @@ def equations_of(block: type[AbstractBlock]) -> Iterator[Stated]:
 
 
 def source_of(block: type[AbstractBlock]) -> tuple[str, int]:
-    """The file of a block, and the line on which its docstring begins; 0 where the file cannot be read."""
+    """The file of a block, and the line on which its docstring begins; 0 if the file cannot be read."""
     file = Path(inspect.unwrap(block.equations).__code__.co_filename)
     return file.name, _lines(file).get(block.__name__, 0)
 
 
 @functools.lru_cache(maxsize=256)
 def _lines(file: Path) -> Mapping[str, int]:
-    """The classes of a file, with the lines of their docstrings; a module is loaded once, and so is its text."""
+    """The classes of a file, with the lines of their docstrings; cached, as modules are."""
     try:
         classes = [node for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.ClassDef)]
     except (OSError, SyntaxError, UnicodeDecodeError, ValueError):
@@ -76,7 +76,7 @@ def _lines(file: Path) -> Mapping[str, int]:
 
 
 def _rows(body: Sequence[tuple[int, str]]) -> Iterator[Stated]:
-    r"""Equations of a displayed group: rows end with ``\\`` or a blank line; one without a left side goes on."""
+    r"""Equations of a displayed group: rows end with ``\\`` or a blank line; a row without a left side continues."""
     rows: list[tuple[int, str]] = []
     fresh = True
     for line, text in body:
@@ -118,7 +118,7 @@ def _row_ends(text: str) -> list[str]:
 
 
 def _parts(text: str) -> Iterator[tuple[list[str], str]]:
-    """Equations that stand side by side, apart by commas."""
+    """Equations separated by commas."""
     words, depth, part = tokens(_TAG.sub("", text)), 0, list[str]()
     for word in words:
         depth += {"(": 1, "{": 1, "[": 1, ")": -1, "}": -1, "]": -1}.get(word, 0)
@@ -133,7 +133,7 @@ def _parts(text: str) -> Iterator[tuple[list[str], str]]:
 
 
 def shown(words: Sequence[str]) -> str:
-    """Words as LaTeX again."""
+    """LaTeX from words."""
     text = ""
     for word in words:
         text += (" " if re.search(r"\\[A-Za-z]+$", text) and word[:1].isalpha() else "") + word

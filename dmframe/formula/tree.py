@@ -1,7 +1,7 @@
-"""A formula as a small tree, between the expression that it is read from and the text that it becomes.
+"""Formula trees, the intermediate form between CasADi expressions and printed text.
 
-A product is read from right to left, and a column that is not its last factor stands for a diagonal matrix: so the
-elementwise product of two columns, and a diagonal gain, are written like products of numbers.
+A product is evaluated from right to left, and a column that is not its last factor means a diagonal matrix. The
+elementwise product of two columns and a diagonal gain are therefore written like products of numbers.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import final
 
 Shape = tuple[int, int]
 Said = tuple[tuple[str, ...], str]
-"""What a function is, in words, and the names of its arguments there."""
+"""Description of a function, and the names of its arguments."""
 SCALAR: Shape = (1, 1)
 MINUS = Fraction(-1)
 
@@ -20,7 +20,7 @@ MINUS = Fraction(-1)
 @final
 @dataclass(frozen=True)
 class Number:
-    """A number, or a column or matrix all of one number."""
+    """A number, or a column or matrix of equal numbers."""
 
     value: Fraction
     shape: Shape = SCALAR
@@ -114,7 +114,7 @@ class Norm:
 @final
 @dataclass(frozen=True)
 class Applied:
-    """function(arguments); a `symbol` is a name such as J, else a word such as tanh; `said` is what it is."""
+    """function(arguments); a `symbol` is a name such as J, else a word such as tanh; `said` is its description."""
 
     function: str
     arguments: tuple[Node, ...]
@@ -136,7 +136,7 @@ class Derivative:
 @final
 @dataclass(frozen=True)
 class Piece:
-    """Rows, and columns of a matrix, counted from zero: from the first up to, and without, the last."""
+    """Rows, and columns of a matrix, counted from zero; the end is excluded."""
 
     of: Node
     rows: tuple[int, int]
@@ -198,7 +198,7 @@ class Equation:
 @final
 @dataclass(frozen=True)
 class Unprinted:
-    """Something too long to be read, by the names that it holds."""
+    """An expression that is too long to print, given by its symbols."""
 
     names: tuple[str, ...]
     shape: Shape
@@ -225,7 +225,7 @@ Node = (
     | Equation
     | Unprinted
 )
-"""Any of them."""
+"""Any node."""
 
 
 def is_scalar(node: Node) -> bool:
@@ -248,7 +248,7 @@ def add(left: Node, right: Node, shape: Shape) -> Node:
 
 
 def subtract(left: Node, right: Node, shape: Shape) -> Node:
-    """Left - right; what is subtracted keeps its brackets, unless it holds the left: a - (a + b) is -b."""
+    """Left - right; the subtrahend keeps its brackets, unless it contains the left: a - (a + b) is -b."""
     if isinstance(right, Sum) and left in right.terms and left.shape == right.shape:
         place = right.terms.index(left)
         rest = (*right.terms[:place], *right.terms[place + 1 :])
@@ -297,7 +297,7 @@ def multiply(left: Node, right: Node, shape: Shape) -> Node:
     one, other = product_of(left), product_of(right)
     if not is_scalar(left) and not is_scalar(right):
         if _mixes(one) and not _mixes(other):
-            one, other = other, one  # what multiplies a vector made by a matrix stands before that matrix
+            one, other = other, one  # a factor of a matrix-vector product precedes the matrix
         elif _mixes(one):
             one = _held(one)
         if _mixes(other) and not _plain(other.below):
@@ -308,7 +308,7 @@ def multiply(left: Node, right: Node, shape: Shape) -> Node:
 def matrix_multiply(left: Node, right: Node, shape: Shape) -> Node:
     """A matrix times a matrix or a column."""
     one, other = product_of(left), product_of(right)
-    # what divides element by element belongs to its own factor alone
+    # an elementwise divisor applies to its own factor only
     return _chain(one if _plain(one.below) else _held(one), other if _plain(other.below) else _held(other), shape)
 
 
@@ -330,7 +330,7 @@ def _held(product: Product) -> Product:
 
 
 def transpose(node: Node) -> Node:
-    """The transpose; what is symmetric, and what is a number, stays as it is."""
+    """The transpose; a symmetric node or a number is unchanged."""
     if is_scalar(node) or isinstance(node, Diagonal | Identity):
         return node
     shape = (node.shape[1], node.shape[0])
@@ -367,7 +367,7 @@ def diagonal(node: Node) -> Node:
 
 
 def _chain(one: Product, other: Product, shape: Shape) -> Node:
-    """Both products side by side; a number that vectors make, a'b, stands last or in brackets."""
+    """Both products as one; a scalar product a'b comes last or is in brackets."""
     if _made_of_vectors(one):
         if all(map(is_scalar, other.factors)) and not _made_of_vectors(other):
             one, other = other, one
@@ -388,7 +388,7 @@ def _plain(below: tuple[Node, ...]) -> bool:
 
 
 def _mixes(product: Product) -> bool:
-    """True where it holds a matrix, which mixes the elements of what stands right of it."""
+    """True if it contains a matrix, which mixes the elements of the factors to its right."""
     return any(not is_column(factor) for factor in product.factors)
 
 

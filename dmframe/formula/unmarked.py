@@ -1,4 +1,4 @@
-"""Marked text, with formulas between dollar signs and code between backticks, as a terminal or an editor shows it."""
+"""Marked text, with formulas in dollar signs and code in backticks, converted for a terminal or an editor."""
 
 from __future__ import annotations
 
@@ -8,6 +8,6 @@ from dmframe.formula.latex import in_unicode
 
 
 def unmarked(text: str) -> str:
-    """The text without its marks, formulas in Unicode."""
+    """The text without marks, with formulas in Unicode."""
     pieces = re.split(r"\$([^$]*)\$", text)
     return "".join(in_unicode(piece) if place % 2 else piece for place, piece in enumerate(pieces)).replace("`", "")

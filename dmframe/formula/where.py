@@ -1,4 +1,4 @@
-"""What a law's page says of the signs that it prints, beside the symbols that its tables name."""
+"""Explanations of the operations and conventions in printed laws."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SUMMED: Final = "the sum of the elements of a"
 
 
 def where(lines: Iterable[Line]) -> tuple[tuple[str, str], ...]:
-    """Each operation, quantity of the robot and convention that the lines use, and what it means."""
+    """Each operation, quantity of the robot and convention that the lines use, with its meaning."""
     found = dict[str, str]()
     for line in lines:
         for node in _nodes(line.right.node):
@@ -29,14 +29,14 @@ def where(lines: Iterable[Line]) -> tuple[tuple[str, str], ...]:
 
 
 def sizes_show(lines: Iterable[Line]) -> bool:
-    """True where a size of the robot shows in the lines, as the place of an element."""
+    """True if the lines contain an index that depends on the robot's size."""
     return any(isinstance(node, Piece) for line in lines for node in _nodes(line.right.node))
 
 
 _ELEMENT, _ROW, _PIECE = "a_i", "a_(i,:)", "a_(i…j)"
 _BLOCKS, _COLUMNS, _WEIGHTED, _DIAGONAL = "[a, b; …]", "(a, b)", "|a|²_W", "K a"
 _CONVENTIONS: Final = (_ELEMENT, _ROW, _PIECE, _BLOCKS, _COLUMNS, _WEIGHTED, _DIAGONAL)
-"""Stand last."""
+"""Conventions, which are listed last."""
 
 
 def _said(node: Node) -> Iterator[tuple[str, str]]:
@@ -58,7 +58,7 @@ def _said(node: Node) -> Iterator[tuple[str, str]]:
         case Name(name) if name.endswith(GIVEN):
             yield unicode_name(name), f"the parameter {name.removesuffix(GIVEN)}"
         case Applied("floor"):
-            yield "floor(a)", "the largest whole number that is not above a"
+            yield "floor(a)", "the largest integer not greater than a"
         case Derivative():
             yield "∂a/∂q", "the Jacobian: a row for each element of a, a column for each of q"
         case Piece(_, rows, columns):
@@ -71,7 +71,7 @@ def _said(node: Node) -> Iterator[tuple[str, str]]:
         case Stack(rows) if len(rows[0]) > 1:
             yield _BLOCKS, "blocks of a matrix side by side; a semicolon begins the next row"
         case Stack():
-            yield _COLUMNS, "columns above one another"
+            yield _COLUMNS, "stacked columns"
         case Norm(_, True, weight) if weight is not None:
             yield _WEIGHTED, "aᵀ W a; a column W stands for diag(W)"
         case Product(_, factors) if any(map(_scales, _vectors(factors)[:-1])):

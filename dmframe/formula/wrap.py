@@ -1,4 +1,4 @@
-"""Where a line of a formula may end: before a + or - outside of all brackets, and inside of them only if it must."""
+"""Line breaks in formulas: before a + or - outside of all brackets, and inside of brackets only if necessary."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from dmframe.columns import width
 
 _SIGNS: Final = ("+", "-", "−", "=")
 _NORM: Final = 10
-"""How much worse a break inside a norm is than inside of brackets."""
+"""Penalty of a break inside a norm, relative to one inside brackets."""
 
 
 def wrapped(text: str, wide: int) -> list[str]:
-    """A formula in lines of at most so many places; one that nothing can break stays as long as it is."""
+    """A formula in lines of at most `wide` characters; a line without a break may be longer."""
     if width(text) <= wide:
         return [text]
     places = _places(text)
@@ -33,7 +33,7 @@ def wrapped(text: str, wide: int) -> list[str]:
 
 
 def _places(text: str) -> list[tuple[int, int]]:
-    """Blanks before which a line may end, each with what it costs: the depth of brackets, and no sign behind it."""
+    """Blanks at which a line may end, each with its penalty: the depth of brackets, and a missing sign after it."""
     found, depth, bars = list[tuple[int, int]](), 0, list[int]()
     for place, letter in enumerate(text):
         if letter in "([":

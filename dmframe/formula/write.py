@@ -1,4 +1,4 @@
-"""How the tree of a formula becomes text: precedence and brackets, for all dialects alike."""
+"""Convert formula trees to text: precedence and brackets, common to all dialects."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from dmframe.formula.tree import (
 )
 
 _SUM, _PRODUCT, _ATOM = range(3)
-"""How tightly a piece of text holds together."""
+"""Operator precedence of a text."""
 
 
 class Dialect(ABC):
-    """How a tree is written; a dialect says what its signs are."""
+    """Base class of dialects: writes a tree with the symbols of the dialect."""
 
     minus: str
     gap: str
@@ -102,10 +102,10 @@ class Dialect(ABC):
 
     @abstractmethod
     def unprinted(self, names: Sequence[str]) -> str:
-        """What is too long to be written."""
+        """An expression that is too long to print."""
 
     def half(self, above: str, value: Fraction) -> str:
-        """A numerator with its number; the denominator of the number stands below."""
+        """A numerator with its number; the denominator of the number is below."""
         return above
 
     def _held(self, node: Node, least: int = _ATOM) -> str:
@@ -158,7 +158,7 @@ class Dialect(ABC):
                 return self.unprinted([self.name(name) for name in names]), _SUM
 
     def _piece(self, piece: Piece, of: Node) -> str:
-        """Below, the places counted from one, both ends included; a name with an index of its own is in brackets."""
+        """Indices counted from one, both ends included, as a subscript; a name with its own index is in brackets."""
         text = self.write(of)
         bare = len(of.name) == 1 or of.name.isalpha() if isinstance(of, Name) else isinstance(of, Applied)
         ends = [piece.rows] if piece.columns is None else [piece.rows, piece.columns]
@@ -192,7 +192,7 @@ class Dialect(ABC):
         return f"{sign}{self.over(above, below, simple=simple)}", holds
 
     def lead(self, coefficient: Fraction, more: bool, below: bool) -> tuple[str, str]:
-        """What stands before the factors, and what stands below them, of a number."""
+        """The parts of a number before the factors and below them."""
         top = "" if coefficient.numerator == 1 and more else str(coefficient.numerator)
         if coefficient == 1 and more:
             top = ""
@@ -215,7 +215,7 @@ class Dialect(ABC):
         return text
 
     def between(self, left: str, right: str) -> str:
-        """What stands between two factors."""
+        """The separator of two factors."""
         return self.gap
 
     def _applied(self, node: Applied) -> str:
@@ -235,6 +235,6 @@ def _sign(term: Product | Number) -> Fraction:
 
 
 def _mixed_quotient(product: Product) -> bool:
-    """True for a product with a matrix that is divided element by element."""
+    """True for a product with a matrix that is divided elementwise."""
     matrix = any(not tree.is_column(factor) for factor in product.factors)
     return matrix and any(not tree.is_scalar(node) for node in product.below)

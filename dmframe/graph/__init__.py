@@ -1,4 +1,4 @@
-"""One object to hold: a graph that is changed, run, proved, analysed and drawn; and several, compared."""
+"""Graphs: the objects that a program changes, runs, proves, analyses, draws and compares."""
 
 from dmframe.graph.graph import Graph
 from dmframe.graph.load import load

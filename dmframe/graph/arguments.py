@@ -1,4 +1,4 @@
-"""What several calls take: times, and lists of values by name."""
+"""Arguments common to several calls: times, and lists of values by name."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dmframe.units import shorten, to_unit
 
 
 def listed(values: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
-    """Several values by name. Raises `ValueFault` where they are none."""
+    """Lists of values by name. Raises `ValueFault` for anything else."""
     example = '{"dynamics.Gamma": [1, 10]}'
     if not isinstance(values, Mapping):
         raise ValueFault(f"values: expected values by name, {example}, found {shorten(repr(values), 30)}")
@@ -31,7 +31,7 @@ def listed(values: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
 
 
 def seconds(what: str, value: float | str) -> float:
-    """A time above zero. Raises `ValueFault`."""
+    """A positive time [s]. Raises `ValueFault`."""
     try:
         found = to_unit(value, "s")
     except DmframeError as error:

@@ -1,4 +1,4 @@
-"""A graph: the one object through which a program or a notebook uses dmframe."""
+"""`Graph`, the object with which a program or a notebook uses dmframe."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ if TYPE_CHECKING:
     from dmframe.virtual import VirtualRobot
 
 LONG = 10.0
-"""Runs of so many seconds are worth a look at how they might go on, which takes a fraction of one."""
+"""From this duration [s] on a run also checks the stability near the set-point, which takes a fraction of a second."""
 
 
 @final
 @dataclass(frozen=True, repr=False, eq=False)
 class Graph:
-    """A controller, its robot, and how they are run; it never changes, and `set` returns another.
+    """A controller, its robot, and their run settings. It is immutable: `set` returns another graph.
 
-    In a notebook it shows itself: the drawing, the title, the blocks. ``str`` of it is the page of ``dmframe check``.
+    A notebook displays its block diagram, title and blocks. Its ``str`` is the output of ``dmframe check``.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Graph:
 
     @property
     def name(self) -> str:
-        """The file's name without its ending."""
+        """The file's name without its suffix."""
         return self.experiment.name
 
     @property
@@ -89,7 +89,7 @@ class Graph:
 
     @cached_property
     def text(self) -> str:
-        """The graph as YAML with everything said, defaults filled in: it loads again and gives the same run."""
+        """The complete graph as YAML, with all defaults: loading it gives the same run."""
         from dmframe.results.resolved import resolved_text
 
         return resolved_text(self.experiment)
@@ -108,7 +108,7 @@ class Graph:
         Raises
         ------
         DmframeError
-            All faults of the new values at once; those of sizes and wires when something is asked of the graph.
+            All faults of the new values at once. Faults of sizes and wires are raised when the graph is used.
         """
         if not isinstance(values, Mapping | None):
             raise ValueFault(f"set: expected values by name, {{'dynamics.Gamma': 3}}, found {values!r:.40}")
@@ -117,7 +117,7 @@ class Graph:
     def variants(self, values: Mapping[str, Iterable[Any]]) -> list[Graph]:
         """The graph with each combination of some values, ``g.variants({"dynamics.Gamma": [1, 10, 100]})``.
 
-        `compare` runs them side by side, whole; `sweep` keeps figures of thousands. Raises as `set` does, for all
+        `compare` keeps complete runs; `sweep` keeps figures of thousands of runs. Raises the errors of `set`, for all
         values at once.
         """
         made, faults = list[Graph](), list[DmframeError]()
@@ -131,11 +131,11 @@ class Graph:
         return made
 
     def until(self, duration: float | str) -> Graph:
-        """The same graph, run for another time, ``20`` or ``"20 s"``."""
+        """The same graph with another duration, ``20`` or ``"20 s"``."""
         return Graph(self.experiment.with_duration(seconds("until", duration)))
 
     def reality(self, like: str | Mapping[str, Any] = "ur") -> Graph:
-        """The graph with what stands between controller and robot, as its key ``reality`` has it.
+        """The graph with channel models between controller and robot, as with its key ``reality``.
 
         Parameters
         ----------
@@ -145,12 +145,12 @@ class Graph:
         Raises
         ------
         DmframeError
-            A set or a block type that there is not, and parameters that do not fit.
+            An unknown set or block type, or invalid parameters.
         """
         return self.set(reality=like)
 
     def baseline(self) -> Graph:
-        """The graph with the blocks of its key ``baseline``. Raises `MissingError` where it has none."""
+        """The graph with the blocks of its key ``baseline``. Raises `MissingError` if it has no such key."""
         return Graph(self.experiment.baseline())
 
     def run(
@@ -166,20 +166,19 @@ class Graph:
         Parameters
         ----------
         until
-            Simulated time, ``20``, ``"20 s"``, ``"2 min"``; the graph's duration without it.
+            Simulated time, ``20``, ``"20 s"``, ``"2 min"``; by default the graph's duration.
         engine
-            ``compiled``, ``interpreted``, or ``auto``: compiled where the run is long enough to be worth it.
+            ``compiled``, ``interpreted``, or ``auto``: compiled if the run is long enough to save time.
         progress
-            Show a bar, or advance one that is there; by default where a terminal or a notebook shows it.
+            Show a progress bar, or update an existing one; by default if a terminal or a notebook displays it.
         judge
-            Give a notice where the path leaves the tool's reach, and where the loop is unstable near its set-point on
-            its clock.
+            Report if the path leaves the tool's reach, and if the loop is unstable near its set-point on its clock.
 
         Raises
         ------
         DmframeError
-            A start pose that cannot be reached, an integrator that fails at once, or a run too long to keep. (A run
-            that diverges is no fault: `Run.divergence` says where.)
+            An unreachable start pose, an integrator that fails at once, or a run too long to store. A run that
+            diverges is not a fault: `Run.divergence` gives the place.
         """
         graph = self if until is None else self.until(until)
         with shown(progress, graph.name, graph.duration) as bar:
@@ -187,15 +186,15 @@ class Graph:
         return Run(graph.experiment, self.warned(recording) if judge else recording)
 
     def warned(self, recording: Recording) -> Recording:
-        """A run of it, with `doubts`."""
+        """A run of this graph with the notices of `doubts`."""
         said = self.doubts(recording)
         return replace(recording, notices=(*recording.notices, *said)) if said else recording
 
     def doubts(self, recording: Recording) -> tuple[str, ...]:
-        """Notices that no run shows by itself, which take half a second to decide for a UR10.
+        """Notices that cannot be derived from a run: an unreachable path, and an unstable sampled loop.
 
-        They name a path that leaves the tool's reach during the run, and a sampled loop that is unstable near its
-        set-point.
+        They report a path that leaves the tool's reach during the run, and a sampled loop that is unstable near its
+        set-point. For a UR10 this takes half a second.
         """
         from dmframe.certify.reach import out_of_reach
 
@@ -212,7 +211,7 @@ class Graph:
             return left
         said = (
             f"with its estimates at their true values this loop is unstable near its set-point on a clock of "
-            f"{plain(self.clock, 's')}, spectral radius {radius:.4g}: a longer run may diverge; `analyse` tells more"
+            f"{plain(self.clock, 's')}, spectral radius {radius:.4g}: a longer run may diverge; `analyse` gives details"
         )
         return (*left, said)
 
@@ -224,7 +223,7 @@ class Graph:
         Raises
         ------
         DmframeError
-            A printed law or a docstring says something else than the code.
+            A printed law or a docstring differs from the code.
         """
         from dmframe.certify.laws import check_laws
 
@@ -232,7 +231,7 @@ class Graph:
             return check_laws(self.diagram)
 
     def verify(self, *, seed: int = 0) -> Verification:
-        """Prove its Lyapunov derivative exactly, for all values of its gains and parameters, or say why not.
+        """Prove its Lyapunov derivative exactly for all values of its gains and parameters, or give the reason why not.
 
         Parameters
         ----------
@@ -292,7 +291,7 @@ class Graph:
         Raises
         ------
         DmframeError
-            It runs in continuous time, or commands nothing.
+            It runs in continuous time, or has no command.
         """
         from dmframe.runtime import Controller
 
@@ -322,30 +321,31 @@ class Graph:
         Parameters
         ----------
         robot
-            ``sim``, the graph's own, ``sim:2``, that one two samples late, ``ur:HOST``, or ``ur_rtde:HOST``.
+            ``sim``, the graph's own robot; ``sim:2``, the same with a delay of two samples; ``ur:HOST``, or
+            ``ur_rtde:HOST``.
         until
-            Time of the reference; the graph's duration without it.
+            Time of the reference; by default the graph's duration.
         limits
-            A file; without it, the limits of the robot's model.
+            A file; by default the limits of the robot's model.
         ramp
-            For how long the first motion gathers speed; none for a simulated robot.
+            Duration over which the first motion reaches its speed; none for a simulated robot.
         patience
-            How long to wait for a sample of a real robot; five periods without it.
+            Longest wait for a sample of a real robot; five periods by default.
         shadow
-            Compute, and send nothing.
+            Compute the commands without sending them.
         payload
-            What the rehearsal must have tried at the tool; what `rehearse` tries by itself without it.
+            Mass at the tool that the rehearsal must have covered; by default that of `rehearse`.
         rehearsed
-            Require a passed rehearsal of exactly what is driven before a real robot moves.
+            Require a passed rehearsal of exactly this drive before a real robot moves.
         asked
-            Called at each sample: what asks for a stop; empty for nothing.
+            Called at each sample; returns the reason for a stop, or an empty text.
         record
-            A file that takes each sample while the robot moves; the signals of a long drive are thinned out then.
+            A file to which each sample is written during the drive; the signals of a long drive are then subsampled.
 
         Raises
         ------
         DmframeError
-            The graph drives no robot, the file has faults, or a real robot is not to be driven by it.
+            The graph drives no robot, the file has faults, or the graph may not drive a real robot.
         """
         from dmframe.drive import driven, load_limits
 
@@ -374,14 +374,14 @@ class Graph:
         limits: str | Path | None = None,
         engine: Choice = "auto",
     ) -> Rehearsal:
-        """Try in simulation what a real robot may do to it: delay, jitter, lost samples, a load, a speed slider.
+        """Simulate it with the non-idealities of a real robot: delay, jitter, lost samples, a load, a speed slider.
 
         Parameters
         ----------
         until
             Time of each run.
         payload
-            A mass at the tool of which it is not told [kg]; a twentieth of what moves without it.
+            Mass at the tool that the controller does not know [kg]; by default a twentieth of the moving mass.
         limits
             As of `drive`.
         """
@@ -399,7 +399,7 @@ class Graph:
             )
 
     def replay(self, log: str | Path, *, engine: Choice = "auto") -> Replay:
-        """Its commands to what a drive or a run has measured, beside those of then.
+        """Compute its commands from recorded measurements and compare them with the recorded commands.
 
         Parameters
         ----------
@@ -412,32 +412,32 @@ class Graph:
         return replayed(self.experiment, self.diagram, expanded(log), engine=engine)
 
     def explain(self) -> Explanation:
-        """What each block does in it, which signals go where, and what its certificate says; the graph is proved."""
+        """Explain the law, signals and certificate of each block; the graph is proved for it."""
         from dmframe.report import Explanation
 
         return Explanation(self.experiment, self.diagram, self.verify().verdict)
 
     def draw(self) -> Drawing:
-        """Its block diagram; a notebook shows it, and `Drawing.save` writes SVG, PNG, PDF or Mermaid."""
+        """Its block diagram; a notebook displays it, and `Drawing.save` writes SVG, PNG, PDF or Mermaid."""
         from dmframe.drawing import Drawing
 
         return Drawing(self.diagram, self.title)
 
     def page(self, *, periods: bool = True) -> Page:
-        """Its live page: the closed loop runs in a browser, under sliders, beside its verdict.
+        """Its live page: the closed loop runs in a browser, with sliders for parameters, next to the verdict.
 
-        A notebook shows it; `Page.save` writes one file that needs no other and no network. The graph is proved for it.
+        A notebook displays it; `Page.save` writes one self-contained file. The graph is proved for it.
 
         Parameters
         ----------
         periods
-            Look for the sampling periods up to which the loop is stable near its set-point, two to five seconds for a
-            UR10: beyond them the page does not show a proof in continuous time as if it held for its clock.
+            Compute the sampling periods up to which the loop is stable near its set-point, which takes two to five
+            seconds for a UR10. For longer periods the page does not apply a continuous-time proof to its clock.
 
         Raises
         ------
         DmframeError
-            A loop that cannot run in a browser: one that draws random numbers, say.
+            The loop cannot run in a browser, for example because it draws random numbers.
         """
         from dmframe.page import Page
         from dmframe.page.periods import stable_periods
@@ -451,7 +451,7 @@ class Graph:
         return page
 
     def export(self, folder: str | Path, kind: Literal["c", "fmi2", "fmi3", "ros2"] = "c") -> list[Path]:
-        """Write its controller for other programs to a new folder; returns the files.
+        """Export its controller for other programs to a new folder; returns the files.
 
         Parameters
         ----------
@@ -463,7 +463,7 @@ class Graph:
         Raises
         ------
         DmframeError
-            It runs in continuous time, commands nothing, or draws numbers; the folder is there already.
+            It runs in continuous time, has no command, or draws random numbers; or the folder exists already.
         """
         from dmframe.export import export_c, export_fmus, export_ros2
 
@@ -474,7 +474,7 @@ class Graph:
         return export_fmus(self.experiment, self.diagram, folder, 2 if kind == "fmi2" else 3)
 
     def virtual_robot(self, **behaviour: Any) -> VirtualRobot:
-        """Its arm and hidden servo behind a maker's controller, on whose ports clients of a UR may drive it.
+        """Its arm and servo behind an emulated UR controller, to which clients of a UR can connect.
 
         Parameters
         ----------
@@ -485,14 +485,14 @@ class Graph:
         Raises
         ------
         DmframeError
-            The robot is no UR, is not commanded joint velocities, or cannot stand alone.
+            The robot is not a UR, its command is not a joint velocity, or it cannot be simulated alone.
         """
         from dmframe.virtual import VirtualRobot
 
         return VirtualRobot(self.experiment, self.diagram, **behaviour)
 
     def save(self, path: str | Path) -> Path:
-        """Write `text` to a new file. Raises `OutputError` where it is there already, or cannot be written."""
+        """Write `text` to a new file. Raises `OutputError` if the file exists already or cannot be written."""
         from dmframe.files import expanded, write_text
 
         _ = self.diagram  # faults of sizes and wires, too
@@ -501,11 +501,11 @@ class Graph:
         return path
 
     def __reduce__(self) -> Any:
-        """Pickled without its diagram, which is made anew."""
+        """Pickled without its diagram, which is built again."""
         return Graph, (self.experiment,)
 
     def __eq__(self, other: object) -> bool:
-        """The same text gives the same run."""
+        """Graphs are equal if their texts are; the same text gives the same run."""
         return isinstance(other, Graph) and (self.name, self.text) == (other.name, other.text)
 
     def __hash__(self) -> int:

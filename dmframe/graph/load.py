@@ -1,4 +1,4 @@
-"""A graph from what a program has: a name, a path, a text or data."""
+"""Load a graph from a name, a path, a text or data."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dmframe.errors import ValueFault
 from dmframe.graph.graph import Graph
 
 TEXT = "graph"
-"""What messages call a graph that came from no file."""
+"""Name in messages of a graph that is not from a file."""
 
 
 def load(source: str | Path | Mapping[str, Any] | Graph, *, name: str = "", trust: bool = False) -> Graph:
@@ -24,11 +24,12 @@ def load(source: str | Path | Mapping[str, Any] | Graph, *, name: str = "", trus
     ----------
     source
         The name of a packaged graph, ``"ur10_fast"``; the path of a graph file; its text, of more than one line; a
-        dictionary as the file would hold it; a `Graph` is returned as it is.
+        dictionary with the keys of the file; a `Graph` is returned unchanged.
     name
-        What a graph from a text or a dictionary is called.
+        Name of a graph from a text or a dictionary.
     trust
-        Run the code of blocks that lie in the graph's folder from now on, whoever wrote it; see the notes.
+        Trust the blocks in the graph's folder from now on and execute their code, regardless of its author; see the
+        notes.
 
     Raises
     ------
@@ -37,8 +38,9 @@ def load(source: str | Path | Mapping[str, Any] | Graph, *, name: str = "", trus
 
     Notes
     -----
-    A block type ``my_file.py:MyBlock`` runs that file as a part of your program. One that others may have written, as
-    it belongs to another user, or all may write to it, or it was downloaded, is run in trusted folders alone.
+    A block type ``my_file.py:MyBlock`` executes that file as a part of your program. A file that others may have
+    written is executed in trusted folders only: one that belongs to another user, is writable by all, or was
+    downloaded.
     """
     if trust:
         from dmframe.catalogue import find_graph

@@ -1,4 +1,4 @@
-"""Things by name, which nobody changes, each with a few facts; a name that is not there is told with the nearest."""
+"""Read-only mapping from names to objects with facts about each; the error for a missing name suggests the closest."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ T = TypeVar("T")
 @final
 @dataclass(frozen=True, repr=False, eq=False)
 class Named(Mapping[str, T], Generic[T]):
-    """A read-only mapping; a notebook and ``str`` show its facts as a table.
+    """A read-only mapping; a notebook and ``str`` display its facts as a table.
 
     Parameters
     ----------
     kind
-        What its things are, ``block type``.
+        Kind of the objects, ``block type``.
     facts
-        What is said of each, by the thing's name: texts, and times [s].
+        Facts about each object, by its name: texts, and times [s].
     make
-        The thing of a name.
+        Returns the object of a name.
     """
 
     kind: str
@@ -35,7 +35,7 @@ class Named(Mapping[str, T], Generic[T]):
 
     @property
     def summary(self) -> list[dict[str, Any]]:
-        """The facts as plain data, what ``--json`` prints."""
+        """The facts as plain data, which ``--json`` prints."""
         return [{"name": name, **said} for name, said in self.facts.items()]
 
     @property

@@ -1,4 +1,4 @@
-"""Pages of text: what a graph is, and what a block does."""
+"""Text pages of graphs and block types, as the command line prints them."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def source_text(source: Source, name: str) -> str:
         case Ahead(of, samples):
             return f"{name}.{of}, {_samples(samples)} later"
         case _:
-            return "0 (nobody drives it)"
+            return "0 (not driven)"
 
 
 def _samples(count: int) -> str:
@@ -87,7 +87,7 @@ def _names(names: Iterable[str]) -> str:
 
 
 def block_list(kinds: Mapping[str, type[AbstractBlock]]) -> str:
-    """All block types, by the side on which they stand."""
+    """All block types, by side."""
     parts = []
     for side in Side:
         mine = [(name, first_line(kind)) for name, kind in kinds.items() if kind.side is side]
@@ -96,12 +96,12 @@ def block_list(kinds: Mapping[str, type[AbstractBlock]]) -> str:
 
 
 def first_line(kind: type[AbstractBlock]) -> str:
-    """What a block type is, in a line."""
+    """Description of a block type in one line."""
     return unmarked(prose((inspect.getdoc(kind) or "").split("\n")[0]))
 
 
 def block_page(kind: type[AbstractBlock]) -> str:
-    """A block's law, printed from its code, its ports, states, parameters and what its docstring says."""
+    """A block's law, printed from its code, its ports, states, parameters, and the text of its docstring."""
     said, wide = about(kind), page_width()
     parts = [
         f"{type_name(kind)} ({kind.side.value})",
@@ -129,10 +129,10 @@ _INDENT: Final[Mapping[str, Any]] = {"initial_indent": "  ", "subsequent_indent"
 
 
 def _laws(kind: type[AbstractBlock], wide: int) -> Iterable[str]:
-    """The equations at the options' defaults, what each option changes, and what their signs mean."""
+    """The equations with default options, the changes by each option, and the meaning of their symbols."""
     found = plainest(kind)
     if found is None:
-        yield "law\n  none without numbers of its own: see it in a graph's report"
+        yield "law\n  not available without parameter values: see it in a graph's report"
         return
     label, law = found
     options = dict(options_of(kind))
@@ -145,13 +145,13 @@ def _laws(kind: type[AbstractBlock], wide: int) -> Iterable[str]:
         yield f"with {option}\n{_equations([line for line in lines if line.name not in stated], wide)}"
     said = [("", list(law.truths))]
     said += [(f"with {option}", [line for line in lines if line.name in stated]) for option, lines in options.items()]
-    told = [
+    stated_lines = [
         f"  {option}\n{textwrap.indent(_equations(lines, wide - 2), '  ')}" if option else _equations(lines, wide)
         for option, lines in said
         if lines
     ]
-    if told:
-        yield "\n".join(["true values that it states, for the certificates of other blocks", *told])
+    if stated_lines:
+        yield "\n".join(["true values that it states, for the certificates of other blocks", *stated_lines])
     signs = where(shown)
     if signs:
         room = max(width(sign) for sign, _ in signs)
@@ -162,21 +162,21 @@ _EXAMPLE: Final = "; the sizes that show are those of an example, a robot of thr
 
 
 def _hanging(sign: str, text: str, room: int, wide: int) -> str:
-    """A sign, and beside it what it is."""
+    """A symbol with its description, wrapped with a hanging indent."""
     lines = textwrap.wrap(text, max(20, wide - room - 4))
     head = f"  {sign}{' ' * (room - width(sign))}  "
     return "\n".join([head + lines[0], *(" " * (room + 4) + line for line in lines[1:])])
 
 
 def _equations(lines: Sequence[Line], wide: int) -> str:
-    """Equations under one another, equals signs too; a long one goes on in the next line, before a + or -."""
+    """Equations aligned at the equals sign; a long one continues in the next line, before a + or -."""
     room = max((width(line.left.unicode) for line in lines), default=0)
     rows = []
     for line in lines:
         left = line.left.unicode + " " * (room - width(line.left.unicode))
         first, *more = wrapped(line.right.unicode, wide - room - 5)
         rows += [f"  {left} = {first}", *(f"  {' ' * room}   {text}" for text in more)]
-    return "\n".join(rows) or "  none: each output is a state or a parameter as it stands"
+    return "\n".join(rows) or "  none: each output equals a state or a parameter"
 
 
 def _said(state: State) -> str:

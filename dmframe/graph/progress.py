@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any, final
 
 from dmframe.simulate.march import Progress as Bar
 
-if TYPE_CHECKING:  # where nobody sees standard error, rich is not imported
+if TYPE_CHECKING:  # rich is not imported if standard error is not displayed
     from rich.console import Console
 
 __all__ = ["Bar", "Bars", "counting", "progress_line", "shown"]
 
 
 def _aside() -> Console:
-    """Standard error, for texts as they are: names of others may hold what rich would obey or hide.
+    """Standard error for literal texts: names may contain characters that rich would interpret as markup.
 
-    Where rich takes a text without its console (`TextColumn`, a status), it must be told once more.
+    Where rich takes a text without its console (`TextColumn`, a status), markup has to be disabled there too.
     """
     from rich.console import Console
 
@@ -28,14 +28,14 @@ def _aside() -> Console:
 
 @final
 class Bars:
-    """A bar for each run; ``with Bars() as bars: bars.of("ur10_fast", 200.0)``.
+    """A progress bar for each run; ``with Bars() as bars: bars.of("ur10_fast", 200.0)``.
 
     Parameters
     ----------
     quiet
-        Show nothing; by default where nobody sees standard error.
+        Show nothing; the default if standard error is not displayed.
     transient
-        Take the bars away at the end.
+        Remove the bars at the end.
     """
 
     def __init__(self, *, quiet: bool | None = None, transient: bool = False) -> None:
@@ -64,7 +64,7 @@ class Bars:
             self._bars.stop()
 
     def of(self, name: str, total: float) -> Bar:
-        """A new bar for a run of `total` seconds; what it returns is called with the simulated time."""
+        """A new bar for a run of `total` seconds; returns a function to call with the simulated time."""
         if self._bars is None:
             return lambda _: None
         task = self._bars.add_task(name, total=total, speed="")
@@ -78,7 +78,7 @@ class Bars:
 
 @contextmanager
 def shown(progress: bool | Bar | None, name: str, total: float) -> Iterator[Bar | None]:
-    """A bar as `Graph.run` is asked for: one that is given, none, or one of its own."""
+    """The bar for the argument `progress` of `Graph.run`: a given one, none, or a new one."""
     if callable(progress):
         yield progress
     elif progress is False or (progress is None and not sys.stderr.isatty()):
@@ -90,7 +90,7 @@ def shown(progress: bool | Bar | None, name: str, total: float) -> Iterator[Bar 
 
 @contextmanager
 def progress_line(name: str, *, quiet: bool = False) -> Iterator[Callable[[str], None]]:
-    """Say what is done, in one line that comes and goes; where nobody sees standard error, nothing."""
+    """Show the current step in one transient line; nothing if standard error is not displayed."""
     if quiet or not sys.stderr.isatty():
         yield lambda _: None
         return
@@ -103,9 +103,9 @@ def progress_line(name: str, *, quiet: bool = False) -> Iterator[Callable[[str],
 
 @contextmanager
 def counting(name: str, total: int, noun: str, *, quiet: bool | None = None) -> Iterator[Callable[[int, str], None]]:
-    """A bar of things that are counted, with how many a second and the time that is left.
+    """A progress bar of counted items, with their rate and the remaining time.
 
-    What it yields is called with how many are done, and a word beside the bar. `quiet` is as `Bars` has it.
+    It yields a function to call with the number of finished items and a note. `quiet` is that of `Bars`.
     """
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -125,7 +125,7 @@ def counting(name: str, total: int, noun: str, *, quiet: bool | None = None) -> 
 
     def done(count: int, note: str) -> None:
         nonlocal began
-        if began is None:  # what was there before says nothing about speed
+        if began is None:  # items finished before do not count for the rate
             began = (time.monotonic(), count)
             bars.update(task, completed=count)
             bars.start_task(task)

@@ -1,4 +1,4 @@
-"""A robot as a page, and as plain data: its joints with limits and masses, its tool, and what is known to be wrong."""
+"""A robot as a text page and as plain data: joints with limits and masses, tool, known errors of the model."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ UNITS: Final[Mapping[str, Mapping[str, str]]] = {
     "prismatic": {"lower": "m", "upper": "m", "velocity": "m/s", "effort": "N"},
 }
 SECTIONS: Final = {"source": "", "known_errors": "Known errors"}
-"""What is quoted of a robot's SOURCE.md: what stands before its first section, and one of the sections."""
+"""The parts of a robot's SOURCE.md that are quoted: the text before its first section, and one section."""
 
 
 def robot_data(name: str) -> dict[str, Any]:
-    """A robot as a graph gets it that says its name alone; limits that it does not state are None.
+    """A robot as a graph gets it by its name; missing limits are None.
 
-    Raises what `dmframe.robot.library.load` does.
+    Raises the errors of `dmframe.robot.library.load`.
     """
     source, chain = find_robot(name), load(name)
     frame = source.tool if isinstance(source.tool, str) else None
@@ -49,7 +49,7 @@ def robot_data(name: str) -> dict[str, Any]:
 
 
 def robot_page(name: str) -> str:
-    """`robot_data` for a terminal."""
+    """`robot_data` as text for a terminal."""
     data = robot_data(name)
     offset = ", ".join(f"{length:.4g}" for length in data["tool"]["offset"])
     facts = [
@@ -82,7 +82,7 @@ def robot_page(name: str) -> str:
 
 
 def _said(source: RobotSource) -> dict[str, str | None]:
-    """What its package says of a robot, by the keys of `SECTIONS`; None where it says nothing."""
+    """Texts of a robot's package, by the keys of `SECTIONS`; None for a missing one."""
     file = None if source.folder is None or not source.description else source.folder / "SOURCE.md"
     if file is None or not file.is_file():
         return dict.fromkeys(SECTIONS)

@@ -1,4 +1,4 @@
-"""What there is to choose from: packaged graphs, block types, robots."""
+"""The available packaged graphs, block types and robots."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def graphs() -> Named[Graph]:
 
 
 def _seconds(value: Any) -> str | float:
-    """A time [s]; as a file says it where that is no time, such as continuous."""
+    """A time [s], or the text of the file if it is not a time, such as continuous."""
     try:
         return to_unit(value, "s")
     except DmframeError:
@@ -39,9 +39,10 @@ def _seconds(value: Any) -> str | float:
 @final
 @dataclass(frozen=True, repr=False)
 class BlockType:
-    """A block type with its page: its law as its code says it, its ports, states and parameters.
+    """A block type with its page: the law printed from its code, its ports, states and parameters.
 
-    Called with parameters it makes a block, ``dm.blocks()["circle"](center=[0, 0, 0.5], radius=0.1, rate="1 rad/s")``.
+    Called with parameters it creates a block:
+    ``dm.blocks()["circle"](center=[0, 0, 0.5], radius=0.1, rate="1 rad/s")``.
     """
 
     kind: type[AbstractBlock]

@@ -1,4 +1,4 @@
-"""A graph's methods as functions, for a program of one line: ``dm.run("ur10_fast")``."""
+"""Functions that load a graph and call one of its methods: ``dm.run("ur10_fast")``."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ if TYPE_CHECKING:
     from dmframe.simulate.engine import Choice
 
 Source = str | Path | Mapping[str, Any] | Graph
-"""What `load` takes."""
+"""Arguments that `load` accepts."""
 
 
 def run(source: Source, until: float | str | None = None, *, engine: Choice = "auto") -> Run:
-    """`Graph.run` of a graph that is loaded for it."""
+    """Load a graph and call `Graph.run`."""
     return load(source).run(until, engine=engine)
 
 
 def verify(source: Source, *, seed: int = 0) -> Verification:
-    """`Graph.verify` of a graph that is loaded for it."""
+    """Load a graph and call `Graph.verify`."""
     return load(source).verify(seed=seed)
 
 
 def analyse(source: Source, horizon: float | str = 20.0) -> Analysis:
-    """`Graph.analyse` of a graph that is loaded for it."""
+    """Load a graph and call `Graph.analyse`."""
     return load(source).analyse(horizon)
 
 
 def draw(source: Source) -> Drawing:
-    """`Graph.draw` of a graph that is loaded for it."""
+    """Load a graph and call `Graph.draw`."""
     return load(source).draw()

@@ -54,6 +54,7 @@ evaluation in a prime field, or whose rules depend on the values, loops over `Pr
 from __future__ import annotations
 
 from dmframe.program.operations import (
+    BY_NAME,
     COMPARISONS,
     DIVISIONS,
     EDGES,
@@ -65,9 +66,10 @@ from dmframe.program.operations import (
     by_code,
     sign_of,
 )
-from dmframe.program.program import CONST, INPUT, Node, Program, codes, instructions, read, run
+from dmframe.program.program import CONST, INPUT, Node, Pattern, Program, codes, instructions, read, run
 
 __all__ = [
+    "BY_NAME",
     "COMPARISONS",
     "CONST",
     "DIVISIONS",
@@ -79,6 +81,7 @@ __all__ = [
     "POWERS",
     "Node",
     "Operation",
+    "Pattern",
     "Program",
     "by_code",
     "codes",

@@ -1,12 +1,10 @@
-"""Operations of CasADi SX functions, and their properties."""
+"""Operations of CasADi SX functions, and their properties. CasADi itself is not imported."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, Literal, TypeVar, final
-
-import casadi as ca
 
 V = TypeVar("V")
 
@@ -20,6 +18,8 @@ class Operation:
     ----------
     name
         CasADi's name in lower case.
+    code
+        CasADi's code.
     arity
         Number of operands.
     sign
@@ -35,6 +35,7 @@ class Operation:
     """
 
     name: str
+    code: int
     arity: int
     sign: str = ""
     comparison: bool = False
@@ -45,65 +46,60 @@ class Operation:
     turns: Literal["", "difference", "first", "last"] = ""
     domain: int | None = None
 
-    @property
-    def code(self) -> int:
-        """CasADi's code."""
-        return int(getattr(ca, f"OP_{self.name.upper()}"))
 
-
-def _comparison(name: str, sign: str) -> Operation:
-    return Operation(name, 2, sign, comparison=True, jumps=True, bounded=True, turns="difference")
+def _comparison(name: str, code: int, sign: str) -> Operation:
+    return Operation(name, code, 2, sign, comparison=True, jumps=True, bounded=True, turns="difference")
 
 
 _ROWS: Final = (
-    Operation("add", 2),
-    Operation("sub", 2),
-    Operation("mul", 2),
-    Operation("div", 2, domain=1),
-    Operation("neg", 1),
-    Operation("inv", 1, domain=0),
-    Operation("sq", 1),
-    Operation("twice", 1),
-    Operation("pow", 2, edge=True, domain=0),
-    Operation("constpow", 2, edge=True, domain=0),
-    Operation("sqrt", 1, edge=True, domain=0),
-    Operation("exp", 1),
-    Operation("expm1", 1),
-    Operation("log", 1, edge=True, domain=0),
-    Operation("log1p", 1, edge=True, domain=0),
-    Operation("sin", 1, bounded=True),
-    Operation("cos", 1, bounded=True),
-    Operation("tan", 1, edge=True, domain=0),
-    Operation("asin", 1, edge=True, domain=0),
-    Operation("acos", 1, edge=True, domain=0),
-    Operation("atan", 1, bounded=True),
-    Operation("atan2", 2, jumps=True, bounded=True),
-    Operation("sinh", 1),
-    Operation("cosh", 1),
-    Operation("tanh", 1, bounded=True),
-    Operation("asinh", 1),
-    Operation("acosh", 1, edge=True, domain=0),
-    Operation("atanh", 1, edge=True, domain=0),
-    Operation("erf", 1, bounded=True),
-    Operation("erfinv", 1, edge=True, domain=0),
-    Operation("hypot", 2, edge=True),
-    Operation("fabs", 1, kink=True, turns="first"),
-    Operation("fmin", 2, kink=True, turns="difference"),
-    Operation("fmax", 2, kink=True, turns="difference"),
-    Operation("sign", 1, jumps=True, bounded=True, turns="first"),
-    Operation("copysign", 2, jumps=True, turns="last"),
-    Operation("floor", 1, jumps=True, turns="first"),
-    Operation("ceil", 1, jumps=True, turns="first"),
-    Operation("fmod", 2, jumps=True, turns="first", domain=1),
-    Operation("remainder", 2, jumps=True, turns="first", domain=1),
-    _comparison("lt", "<"),
-    _comparison("le", "<="),
-    _comparison("eq", "=="),
-    _comparison("ne", "!="),
-    Operation("not", 1, jumps=True, bounded=True),
-    Operation("and", 2, jumps=True, bounded=True),
-    Operation("or", 2, jumps=True, bounded=True),
-    Operation("if_else_zero", 2, "if_else", jumps=True),
+    Operation("add", 1, 2),
+    Operation("sub", 2, 2),
+    Operation("mul", 3, 2),
+    Operation("div", 4, 2, domain=1),
+    Operation("neg", 5, 1),
+    Operation("inv", 36, 1, domain=0),
+    Operation("sq", 11, 1),
+    Operation("twice", 12, 1),
+    Operation("pow", 8, 2, edge=True, domain=0),
+    Operation("constpow", 9, 2, edge=True, domain=0),
+    Operation("sqrt", 10, 1, edge=True, domain=0),
+    Operation("exp", 6, 1),
+    Operation("expm1", 94, 1),
+    Operation("log", 7, 1, edge=True, domain=0),
+    Operation("log1p", 93, 1, edge=True, domain=0),
+    Operation("sin", 13, 1, bounded=True),
+    Operation("cos", 14, 1, bounded=True),
+    Operation("tan", 15, 1, edge=True, domain=0),
+    Operation("asin", 16, 1, edge=True, domain=0),
+    Operation("acos", 17, 1, edge=True, domain=0),
+    Operation("atan", 18, 1, bounded=True),
+    Operation("atan2", 43, 2, jumps=True, bounded=True),
+    Operation("sinh", 37, 1),
+    Operation("cosh", 38, 1),
+    Operation("tanh", 39, 1, bounded=True),
+    Operation("asinh", 40, 1),
+    Operation("acosh", 41, 1, edge=True, domain=0),
+    Operation("atanh", 42, 1, edge=True, domain=0),
+    Operation("erf", 33, 1, bounded=True),
+    Operation("erfinv", 86, 1, edge=True, domain=0),
+    Operation("hypot", 95, 2, edge=True),
+    Operation("fabs", 29, 1, kink=True, turns="first"),
+    Operation("fmin", 34, 2, kink=True, turns="difference"),
+    Operation("fmax", 35, 2, kink=True, turns="difference"),
+    Operation("sign", 30, 1, jumps=True, bounded=True, turns="first"),
+    Operation("copysign", 31, 2, jumps=True, turns="last"),
+    Operation("floor", 26, 1, jumps=True, turns="first"),
+    Operation("ceil", 27, 1, jumps=True, turns="first"),
+    Operation("fmod", 28, 2, jumps=True, turns="first", domain=1),
+    Operation("remainder", 97, 2, jumps=True, turns="first", domain=1),
+    _comparison("lt", 19, "<"),
+    _comparison("le", 20, "<="),
+    _comparison("eq", 21, "=="),
+    _comparison("ne", 22, "!="),
+    Operation("not", 23, 1, jumps=True, bounded=True),
+    Operation("and", 24, 2, jumps=True, bounded=True),
+    Operation("or", 25, 2, jumps=True, bounded=True),
+    Operation("if_else_zero", 32, 2, "if_else", jumps=True),
 )
 
 OPERATIONS: Final[Mapping[int, Operation]] = {row.code: row for row in _ROWS}
@@ -113,8 +109,9 @@ COMPARISONS: Final = frozenset(code for code, row in OPERATIONS.items() if row.c
 JUMPS: Final = frozenset(code for code, row in OPERATIONS.items() if row.jumps)
 KINKS: Final = frozenset(code for code, row in OPERATIONS.items() if row.kink)
 EDGES: Final = frozenset(code for code, row in OPERATIONS.items() if row.edge)
-DIVISIONS: Final = frozenset((ca.OP_DIV, ca.OP_INV))
-POWERS: Final = frozenset((ca.OP_POW, ca.OP_CONSTPOW))
+BY_NAME: Final[Mapping[str, Operation]] = {row.name: row for row in _ROWS}
+DIVISIONS: Final = frozenset(BY_NAME[name].code for name in ("div", "inv"))
+POWERS: Final = frozenset(BY_NAME[name].code for name in ("pow", "constpow"))
 
 
 def sign_of(code: int) -> str:
@@ -124,5 +121,4 @@ def sign_of(code: int) -> str:
 
 def by_code(named: Mapping[str, V]) -> dict[int, V]:
     """Table of rules by code from one by name. Raises KeyError for an unknown name."""
-    codes = {row.name: code for code, row in OPERATIONS.items()}
-    return {codes[name]: value for name, value in named.items()}
+    return {BY_NAME[name].code: value for name, value in named.items()}

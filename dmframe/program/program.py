@@ -5,20 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
-from functools import cached_property
 from operator import itemgetter
 from typing import Any, Final, NamedTuple, TypeVar, final
-
-import casadi as ca
 
 from dmframe.program.operations import OPERATIONS
 
 V = TypeVar("V")
 
-INPUT: Final = ca.OP_INPUT
-CONST: Final = ca.OP_CONST
-_OUTPUT: Final = ca.OP_OUTPUT
-_COPIES: Final = frozenset((ca.OP_ASSIGN, ca.OP_LIFT))
+INPUT: Final = 45
+CONST: Final = 44
+_OUTPUT: Final = 46
+_COPIES: Final = frozenset((0, 88))  # assign, lift
 _CODE: Final = itemgetter(0)
 _ARITY: Final = {code: operation.arity for code, operation in OPERATIONS.items()}
 
@@ -65,29 +62,27 @@ class Pattern:
 
 @final
 class Program:
-    """Straight-line program of a function in single-assignment form; `codes` are the codes of all its nodes."""
+    """Straight-line program in single-assignment form; `codes` are the codes of all its nodes.
 
-    def __init__(self, f: Any, nodes: Sequence[Node], sources: Sequence[Sequence[int]]) -> None:
-        self.name: str = f.name()
-        self.nodes = nodes
+    Parameters
+    ----------
+    inputs, outputs
+        The arguments and the results.
+    sources
+        For each output, the places of the nodes that give its stored elements.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        nodes: Sequence[Node],
+        inputs: Sequence[Pattern],
+        outputs: Sequence[Pattern],
+        sources: Sequence[Sequence[int]],
+    ) -> None:
+        self.name, self.nodes, self.sources = name, nodes, sources
+        self.inputs, self.outputs = tuple(inputs), tuple(outputs)
         self.codes: AbstractSet[int] = set(map(_CODE, nodes))
-        self._f, self._sources = f, sources
-
-    @cached_property
-    def inputs(self) -> tuple[Pattern, ...]:
-        """The function's arguments."""
-        f = self._f
-        return tuple(
-            Pattern(f.name_in(i), f.size1_in(i), f.numel_in(i), _places(f.sparsity_in(i))) for i in range(f.n_in())
-        )
-
-    @cached_property
-    def outputs(self) -> tuple[Pattern, ...]:
-        """The function's results."""
-        f = self._f
-        return tuple(
-            Pattern(f.name_out(j), f.size1_out(j), f.numel_out(j), _places(f.sparsity_out(j))) for j in range(f.n_out())
-        )
 
     def elements(self, inputs: Sequence[Sequence[V]]) -> list[list[V]]:
         """Stored elements of inputs that are dense, column-major matrices."""
@@ -96,7 +91,7 @@ class Program:
 
     def stored(self, values: Sequence[V]) -> list[list[V]]:
         """Stored elements of each output, from the values of all nodes."""
-        return [[values[source] for source in sources] for sources in self._sources]
+        return [[values[source] for source in sources] for sources in self.sources]
 
     def dense(self, values: Sequence[V], zero: V) -> list[list[V]]:
         """Each output as a dense, column-major matrix, with `zero` for elements that are not stored."""
@@ -130,7 +125,11 @@ def read(f: Any) -> Program:
             for target in targets:  # a call of another function has several
                 register[target] = len(nodes)
                 append(new(Node, (code, 0, 0, constant, line)))
-    return Program(f, nodes, sources)
+    inputs = [Pattern(f.name_in(i), f.size1_in(i), f.numel_in(i), _places(f.sparsity_in(i))) for i in range(f.n_in())]
+    outputs = [
+        Pattern(f.name_out(j), f.size1_out(j), f.numel_out(j), _places(f.sparsity_out(j))) for j in range(f.n_out())
+    ]
+    return Program(f.name(), nodes, inputs, outputs, sources)
 
 
 def codes(f: Any) -> set[int]:

@@ -10,7 +10,7 @@ from typing import Final, final
 import casadi as ca
 
 from dmframe.certify.claim import Claim, Part, total
-from dmframe.certify.identity import at_random_point
+from dmframe.certify.points import at_random_point
 from dmframe.certify.symbols import Symbols, symbols_of
 from dmframe.exact import Tape
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from dmframe.certify import Verdict
 from dmframe.certify.along import Along, along
+from dmframe.certify.along_steps import sampled_along
 from dmframe.config import Experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
@@ -64,16 +65,17 @@ def measure(
     try:
         run = experiment.simulate(diagram, log=Log())
     except DmframeError as error:
-        return Measured(f"{_sentence(clock)} The graph could not be simulated: {error.text}.")
+        return Measured(f"{_sentence(clock, verdict)} The graph could not be simulated: {error.text}.")
     facts, numbers = _run_facts(run)
     tell("evaluating V along the run")
     found, why = _along(verdict, run)
     if found is None:
-        return Measured(f"{_sentence(clock)} {why}", tuple(facts), numbers)
+        return Measured(f"{_sentence(clock, verdict)} {why}", tuple(facts), numbers)
     more, v_numbers = _v_facts(found, clock)
+    over = verdict.samples is not None
     kept = np.unique(np.linspace(0, found.time.size - 1, INSTANTS).astype(int))
     return Measured(
-        sentence=f"{_sentence(clock)} {_judged(found, clock)}",
+        sentence=f"{_sentence(clock, verdict)} {_judged_over_samples(found) if over else _judged(found, clock)}",
         facts=(*facts, *more),
         numbers={**numbers, **v_numbers},
         figure=figure_svg(storage_picture(found, [rf"${latex(term.of)}$ ({term.block})" for term in found.terms], run)),
@@ -82,7 +84,12 @@ def measure(
     )
 
 
-def _sentence(clock: float | None) -> str:
+def _sentence(clock: float | None, verdict: Verdict) -> str:
+    if verdict.samples is not None:
+        return (
+            "The theorem is one over samples, of the estimates alone: that the robot follows its path is not part of "
+            "it. The figures below are measured on one simulation, from one start, along one path."
+        )
     if clock is None:
         return (
             "The theorem and this graph are in continuous time: the simulation differs from the theorem's loop by the "
@@ -110,6 +117,21 @@ def _judged(found: Along, clock: float | None) -> str:
     return rose + (
         "**Warning**: if all assumptions of the theorem hold, $V$ does not rise. Either this run violates an "
         "assumption, or the integration step is too long: repeat the run with a smaller step."
+    )
+
+
+def _judged_over_samples(found: Along) -> str:
+    """Rises of V against what the claim over samples allows."""
+    which = f"$V$ is evaluated {found.about}. " if found.about else ""
+    rose = f"Along the run $V$ rose from one sample to the next in {found.rises} of {found.steps.size} cases. "
+    rose = f"{which}{rose}{_climbed(found)}" if found.rises else f"{which}Along the run $V$ never rose. "
+    if not found.residual.size:
+        return rose
+    if not found.beyond:
+        return rose + "At no sample did it rise by more than its theorem allows."
+    return rose + (
+        f"**Warning**: at {found.beyond} samples it rose by more than its theorem allows, so this run violates an "
+        "assumption."
     )
 
 
@@ -145,7 +167,12 @@ def _run_facts(run: Recording) -> tuple[list[tuple[str, str]], dict[str, Any]]:
 
 def _along(verdict: Verdict, run: Recording) -> tuple[Along | None, str]:
     if verdict.samples is not None:
-        return None, "$V$ contains true values that a run does not record, and is not shown."
+        if verdict.outcome == "refuted":
+            return None, "$V$ is not shown, since its certificate is refuted."
+        try:
+            return sampled_along(verdict.samples, run), ""
+        except DmframeError as error:
+            return None, f"$V$ is not shown: {error.text}."
     if verdict.flow_claim is None:
         return None, "A graph without a certificate has no $V$."
     if verdict.outcome == "refuted":
@@ -166,6 +193,8 @@ def _v_facts(found: Along, clock: float | None) -> tuple[list[tuple[str, str]], 
         (f"steps in which $V$ rose, of {found.steps.size}", str(found.rises)),
         ("largest rise of $V$ above an earlier value, and its fall", f"{climb.rise:.3g} and {climb.fall:.3g}"),
     ]
+    if found.residual.size:
+        facts.append(("samples at which $V$ rose by more than its theorem allows", str(found.beyond)))
     kept = np.unique(np.linspace(0, found.time.size - 1, 201).astype(int))
     numbers = {
         "V_start": float(found.V[0]),
@@ -180,6 +209,8 @@ def _v_facts(found: Along, clock: float | None) -> tuple[list[tuple[str, str]], 
         "rise_until": climb.until,
         "fall": climb.fall if np.isfinite(climb.fall) else None,
         "jumps": [[jump.time, jump.change] for jump in found.jumps],
+        "beyond": found.beyond if found.residual.size else None,
+        "constants": {label: list(values) for label, values in found.constants.items()},
         "kappa": found.kappa,
         "time": [float(t) for t in found.time[kept]],
         "V": [float(v) if np.isfinite(v) else None for v in found.V[kept]],

@@ -16,12 +16,12 @@ from dmframe.certify.unproved import claimed_along
 from dmframe.config import Experiment
 from dmframe.errors import DmframeError, listed
 from dmframe.simulate import Recording
-from dmframe.simulate.run import ExtraSignal
+from dmframe.simulate.recording import ExtraSignal
 from dmframe.simulate.warnings import between
 from dmframe.units import plain
 
-SIGNALS: Final = ("V", "V_rate", "V_dissipation")
-"""Labels of V, its rate and dissipation; the storage function of a block is ``V.block``."""
+SIGNALS: Final = ("V", "V_rate", "V_dissipation", "V_residual")
+"""Labels of V, its rate, dissipation and residual; the storage function of a block is ``V.block``."""
 
 UNIT: Final = "unknown"
 """Where V has no one unit, or none was derived."""
@@ -37,7 +37,7 @@ class Storage:
     Parameters
     ----------
     along
-        V, its terms, dV/dt and the dissipation.
+        V, its terms, dV/dt and the dissipation; over samples the residual.
     """
 
     claim: Claim
@@ -46,11 +46,12 @@ class Storage:
 
     @cached_property
     def signals(self) -> Mapping[str, ExtraSignal]:
-        """V, dV/dt, the dissipation and the storage function of each block over time."""
+        """V, dV/dt, the dissipation, the residual and the storage function of each block over time."""
         along, over = self.along, self.claim.over_samples
         about = "V of the discrete-time certificate" if over else "V of the continuous-time certificate"
         unit, rated = self.unit.unit or UNIT, self.unit.rate or UNIT
-        about += f", kappa = {along.kappa:.6g}" + f"; {self.unit.about}" * bool(self.unit.several)
+        about += f" {along.about}" * bool(along.about) if over else f", kappa = {along.kappa:.6g}"
+        about += f"; {self.unit.about}" * bool(self.unit.several)
         found = {"V": ExtraSignal(along.V[:, None], "", unit, about)}
         for block in dict.fromkeys(term.block for term in along.terms):
             part = np.sum([term.values for term in along.terms if term.block == block], axis=0)
@@ -61,6 +62,9 @@ class Storage:
             found["V_rate"] = ExtraSignal(along.rate[:, None], "", rated, about)
             about = "weighted squares dissipated in dV/dt, continuous time"
             found["V_dissipation"] = ExtraSignal(along.dissipation[:, None], "", rated, about)
+        if along.residual.size:
+            about = "most that V gains from this sample to the next, as the discrete-time certificate states"
+            found["V_residual"] = ExtraSignal(along.residual[:, None], "", unit, about)
         return {label: item for label, item in found.items() if label not in self._taken}
 
     def _of_part(self, block: str) -> str:
@@ -80,7 +84,7 @@ class Storage:
     @cached_property
     def causes(self) -> Mapping[str, str]:
         """Differences between this run and the theorem, by keyword: possible, not computed causes of a rise of V."""
-        return dict(_causes(self.claim, self.recording))
+        return dict(_causes(self.claim, self.along, self.recording))
 
     @property
     def notice(self) -> str:
@@ -98,6 +102,8 @@ class Storage:
                 f"it rose at {climb.rises} of {climb.steps} {self._instants}"
             )
             notes += self.causes.values()
+            if self.along.about:
+                notes.append(f"V is evaluated {self.along.about}")
             if "sampling" in self.causes:
                 notes.append("whether a shorter period removes the rise was not computed: run it with another `clock`")
         if jumps:
@@ -127,6 +133,8 @@ class Storage:
             "until": climb.until,
             "rises": climb.rises,
             "steps": climb.steps,
+            "beyond": self.along.beyond if self.along.residual.size else None,
+            "constants": {label: list(values) for label, values in self.along.constants.items()},
             "jumps": [{"time": jump.time, "change": _number(jump.change)} for jump in self.along.jumps],
             "cause": list(self.causes) if climb.rise else [],
             "cause_computed": False,
@@ -143,10 +151,11 @@ def storage_of(recording: Recording, experiment: Experiment) -> Storage:
 
 def no_storage(error: DmframeError) -> dict[str, Any]:
     """`Storage.summary` of a run without V, with the reason."""
-    keys = ("unit", "start", "end", "least", "fall", "rise", "share", "at", "until", "rises", "steps")
+    keys = ("unit", "start", "end", "least", "fall", "rise", "share", "at", "until", "rises", "steps", "beyond")
     return {
         **dict.fromkeys(keys),
         "units": [],
+        "constants": {},
         "jumps": [],
         "cause": [],
         "cause_computed": False,
@@ -160,15 +169,9 @@ def with_storage(recording: Recording, storage: Storage | None) -> Recording:
     return recording if storage is None else replace(recording, beside={**recording.beside, **storage.signals})
 
 
-def _causes(claim: Claim, run: Recording) -> Iterator[tuple[str, str]]:
+def _causes(claim: Claim, along: Along, run: Recording) -> Iterator[tuple[str, str]]:
     if claim.over_samples:
-        if claim.left == "nothing":
-            yield (
-                "assumption",
-                "the discrete-time certificate excludes a rise of V, so this run violates one of its assumptions",
-            )
-        else:
-            yield "residual", f"the discrete-time certificate allows V to rise by {claim.left}"
+        yield _over_samples(claim, along)
     else:
         blocks = [part.block for part in claim.parts if part.certificate.excess]
         if blocks:
@@ -189,6 +192,17 @@ def _causes(claim: Claim, run: Recording) -> Iterator[tuple[str, str]]:
         apart = round(float(run.time[1] - run.time[0]) / run.clock)
         if apart > 1:
             yield "log", f"one of {apart} samples was recorded; V between them is not evaluated"
+
+
+def _over_samples(claim: Claim, along: Along) -> tuple[str, str]:
+    violated = "so this run violates one of its assumptions"
+    if not claim.left:
+        return "assumption", f"the discrete-time certificate excludes a rise of V, {violated}"
+    allowed = f"the discrete-time certificate allows V to rise by {claim.left}"
+    if along.beyond:
+        many = "sample" if along.beyond == 1 else "samples"
+        return "assumption", f"{allowed}, and V rose by more at {along.beyond} {many}, {violated}"
+    return "residual", f"{allowed}, and V rose by no more at any sample" if along.residual.size else allowed
 
 
 def _number(value: float) -> float | None:

@@ -40,7 +40,10 @@ def storage_figure(name: str, run: RunLike) -> Any:
 def storage_picture(
     found: Along, names: Sequence[str], run: Recording, title: str = "", note: str = "", unit: str = ""
 ) -> Any:
-    """V above, its largest terms below on a logarithmic axis; the largest rise of V is shaded."""
+    """V above, its largest terms below on a logarithmic axis; the largest rise of V is shaded.
+
+    Below is also the residual of a claim over samples: what V may gain from each sample to the next.
+    """
     diverged = run.divergence is not None
     tops = [span(tame(term.values), diverged)[1] for term in found.terms]
     largest = sorted(range(len(tops)), key=lambda k: -tops[k])[:CURVES]
@@ -56,6 +59,11 @@ def storage_picture(
         for place, k in enumerate(largest):
             values = np.maximum(tame(found.terms[k].values), 1e-300)
             draw_curve(below, found.time, values, 600, label=names[k], **look(place))
+        if found.residual.size:
+            allowed = np.maximum(tame(found.residual), 1e-300)
+            draw_curve(
+                below, found.time, allowed, 600, label="gain allowed, per sample", color="#8a8a8a", linewidth=0.6
+            )
         below.set_yscale("log")
         top = max(tops, default=0.0)
         if top > 0:

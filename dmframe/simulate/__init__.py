@@ -3,7 +3,8 @@
 from dmframe.simulate.bounds import Divergence
 from dmframe.simulate.keep import Log
 from dmframe.simulate.many import simulate_many
-from dmframe.simulate.run import Recording, simulate
+from dmframe.simulate.recording import Recording
+from dmframe.simulate.run import simulate
 from dmframe.simulate.start import start_state
 from dmframe.simulate.step import Solver
 

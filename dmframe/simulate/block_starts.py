@@ -13,7 +13,7 @@ from dmframe.block.steady import hold_steady
 from dmframe.certificate import SX
 from dmframe.diagram import Diagram, Variable
 from dmframe.diagram.closed_loop import columns, stack
-from dmframe.diagram.view import stated_start, view
+from dmframe.diagram.view import recalling, stated_start, view
 from dmframe.errors import BlockError, StartError, listed
 
 Made = dict[tuple[str, ...], Any]
@@ -42,7 +42,7 @@ def said_by(diagram: Diagram, block: str, made: Made) -> Mapping[str, Any]:
 
 
 def _stated(diagram: Diagram, block: str) -> Mapping[str, Any]:
-    seen, states = view(diagram, block), diagram.models[block].states
+    seen, states = recalling(diagram, block, view(diagram, block)), diagram.models[block].states
     with fault_context(block, "start()"):
         said = diagram.blocks[block].composed_start(seen.u, seen.p, seen.truth)
     if not isinstance(said, Mapping):

@@ -13,7 +13,8 @@ from dmframe.diagram.values import with_values
 from dmframe.errors import DmframeError, ValueFault
 from dmframe.simulate.engine import Choice
 from dmframe.simulate.keep import Log
-from dmframe.simulate.run import Recording, prepare
+from dmframe.simulate.recording import Recording
+from dmframe.simulate.run import prepare
 from dmframe.simulate.start import start_state
 from dmframe.simulate.step import Solver
 

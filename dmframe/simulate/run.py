@@ -22,7 +22,8 @@ from dmframe.simulate.engine import Choice, Compiled, Engine, choose
 from dmframe.simulate.instants import Instants
 from dmframe.simulate.keep import Keeping, Log, keeping
 from dmframe.simulate.march import End, Progress, divergence_of, march
-from dmframe.simulate.rank import Rank, ranks, watched
+from dmframe.simulate.rank import ranks, watched
+from dmframe.simulate.recording import Recording
 from dmframe.simulate.start import check_start, start_state
 from dmframe.simulate.step import FIXED, MOST_SUBSTEPS, Method, Solver, Step, build_step, substeps_of
 from dmframe.simulate.stiffness import EXPLICIT_TAKES, MOST_SLOPE, RK4_STEPS, left_out, speed_of, stiffness
@@ -34,74 +35,6 @@ LATER = 1.5
 
 MOST_TICKS = 10_000_000_000
 """Maximum number of ticks; hours of computation for a small loop."""
-
-
-@final
-@dataclass(frozen=True)
-class ExtraSignal:
-    """Recorded signal that is not a signal of the diagram: one row an instant, or a number.
-
-    Parameters
-    ----------
-    shape
-        Shape in letters, as for a port.
-    about
-        Description.
-    """
-
-    values: np.ndarray
-    shape: str
-    unit: str
-    about: str
-
-
-@final
-@dataclass(frozen=True, repr=False)
-class Recording:
-    """Recorded signals of a simulation, up to its end, divergence or interruption.
-
-    Parameters
-    ----------
-    time
-        (N,) [s].
-    states, outputs
-        By label ``block.name``: (N, rows) arrays.
-    ranks
-        Smallest singular values of the rank-monitored matrices.
-    beside
-        Additional signals such as ``robot.sent`` of a driven robot.
-    drive
-        Settings of a drive as JSON data (limits, ramp); empty for a simulation.
-    """
-
-    diagram: Diagram
-    clock: float | None
-    duration: float
-    solver: Solver
-    time: np.ndarray
-    states: Mapping[str, np.ndarray]
-    outputs: Mapping[str, np.ndarray]
-    divergence: Divergence | None
-    interrupted: bool
-    wall_time: float
-    engine: str
-    notices: tuple[str, ...] = field(default=())
-    ranks: tuple[Rank, ...] = field(default=())
-    beside: Mapping[str, ExtraSignal] = field(default_factory=dict)
-    drive: Mapping[str, Any] = field(default_factory=dict)
-
-    @property
-    def real_time_factor(self) -> float:
-        """Simulated time over computing time."""
-        return float(self.time[-1]) / self.wall_time if self.wall_time > 0 else float("inf")
-
-    def __getitem__(self, label: str) -> np.ndarray:
-        if label in self.beside:
-            return self.beside[label].values
-        return self.outputs[label] if label in self.outputs else self.states[label]
-
-    def __repr__(self) -> str:
-        return f"<Recording of {len(self.states) + len(self.outputs)} signals, {self.time.size} instants>"
 
 
 def simulate(
@@ -261,7 +194,7 @@ class Prepared:
     def _run(
         self, diagram: Diagram, engine: Engine, state: np.ndarray, speed: float, progress: Progress | None = None
     ) -> Recording:
-        p, state = diagram.loop.p_values, state.copy()
+        p, start, state = diagram.loop.p_values, state, state.copy()
         with SYMBOLIC:
             stiff = stiffness(self.step, self.solver, speed, state, p)
         begin = time.perf_counter()
@@ -269,7 +202,11 @@ class Prepared:
         wall = time.perf_counter() - begin
         with SYMBOLIC:
             divergence = divergence_of(diagram, self.step, end, done, state, p)
-            return self._recording(diagram, engine, rows, divergence, end, wall, stiff)
+            return replace(
+                self._recording(diagram, engine, rows, divergence, end, wall, stiff),
+                start=start,
+                instants=self.step.instants,
+            )
 
     def _recording(
         self,

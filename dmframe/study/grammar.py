@@ -146,7 +146,7 @@ class SampleSection(_Open):
         "random",
         description="random: independent; sobol: evenly spread, and it extends; latin_hypercube: so, of fixed size",
     )
-    seed: Annotated[int, BeforeValidator(seed_of)] = Field(0, description="decides what is drawn")
+    seed: Annotated[int, BeforeValidator(seed_of)] = Field(0, description="seed of all random numbers")
 
 
 @final
@@ -202,7 +202,7 @@ class StudyFile(Section):
     version: Annotated[Literal[1], BeforeValidator(checked_version)] = Field(
         alias=VERSION, description="version of this format"
     )
-    title: str = Field("", description="one line that a reader understands")
+    title: str = Field("", description="description in one line")
     graph: str = Field(description="name of a packaged graph, or path of a graph file relative to the study")
     set: dict[str, Any] = Field({}, description="values that the whole study changes, in the form of --set")
     sample: SampleSection = SampleSection()

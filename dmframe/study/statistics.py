@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-from scipy import stats
+import scipy
 
 LEVEL: Final = 0.95
 """Confidence level of every interval."""
@@ -80,8 +80,8 @@ def share(happened: np.ndarray, *, independent: bool, level: float = LEVEL, toge
 def _limit(count: int, runs: int, miss: float, *, upper: bool) -> float:
     """Bound of the exact binomial interval, a quantile of the beta distribution."""
     if upper:
-        return 1.0 if count == runs else float(stats.beta.ppf(1 - miss, count + 1, runs - count))
-    return 0.0 if count == 0 else float(stats.beta.ppf(miss, count, runs - count + 1))
+        return 1.0 if count == runs else float(scipy.stats.beta.ppf(1 - miss, count + 1, runs - count))
+    return 0.0 if count == 0 else float(scipy.stats.beta.ppf(miss, count, runs - count + 1))
 
 
 @final
@@ -119,7 +119,7 @@ def quantile(values: np.ndarray, p: float, *, independent: bool, level: float = 
         return Quantile(p, value)
     miss = (1 - level) / 2
     # P(B <= l - 1) <= miss for the largest l; P(B <= u - 1) >= 1 - miss for the least u
-    below = stats.binom.cdf(np.arange(count + 1), count, p)
+    below = scipy.stats.binom.cdf(np.arange(count + 1), count, p)
     lower = int(np.searchsorted(below, miss, side="right"))
     upper = int(np.searchsorted(below, 1 - miss, side="left")) + 1
     low = float(ordered[lower - 1]) if lower >= 1 else -np.inf
@@ -175,7 +175,7 @@ def paired(first: np.ndarray, second: np.ndarray, *, independent: bool, level: f
         difference = np.where(both, 0.0, second - first)
         ratio = np.where(both | (first == second), 1.0, second / first)
     better, worse = int((difference < 0).sum()), int((difference > 0).sum())
-    p = stats.binomtest(better, better + worse).pvalue if better + worse else 1.0
+    p = scipy.stats.binomtest(better, better + worse).pvalue if better + worse else 1.0
     return Paired(
         better,
         worse,
@@ -245,7 +245,7 @@ def influence(factor: str, draws: np.ndarray, values: np.ndarray, *, independent
     count = len(values)
     groups = _groups(draws, min(bins, count // 8))
     most = int(groups.max(initial=0)) + 1
-    ranks = stats.rankdata(values)
+    ranks = scipy.stats.rankdata(values)
     total = float(np.var(ranks)) if count else 0.0
     if most < 2 or total == 0:
         return Influence(factor, 0.0, 1.0 if independent else None, 1.0)
@@ -253,7 +253,7 @@ def influence(factor: str, draws: np.ndarray, values: np.ndarray, *, independent
     means = np.bincount(groups, weights=ranks, minlength=most) / sizes
     eta = float(np.sum(sizes * (means - ranks.mean()) ** 2) / (count * total))
     corrected = 1 - (1 - eta) * (count - 1) / (count - most)
-    chance = float(stats.chi2.sf((count - 1) * eta, most - 1))
+    chance = float(scipy.stats.chi2.sf((count - 1) * eta, most - 1))
     return Influence(factor, min(max(corrected, 0.0), 1.0), chance if independent else None, chance)
 
 

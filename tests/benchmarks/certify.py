@@ -16,10 +16,10 @@ from itertools import product
 from typing import Any
 
 from dmframe.certify import Verdict, verify
-from dmframe.certify.identity import check_identity
-from dmframe.certify.symbols import symbols_of
+from dmframe.certify.assemble import assembled
 from dmframe.config.document import read_document
 from dmframe.config.experiment import experiment_of
+from dmframe.prove import identity as exact
 
 ROBOTS = {
     "arm2": ("arm2", 2, 2),
@@ -99,9 +99,9 @@ def identity(verdict: Verdict) -> float:
     """Seconds of the exact test alone, three points, without conditions and fault injection."""
     if verdict.claim is None:
         return float("nan")
-    symbols = symbols_of(verdict.claim)
+    claim = assembled(verdict.claim)
     begin = time.perf_counter()
-    check_identity(verdict.claim, symbols, trials=3, seed=0)
+    exact.identity(claim, trials=3, seed=0)
     return time.perf_counter() - begin
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+import scipy
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 Array = NDArray[np.float64]
 V_0 = 0.005  # [rad/s] of Coulomb friction, tanh(dq / V_0)
@@ -53,4 +53,6 @@ class ClosedRobot:
             friction = self.viscous * dq + self.coulomb * np.tanh(dq / V_0)
             return np.concatenate([dq, pin.aba(self.model, self.data, q, dq, u - friction), dq_c, q - q_c])
 
-        return np.array(solve_ivp(rate, (0, period), plant, method="LSODA", rtol=1e-9, atol=1e-11).y[:, -1])
+        return np.array(
+            scipy.integrate.solve_ivp(rate, (0, period), plant, method="LSODA", rtol=1e-9, atol=1e-11).y[:, -1]
+        )

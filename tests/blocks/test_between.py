@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from scipy import signal
-from scipy.integrate import solve_ivp
+import scipy
 
 import dmframe as dm
 from dmframe.catalogue import find_block
@@ -63,13 +62,13 @@ def rounded(q: Array, step: float = STEP) -> Array:
 
 def filtered(differences: Array, time_constant: float) -> Array:
     c = np.exp(-T / time_constant)
-    return np.asarray(signal.lfilter([1 - c], [1, -c], differences, axis=0))
+    return np.asarray(scipy.signal.lfilter([1 - c], [1, -c], differences, axis=0))
 
 
 def over(q: Array, time: float) -> Array:
     """(q - q(t - time)) / time, with Pade's first approximation of the delay, by SciPy's response to straight lines."""
     times = T * np.arange(len(q))
-    lag = np.column_stack([signal.lsim(([1.0], [time / 2, 1.0]), row - row[0], times)[1] + row[0] for row in q.T])
+    lag = np.column_stack([scipy.signal.lsim(([1.0], [time / 2, 1.0]), row - row[0], times)[1] + row[0] for row in q.T])
     return (q - (2 * lag - q)) / time
 
 
@@ -253,11 +252,11 @@ def test_a_ramp_is_a_filter_near_the_command_and_a_straight_line_far_from_it() -
     found = run(ramp={"type": "command_ramp", "time_constant": 0.02})
     c = np.exp(-T / 0.02)  # exact, of a command that is held for a sample
     sent = found["command.dq_c"]
-    wanted = signal.lfilter([0, 1 - c], [1, -c], sent, axis=0)
+    wanted = scipy.signal.lfilter([0, 1 - c], [1, -c], sent, axis=0)
     np.testing.assert_allclose(found["ramp.dq_ramp"], wanted, atol=1e-6)
     with pytest.raises(AssertionError):
         np.testing.assert_allclose(
-            found["ramp.dq_ramp"], signal.lfilter([0, 1 - c], [1, -c], 1.01 * sent, axis=0), atol=1e-6
+            found["ramp.dq_ramp"], scipy.signal.lfilter([0, 1 - c], [1, -c], 1.01 * sent, axis=0), atol=1e-6
         )
     found = run(ramp={"type": "command_ramp", "acceleration": [5, 6]})
     slope = np.diff(found["ramp.dq_ramp"], axis=0) / T
@@ -377,7 +376,9 @@ def test_a_twisting_joint_is_that_of_an_integration_by_scipy() -> None:
     for row in range(50):
         np.testing.assert_allclose(found["arm.q"][row], y[:n], atol=2e-6)
         np.testing.assert_allclose(found["gears.theta"][row], y[2 * n : 3 * n], atol=2e-6)
-        y = solve_ivp(rate, (0, T), y, args=(found["command.dq_c"][row],), rtol=1e-9, atol=1e-11).y[:, -1]
+        y = scipy.integrate.solve_ivp(rate, (0, T), y, args=(found["command.dq_c"][row],), rtol=1e-9, atol=1e-11).y[
+            :, -1
+        ]
     assert np.max(np.abs(found["gears.theta"] - found["arm.q"])) > 3e-3
 
 

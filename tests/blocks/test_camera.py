@@ -9,8 +9,8 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
+import scipy
 from closed_robot import ClosedRobot
-from scipy.integrate import solve_ivp
 
 import dmframe as dm
 from dmframe.analysis import linearise, linearised_period, prove_stability
@@ -95,7 +95,7 @@ def test_along_a_swing_of_pinocchios_robot_the_weighed_error_moves_as_the_regres
 
     times = np.arange(0, 0.5, 1e-3)
     begin = np.concatenate([[1.455411, -1.016031, 0.978316], np.zeros(3)])
-    states = solve_ivp(rate, (0, 0.5), begin, t_eval=times, rtol=1e-11, atol=1e-12).y.T
+    states = scipy.integrate.solve_ivp(rate, (0, 0.5), begin, t_eval=times, rtol=1e-11, atol=1e-12).y.T
     differences = np.gradient([weighed(s[:3]) for s in states], times, edge_order=2)[1:-1]
     right, halfless = [], []
     for s in states[1:-1]:

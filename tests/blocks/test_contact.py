@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+import scipy
 from faulty import verdict_with
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 import dmframe as dm
 from dmframe.block import AbstractBlock
@@ -91,7 +91,7 @@ def simulated(run: Recording, start: float, end: float, force: Callable[[Array, 
             torque = u - B * dq - D * np.tanh(dq / V_0) + J.T @ force(x, J @ dq)
             return np.concatenate([dq, pin.aba(model(), data, q, dq, torque), dq_c, q - q_c])
 
-        y = solve_ivp(rate, (0, 0.008), y, method="LSODA", rtol=1e-8, atol=1e-10).y[:, -1]
+        y = scipy.integrate.solve_ivp(rate, (0, 0.008), y, method="LSODA", rtol=1e-8, atol=1e-10).y[:, -1]
     return y[:3]
 
 

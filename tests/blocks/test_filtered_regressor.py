@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from scipy.signal import lfilter
+import scipy
 
 from dmframe.certify import Verdict, verify
 from dmframe.config.experiment import load_experiment
@@ -31,7 +31,7 @@ def filtered(rows: np.ndarray) -> np.ndarray:
     """RATE / (s + RATE) from rest, by the trapezoidal rule."""
     a = RATE * STEP / 2
     at_rest = -a / (1 + a) * rows[:1]  # so that the first output is zero
-    return np.asarray(lfilter([a, a], [1 + a, a - 1], rows, axis=0, zi=at_rest)[0])
+    return np.asarray(scipy.signal.lfilter([a, a], [1 + a, a - 1], rows, axis=0, zi=at_rest)[0])
 
 
 def test_the_filter_without_accelerations_is_the_filtered_regressor_with_them() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+import scipy
 
 from dmframe.adaptation import Fit
 from dmframe.certificate import SX, Certificate, Gathered
@@ -206,8 +206,8 @@ def test_for_one_estimate_it_is_the_textbooks_bounded_gain_forgetting() -> None:
         return np.asarray(gain(G)[1]).ravel()
 
     times = np.linspace(0, 20, 9)
-    P = solve_ivp(textbook, (0, 20), [k_0], t_eval=times, rtol=1e-10, atol=1e-12).y[0]
-    G = solve_ivp(ours, (0, 20), [0.0], t_eval=times, rtol=1e-10, atol=1e-12).y[0]
+    P = scipy.integrate.solve_ivp(textbook, (0, 20), [k_0], t_eval=times, rtol=1e-10, atol=1e-12).y[0]
+    G = scipy.integrate.solve_ivp(ours, (0, 20), [0.0], t_eval=times, rtol=1e-10, atol=1e-12).y[0]
     np.testing.assert_allclose([float(gain(g)[0]) for g in G], P, rtol=1e-8)
     assert P.max() <= k_0
 
@@ -215,9 +215,9 @@ def test_for_one_estimate_it_is_the_textbooks_bounded_gain_forgetting() -> None:
 @pytest.mark.parametrize(
     ("overrides", "text"),
     [
-        (["geometry.R=null"], "forgetting needs R, the weight of what is to be forgotten"),
-        (["geometry.leak=0.1"], "expected no leak beside forgetting"),
-        (["geometry.a_k_hat_box=[-2, 2]"], "expected no a_k_hat_box beside forgetting"),
+        (["geometry.R=null"], "forgetting requires R, the weight of the prediction error"),
+        (["geometry.leak=0.1"], "leak cannot be combined with forgetting"),
+        (["geometry.a_k_hat_box=[-2, 2]"], "a_k_hat_box cannot be combined with forgetting"),
         (["geometry.forgetting=-1"], "forgetting: expected"),
         (["geometry.R=[1, 2]"], "R"),
     ],

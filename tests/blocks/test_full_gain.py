@@ -134,7 +134,7 @@ def test_the_bound_of_a_leak_is_the_error_of_the_start_in_the_metric_of_v() -> N
 
 
 def test_a_box_is_refused_and_a_ball_is_proved() -> None:
-    with pytest.raises(DmframeError, match="expected no a_d_hat_box beside a Gamma that is a full matrix: a box is"):
+    with pytest.raises(DmframeError, match="a_d_hat_box cannot be combined with a full matrix Gamma: the projection"):
         load_experiment(SMALL, [*with_full(SMALL), "dynamics.a_d_hat_box=[-9, 9]"]).diagram()
     verdict = proof(SMALL, *with_full(SMALL), "dynamics.a_d_hat_ball=[0, 10]")
     assert verdict.outcome == "proved", verdict.reason

@@ -6,8 +6,8 @@ import re
 from functools import cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 from dmframe.block.model import symbols_in
 from dmframe.certify import Verdict, verify
@@ -56,7 +56,9 @@ def rate(_: float, state: Array) -> Array:
 def by_hand() -> Array:
     """The last state: q, dq, q_c, w, w_I and five of a_d_hat. The robot starts at its goal, the estimates at zero."""
     start = np.concatenate([GOAL, np.zeros(2), GOAL, np.zeros(2), np.ones(2), np.zeros(5)])
-    return np.asarray(solve_ivp(rate, (0, DURATION), start, method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1])
+    return np.asarray(
+        scipy.integrate.solve_ivp(rate, (0, DURATION), start, method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
+    )
 
 
 @cache

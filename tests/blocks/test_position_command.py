@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+import scipy
 
 from dmframe.catalogue import graphs
 from dmframe.certify import verify
@@ -103,7 +103,7 @@ def by_hand(servo: str, position: bool) -> np.ndarray:
         q_d, dq_d = 0.6 + 0.3 * np.sin(2 * t), 0.6 * np.cos(2 * t)
         dq_c = dq_d - 2 * (state[0] - q_d)
         held = (dq_c, state[2])
-        state = solve_ivp(rate, (t, t + period), state, args=held, rtol=1e-11, atol=1e-12).y[:, -1]
+        state = scipy.integrate.solve_ivp(rate, (t, t + period), state, args=held, rtol=1e-11, atol=1e-12).y[:, -1]
         path.append(state[0])
     return np.array(path)
 

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import signal
-from scipy.optimize import minimize
+import scipy
 
 import dmframe as dm
 from dmframe.block import Equations
@@ -36,7 +35,7 @@ def programmed(q: float, wish: float, d_hat: float) -> float:
         {"type": "ineq", "fun": lambda u: 1.5 - (u[0] + d_hat)},
         {"type": "ineq", "fun": lambda u: 1.5 + (u[0] + d_hat)},
     ]
-    found = minimize(lambda u: (u[0] - (wish - d_hat)) ** 2, [0.0], method="SLSQP", constraints=barriers)
+    found = scipy.optimize.minimize(lambda u: (u[0] - (wish - d_hat)) ** 2, [0.0], method="SLSQP", constraints=barriers)
     assert found.success
     return float(found.x[0])
 
@@ -53,11 +52,11 @@ def test_a_disturbance_that_changes_by_no_more_than_d_costs_2_d_over_approach_an
     a: float, omega: float
 ) -> None:
     """From d' to d - d_hat, and to the room, where the barrier is active: no response changes its sign."""
-    error = signal.TransferFunction([1, 2 * omega], np.poly([-omega, -omega]))
-    room = signal.TransferFunction([1, 2 * omega], np.poly([-omega, -omega, -a]))
+    error = scipy.signal.TransferFunction([1, 2 * omega], np.poly([-omega, -omega]))
+    room = scipy.signal.TransferFunction([1, 2 * omega], np.poly([-omega, -omega, -a]))
     times = np.linspace(0, 40 / min(a, omega), 20_001)
     for system, most in ((error, 2 / omega), (room, 2 / (a * omega))):
-        _, response = signal.impulse(system, T=times)
+        _, response = scipy.signal.impulse(system, T=times)
         assert np.min(response) > -1e-9
         assert np.trapezoid(response, times) == pytest.approx(most, rel=1e-3)
     block, rows = ExtendedStateObserver(bandwidth=[omega]), []

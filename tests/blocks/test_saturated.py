@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.optimize import approx_fprime
+import scipy
 
 import dmframe as dm
 from dmframe.catalogue import block_types
@@ -27,7 +27,7 @@ def test_its_feedback_is_the_slope_of_the_energy_and_never_beyond_its_reach(size
     def energy(at: np.ndarray) -> float:
         return float(np.sum(WIDTH**2 * (np.hypot(1, at / WIDTH) - 1)))
 
-    slope = approx_fprime(x, energy, 1e-7 * max(size, 0.1))
+    slope = scipy.optimize.approx_fprime(x, energy, 1e-7 * max(size, 0.1))
     found = reference("saturated_tracking", x, J, dx_d)
     np.testing.assert_allclose(found, np.linalg.pinv(J) @ dx_d - GAMMA * J.T @ slope, atol=1e-5)
     feedback = np.linalg.norm(found - np.linalg.pinv(J) @ dx_d)

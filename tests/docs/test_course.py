@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
-import matplotlib.pyplot as plt
 import pytest
 from ruamel.yaml import YAML
 
@@ -100,6 +98,9 @@ def run(text: str, where: str) -> None:
 
 @pytest.mark.parametrize("lesson", LESSONS, ids=lambda path: path.stem)
 def test_a_lesson_runs_from_top_to_bottom(lesson: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import matplotlib as mpl
+    import matplotlib.pyplot as plt
+
     monkeypatch.chdir(tmp_path)
     with mpl.rc_context():
         run(lesson.read_text(encoding="utf-8"), str(lesson))

@@ -8,7 +8,6 @@ from ctypes.util import find_library
 from typing import Any, Final
 
 import numpy as np
-import wasmtime
 
 from dmframe.codegen.wasm import HOST
 
@@ -26,6 +25,8 @@ class Loaded:
     """A module, called with arrays: they are laid out in its memory, and read back."""
 
     def __init__(self, binary: bytes) -> None:
+        import wasmtime
+
         engine = wasmtime.Engine()
         wasmtime.Module.validate(engine, binary)
         loaded = wasmtime.Module(engine, binary)

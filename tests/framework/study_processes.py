@@ -13,7 +13,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import polars
 from fake_study import FakeStudy
 
 CLIENT = """
@@ -85,11 +84,15 @@ def kill(process: int) -> None:
 
 
 def frame(out: Path) -> Any:
+    import polars
+
     return polars.read_parquet(out / "runs" / "*.parquet").sort("run")
 
 
 def expected(samples: int = 40) -> Any:
     """What an undisturbed study holds, computed here, one run after another."""
+    import polars
+
     study = FakeStudy(samples=samples)
     rows = [study.rows(point, i, i + 1) for i in range(samples) for point in study.points]
     columns = {name: [value for row in rows for value in row[name]] for name in rows[0]}

@@ -131,7 +131,7 @@ def test_equations_that_read_what_is_not_there_name_the_nearest() -> None:
         ({"states": (State("alpha"),), "inputs": (Input("α"),)}, "its names α and alpha both print as α; rename one"),
         ({"states": (State("у"),)}, r"the name '\u0443' holds '\u0443', no Latin and no known Greek letter"),
         ({"inputs": (Input("x - y"),)}, "expected a name such as K_star, found 'x - y'"),
-        ({"states": (State("a", "n"),)}, "the parameter a and the state that starts there have different shapes"),
+        ({"states": (State("a", "n"),)}, "the parameter a and the state that it initialises have different shapes"),
     ],
 )
 def test_a_class_that_breaks_the_contract_is_reported_how(members: dict[str, Any], text: str) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import pint
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -223,6 +222,8 @@ def test_a_rate_over_a_quantity_has_the_unit_that_divides_it_by_the_second(unit:
 
 
 def test_the_table_is_that_of_pint() -> None:
+    import pint
+
     registry: Any = pint.UnitRegistry()
     bases = {"rad": "radian", "K": "kelvin", "A": "ampere"}
     names = [name for line in _DEFINITIONS.strip().splitlines() for name in line.partition(" = ")[0].split()]

@@ -7,7 +7,6 @@ from fractions import Fraction
 import casadi as ca
 import numpy as np
 import pytest
-import sympy as sp
 
 from dmframe.robot.library import load
 from dmframe.robot.symbolic import SymbolicRobot
@@ -26,13 +25,14 @@ UNARY = {
     ca.OP_NEG: lambda a: -a,
     ca.OP_SQ: lambda a: a**2,
     ca.OP_TWICE: lambda a: 2 * a,
-    ca.OP_SIN: sp.sin,
-    ca.OP_COS: sp.cos,
 }
 
 
 def to_sympy(f, inputs):
     """The outputs of an SX function as SymPy matrices, by its instruction tape."""
+    import sympy as sp
+
+    unary = {**UNARY, ca.OP_SIN: sp.sin, ca.OP_COS: sp.cos}
     work, outputs = {}, [sp.zeros(*f.size_out(i)) for i in range(f.n_out())]
     positions = [list(zip(*f.sparsity_out(i).get_triplet(), strict=True)) for i in range(f.n_out())]
     for i in range(f.n_instructions()):
@@ -44,8 +44,8 @@ def to_sympy(f, inputs):
             work[write[0]] = sp.Rational(value.numerator, value.denominator)
         elif code == ca.OP_OUTPUT:
             outputs[write[0]][positions[write[0]][write[1]]] = work[read[0]]
-        elif code in UNARY:
-            work[write[0]] = UNARY[code](work[read[0]])
+        elif code in unary:
+            work[write[0]] = unary[code](work[read[0]])
         else:
             work[write[0]] = BINARY[code](work[read[0]], work[read[1]])
     return outputs
@@ -61,14 +61,20 @@ class Angle:
         return Angle(self.expression + other.expression)
 
     def sin(self):
+        import sympy as sp
+
         return sp.sin(self.expression)
 
     def cos(self):
+        import sympy as sp
+
         return sp.cos(self.expression)
 
 
 def symbolic_arm2():
     """Angles, rates, parameters; and arm2's inertial parameters and translations in them."""
+    import sympy as sp
+
     q, dq = sp.symbols("q_1 q_2", real=True), sp.symbols("dq_1 dq_2", real=True)
     p = arm2.Parameters(*sp.symbols("a_1 a_2 l_1 l_2 m_1 m_2 I_1 I_2 g_0", positive=True))
     others = iter(sp.symbols("I_xx1 I_zz1 I_xx2 I_zz2", positive=True))
@@ -100,6 +106,8 @@ def arm2_in_symbols():
 
 @pytest.mark.parametrize("name", ["position", "jacobian", "mass_matrix", "coriolis", "gravity_torque"])
 def test_arm2_is_the_textbooks_arm_symbol_by_symbol(arm2_in_symbols, name):
+    import sympy as sp
+
     expressions, q, dq, p = arm2_in_symbols
     angles = [Angle(angle) for angle in q]
     arguments = (angles, dq) if name == "coriolis" else (angles,)
@@ -110,6 +118,8 @@ def test_arm2_is_the_textbooks_arm_symbol_by_symbol(arm2_in_symbols, name):
 
 
 def test_the_symbolic_comparison_sees_a_wrong_sign(arm2_in_symbols):
+    import sympy as sp
+
     expressions, q, dq, p = arm2_in_symbols
     wrong = -sp.Matrix(arm2.coriolis([Angle(angle) for angle in q], dq, p))
     assert sp.simplify(expressions["coriolis"] - wrong) != sp.zeros(2, 2)

@@ -1,1 +1,1 @@
-"""A planar arm with two joints, and its equations of motion as a textbook writes them."""
+"""A planar arm with two joints, and its equations of motion in closed form."""

@@ -18,7 +18,7 @@ Array = NDArray[Any]
 @final
 @dataclass(frozen=True)
 class Parameters:
-    """The arm's numbers; the defaults are those of `arm2.urdf`."""
+    """Parameters of the arm; the defaults are those of `arm2.urdf`."""
 
     a_1: Any = 0.45  # [m]
     a_2: Any = 0.4  # [m]

@@ -8,9 +8,9 @@ In the links' absolute angles :math:`\theta = T q`, T lower triangular of ones, 
     C_{ij} = k_{ij} \sin(\theta_i - \theta_j) \dot\theta_j, \quad
     g_i = h_i g_0 \cos\theta_i
 
-and :math:`T^\top (\cdot) T` brings them back to joint angles; Christoffel's C stays Christoffel's under a constant T.
-Notation of [Siciliano2009]_: link lengths a_i, centres of mass at l_i, masses m_i, inertias I_i about those centres.
-The same lines with one link more or less give any planar arm.
+and :math:`T^\top (\cdot) T` transforms them to joint angles. A constant T transforms the Christoffel matrix of one set
+of angles into that of the other. Notation of [Siciliano2009]_: link lengths a_i, centres of mass at l_i, masses m_i,
+inertias I_i about the centres of mass. The same equations with more or fewer links describe any planar arm.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ T = np.tril(np.ones((3, 3)))
 @final
 @dataclass(frozen=True)
 class Parameters:
-    """The arm's numbers, one a link; the defaults are those of `arm3.urdf`."""
+    """Parameters of the arm, one value per link; the defaults are those of `arm3.urdf`."""
 
     a: tuple[float, ...] = (0.45, 0.4, 0.22)  # [m]
     l: tuple[float, ...] = (0.2, 0.17, 0.1)  # noqa: E741 - the textbook's letter [m]
@@ -75,7 +75,7 @@ def gravity_torque(q: Array, p: Parameters = ARM3) -> Array:
 
 
 def _first_moments(p: Parameters) -> Array:
-    """h_i = m_i l_i + (m_{i+1} + ... + m_3) a_i: what hangs on link i, times its lever."""
+    """h_i = m_i l_i + (m_{i+1} + ... + m_3) a_i: first moment of link i and of the masses that it carries."""
     return np.array([p.m[i] * p.l[i] + sum(p.m[i + 1 :]) * p.a[i] for i in range(3)])
 
 

@@ -17,7 +17,7 @@ Array = NDArray[Any]
 @final
 @dataclass(frozen=True)
 class Parameters:
-    """The pendulum's numbers; the defaults are those of `pendulum.urdf`."""
+    """Parameters of the pendulum; the defaults are those of `pendulum.urdf`."""
 
     a: Any = 0.6  # [m]
     l: Any = 0.3  # noqa: E741 - the textbook's letter [m]

@@ -8,9 +8,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from scipy import signal
-from scipy.linalg import expm
-from scipy.optimize import brentq
+import scipy
 
 from dmframe.analysis import (
     Linear,
@@ -84,7 +82,7 @@ def held_loop(period: float) -> np.ndarray:
     """The flywheel on a clock by SciPy: states q, dq, i; dq_c = -alpha q held."""
     A = np.array([[0, 1, 0], [0, -K_P / J, -K_I / J], [0, 1, 0]])
     B = np.array([[0], [K_P / J], [-1]])
-    Ad, Bd, *_ = signal.cont2discrete((A, B, np.eye(3), np.zeros((3, 1))), period, method="zoh")
+    Ad, Bd, *_ = scipy.signal.cont2discrete((A, B, np.eye(3), np.zeros((3, 1))), period, method="zoh")
     return np.asarray(Ad - ALPHA * Bd @ np.array([[1, 0, 0]]))
 
 
@@ -157,7 +155,7 @@ def test_the_sampled_poles_are_scipys_zero_order_hold(period: float) -> None:
 
 
 def test_the_linearised_period_is_where_scipys_spectral_radius_crosses_one() -> None:
-    expected = brentq(lambda period: radius(period) - 1, 0.05, 1.0)
+    expected = scipy.optimize.brentq(lambda period: radius(period) - 1, 0.05, 1.0)
     found = linearised_period(linearise(flywheel()))
     assert found.stable <= expected <= found.unstable
     assert found.unstable - found.stable < 1e-5 * expected
@@ -165,7 +163,7 @@ def test_the_linearised_period_is_where_scipys_spectral_radius_crosses_one() -> 
 
 
 def test_a_linear_plants_simulated_period_is_the_linearised_one() -> None:
-    expected = brentq(lambda period: radius(period) - 1, 0.05, 1.0)
+    expected = scipy.optimize.brentq(lambda period: radius(period) - 1, 0.05, 1.0)
     found = simulated_period(flywheel(), 0.01, start={"q": [0.4]}, horizon=6.0)
     assert found.stable < expected * 1.1
     assert found.unstable > expected
@@ -184,7 +182,7 @@ def test_a_run_near_the_set_point_follows_the_matrix_exponential() -> None:
     run = simulate(still, 2.0, solver=Solver(output=0.5), start=start)
     states = np.hstack([run.states[label] for label in dict.fromkeys(labels)])
     for time, state in zip(run.time, states, strict=True):
-        expected = linear.point + expm(linear.A * time) @ nudge
+        expected = linear.point + scipy.linalg.expm(linear.A * time) @ nudge
         assert np.allclose(state, expected, atol=2e-3 * 1e-5)
 
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import signal
+import scipy
 
 from dmframe.analysis import Rational, passivity, transfer
 
@@ -14,7 +14,7 @@ def rational(num: list[float], den: list[float]) -> Rational:
 def test_a_transfer_function_is_scipys() -> None:
     rng = np.random.default_rng(0)
     A, b, c = rng.normal(size=(4, 4)), rng.normal(size=4), rng.normal(size=4)
-    num, den = signal.ss2tf(A, b[:, None], c[None, :], np.array([[0.7]]))
+    num, den = scipy.signal.ss2tf(A, b[:, None], c[None, :], np.array([[0.7]]))
     found = transfer(A, b, c, 0.7)
     assert np.allclose(found.num, num[0], atol=1e-12)
     assert np.allclose(found.den, den, atol=1e-12)

@@ -6,11 +6,10 @@ from functools import cache
 from typing import Any, ClassVar
 
 import casadi as ca
-import control
 import numpy as np
 import pytest
+import scipy
 from flint import arb, arb_mat
-from scipy.optimize import brentq
 
 from dmframe.analysis import (
     linearise,
@@ -127,6 +126,8 @@ def loop(r: float = 0.0, **options: Any) -> Diagram:
 
 def by_hand(period: float, y: float = 0.0, k: float = 2.0) -> np.ndarray:
     """States i, late, y of the loop at a point y, by python-control."""
+    import control
+
     cart = control.c2d(control.ss([[-0.5 - 3 * y * y]], [[1.0]], [[1.0]], [[0.0]]), period, "zoh")
     return np.array([[1, 0, period], [-1, 0, -k], [0, cart.B[0, 0], cart.A[0, 0]]])
 
@@ -161,7 +162,7 @@ def test_a_loop_that_runs_on_a_clock_alone_is_linearised_as_python_control_says(
 
 
 def test_the_largest_period_of_a_sampled_loop_is_where_its_radius_crosses_one() -> None:
-    expected = brentq(lambda period: radius(period) - 1, 0.1, 2.0)
+    expected = scipy.optimize.brentq(lambda period: radius(period) - 1, 0.1, 2.0)
     found = linearised_period(linearise(loop(), clock=T))
     assert found.stable <= expected <= found.unstable
     proved = proof(loop(), T)

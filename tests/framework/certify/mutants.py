@@ -32,14 +32,13 @@ from dmframe.block import AbstractBlock
 from dmframe.block.model import symbols_in
 from dmframe.certificate import Certificate
 from dmframe.certify import claim_of, verify
-from dmframe.certify.identity import equalities
-from dmframe.certify.reals import doubt
-from dmframe.certify.symbols import symbols_of
+from dmframe.certify.assemble import assembled
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
-from dmframe.exact import zero_test
 from dmframe.parameter import specs
 from dmframe.port import Side
+from dmframe.prove.identity import identity
+from dmframe.prove.reals import doubt
 from dmframe.robot.bodies import Body
 from dmframe.robot.symbolic import SymbolicRobot
 
@@ -328,16 +327,15 @@ def _free_of_sources(diagram: Diagram) -> bool:
     claim = claim_of(diagram)
     sources = {name for name, block in diagram.blocks.items() if block.side is Side.SOURCE}
     own = {s for p in claim.loop.parameters if p.label.split(".")[0] in sources for s in symbols_in([p.symbol])}
-    held = [claim.V, claim.residual, *(equality.expression for equality in equalities(claim))]
+    moves = claim.flow.rates_of(symbols_in([claim.V])) if not claim.over_samples else claim.sample.next
+    held = [claim.V, *moves.values(), *(x for part in claim.parts for x in part.certificate.pieces)]
     return not (own | symbols_in([claim.loop.time])) & symbols_in(held)
 
 
 def _refuted_at_once(diagram: Diagram) -> bool:
     """What `verify` finds, without its search for whom to blame."""
-    claim = claim_of(diagram)
-    symbols = symbols_of(claim)
-    residual = symbols.function("residual", [claim.residual])  # a part of what verify tests, and the quicker for it
-    return not zero_test(residual, values=symbols.fixed, trials=1).zero and not doubt(equalities(claim), symbols, 0)
+    claim = assembled(claim_of(diagram))
+    return not identity(claim, trials=1, seed=0).zero and not doubt(claim, 0)
 
 
 def _outcome(diagram: Diagram, verdict: Any) -> str:

@@ -13,12 +13,10 @@ from closed_loops import Loop, known_blocks, loop_of
 from dmframe.block import AbstractBlock, Signals
 from dmframe.certificate import Certificate, Square
 from dmframe.certify import claim_of, verify
-from dmframe.certify.identity import equalities
-from dmframe.certify.refute import refute, replay
+from dmframe.certify.assemble import assembled
 from dmframe.certify.summary import summary
-from dmframe.certify.symbols import symbols_of
 from dmframe.diagram import Diagram
-from dmframe.exact import zero_test
+from dmframe.prove.refute import failing, refute, replay
 from dmframe.robot.library import load
 
 PROVABLE = {
@@ -64,20 +62,15 @@ def diagram_with(which: str, lies: dict[str, type[AbstractBlock]]) -> Diagram:
 def test_a_lie_in_any_block_is_caught_alone_and_blamed_in_the_diagram(kind: str, which: str, how: str) -> None:
     diagram = diagram_with(which, {kind: lying(known_blocks()[kind], how)})
     (liar,) = (name for name in diagram.blocks if diagram.type_of(name) == kind)
-    claim = claim_of(diagram)
-    symbols = symbols_of(claim)
-    alone = {
-        part.block: zero_test(symbols.function("own", [part.residual]), values=symbols.fixed, trials=1).zero
-        for part in claim.parts
-    }
-    assert [block for block, zero in alone.items() if not zero] == [liar]
+    claim = assembled(claim_of(diagram))
+    assert [label for label, _ in failing(claim, seed=0)] == ["dV/dt", f"{liar}: dS/dt"]
 
     verdict = verify(diagram, trials=1)
     assert verdict.outcome == "refuted"
     assert verdict.refutation is not None
     assert verdict.refutation.blame == (liar,)
     assert verdict.reason.endswith(f"to blame: {liar}")
-    assert replay(equalities(claim), symbols, verdict.refutation) == verdict.refutation.residue != 0
+    assert replay(claim, verdict.refutation) == verdict.refutation.residue != 0
 
 
 def test_two_lies_that_cancel_in_the_sum_are_caught_by_their_sign() -> None:
@@ -91,20 +84,19 @@ def test_two_lies_that_cancel_in_the_sum_are_caught_by_their_sign() -> None:
 
 def test_the_signals_of_a_refutation_are_as_few_as_can_be() -> None:
     diagram = diagram_with("PI", {"pi_inverse": lying(known_blocks()["pi_inverse"], "dissipation")})
-    claim = claim_of(diagram)
-    symbols = symbols_of(claim)
-    found = refute(equalities(claim), symbols, seed=0)
+    claim = assembled(claim_of(diagram))
+    found = refute(claim, seed=0)
     # what was invented is |q|^2, so q alone is enough, and without it nothing is left
     assert found.signals == ("arm.q",)
     point = dict(found.point)
-    zero = {g.label for g in symbols.groups if g.kind in ("state", "trajectory", "projection")} - set(found.signals)
+    zero = {s.label for s in claim.symbols if s.kind in ("state", "trajectory", "projection")} - set(found.signals)
     assert zero
     assert all(not any(point[label]) for label in zero)
 
 
 def test_the_exact_point_survives_json_and_refutes_there() -> None:
     diagram = diagram_with("PID", {"pid_inverse": lying(known_blocks()["pid_inverse"], "storage")})
-    claim = claim_of(diagram)
+    claim = assembled(claim_of(diagram))
     verdict = verify(diagram)
     told = json.loads(json.dumps(summary("lie", verdict)))["refutation"]
     assert verdict.refutation is not None
@@ -120,7 +112,7 @@ def test_the_exact_point_survives_json_and_refutes_there() -> None:
         residue=int(told["residue"]),
         says=verdict.refutation.says,
     )
-    assert replay(equalities(claim), symbols_of(claim), again) == again.residue != 0
+    assert replay(claim, again) == again.residue != 0
 
 
 def test_a_false_statement_of_how_sigma_is_composed_is_refuted_and_blamed() -> None:
@@ -139,8 +131,8 @@ def test_a_false_statement_of_how_sigma_is_composed_is_refuted_and_blamed() -> N
     )
     assert verdict.refutation is not None
     assert verdict.refutation.blame == ("inverse",)
-    claim = claim_of(diagram_with("PID", {"pid_inverse": liar}))
-    assert replay(equalities(claim), symbols_of(claim), verdict.refutation) == verdict.refutation.residue != 0
+    claim = assembled(claim_of(diagram_with("PID", {"pid_inverse": liar})))
+    assert replay(claim, verdict.refutation) == verdict.refutation.residue != 0
 
 
 def test_a_square_that_is_identically_zero_says_nothing_and_proves_nothing() -> None:

@@ -16,8 +16,8 @@ from scalar_blocks import scalar_loop
 
 from dmframe.certificate import Certificate, Clipped, Gathered, Square, clip
 from dmframe.certify import claim_of, verify
+from dmframe.certify.assemble import assembled
 from dmframe.certify.checked import Checked, Numbers
-from dmframe.certify.controls import inject_faults
 from dmframe.certify.definite import is_semidefinite
 from dmframe.certify.excess import bounds_of
 from dmframe.certify.memories import memory_starts
@@ -27,6 +27,7 @@ from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
 from dmframe.exact.rational import as_float
+from dmframe.prove.faults import inject_faults
 from dmframe.report.content import Condition
 from dmframe.report.verdict_text import verdict_text
 
@@ -122,7 +123,7 @@ def test_a_gain_that_changes_no_rate_is_no_fault_and_one_that_does_is() -> None:
 
     def faults(diagram: Diagram) -> dict[str, bool]:
         claim = claim_of(diagram)
-        return {c.fault: c.refuted for c in inject_faults(claim, symbols_of(claim), seed=0)}
+        return {c.fault: c.refuted for c in inject_faults(assembled(claim), seed=0)}
 
     changed = "toy.k changed in the equations only"
     assert faults(loop(0.0)).get(changed) is None

@@ -11,10 +11,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dmframe.certify import claim_of, verify
-from dmframe.certify.identity import check_identity
-from dmframe.certify.symbols import symbols_of
+from dmframe.certify.assemble import assembled
 from dmframe.config import load_experiment
 from dmframe.exact import ZeroTest
+from dmframe.prove import identity as exact
 from dmframe.robot.library import load
 
 ROBOTS = {
@@ -39,8 +39,7 @@ def robot(name: str) -> Any:
 
 
 def identity(diagram: Any) -> ZeroTest:
-    claim = claim_of(diagram)
-    return check_identity(claim, symbols_of(claim), trials=1, seed=7)
+    return exact.identity(assembled(claim_of(diagram)), trials=1, seed=7)
 
 
 @pytest.mark.parametrize("name", ROBOTS)

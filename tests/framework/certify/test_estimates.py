@@ -183,15 +183,15 @@ def test_a_true_value_or_a_weight_that_is_not_that_of_the_law_is_refuted(told: A
     [
         (
             lambda x, truth: {"w": TrueValue(truth.theta), "v": TrueValue(0)},
-            "learner: certificate() says what is estimated by v, which is none of its estimates; choose from w",
+            "learner: certificate() gives the true value of v, which is none of its estimates; choose from w",
         ),
         (
             lambda x, truth: {},
-            "learner: certificate() says what is estimated by nothing, and leaves out the estimate w",
+            "learner: certificate() gives the true value of nothing, and omits the estimate w",
         ),
         (
             lambda x, truth: {"w": TrueValue(truth.theta + 0.1 * x.w)},
-            "learner: certificate() says that w estimates what moves with w itself",
+            "learner: certificate() gives a true value for w that depends on w",
         ),
         (
             lambda x, truth: {"w": truth.theta},
@@ -231,7 +231,7 @@ def moves(law: Callable[[Signals, SX], dict[str, SX]], **stated: Any) -> type[Ad
             lambda u, error: {"w": -error, "v": error},
             "learner: direction() moves v, which is none of its estimates; choose from w",
         ),
-        (lambda u, error: {}, "learner: direction() moves nothing, and leaves out the estimate w"),
+        (lambda u, error: {}, "learner: direction() moves nothing, and omits the estimate w"),
     ],
 )
 def test_a_direction_of_something_else_is_told(law: Any, text: str) -> None:
@@ -241,7 +241,9 @@ def test_a_direction_of_something_else_is_told(law: Any, text: str) -> None:
 
 
 def test_a_rate_that_is_stated_beside_its_direction_is_told() -> None:
-    with pytest.raises(BlockError, match=r"equations\(\) state the rate of w, which direction\(\) moves; leave it out"):
+    with pytest.raises(
+        BlockError, match=r"equations\(\) state the rate of w, which direction\(\) determines; remove it"
+    ):
         diagram(moves(lambda u, error: {"w": -error}, w=ca.SX(0))())
 
 
@@ -249,7 +251,7 @@ def test_a_dead_zone_of_a_law_that_is_not_linear_in_its_error_is_told() -> None:
     cubic = moves(lambda u, error: {"w": -error - error**3})
     verdict = proof(cubic(dead_zone=0.1))
     assert verdict.outcome == "not_applicable"
-    assert "learner: direction() is not linear in x, so that nobody knows what a dead zone leaves" in verdict.reason
+    assert "learner: direction() is not linear in x, so that the residual of a dead zone is unknown" in verdict.reason
     assert "linear" not in proof(cubic()).reason
 
 
@@ -340,7 +342,7 @@ def test_a_projected_state_has_to_be_said_to_be_an_estimate() -> None:
 def test_an_estimate_that_is_no_state_is_told() -> None:
     verdict = proof(Minimal(says="nothing"))
     assert verdict.outcome == "not_applicable"
-    assert "learner: certificate() says what v estimates, which is none of its states; choose from" in verdict.reason
+    assert "learner: certificate() gives a true value for v, which is none of its states; choose from" in verdict.reason
 
 
 def test_a_figure_of_estimates_shows_what_is_declared_and_guesses_nothing_from_names() -> None:
@@ -361,9 +363,9 @@ def test_every_adapting_block_says_what_its_options_are_on_its_page_and_to_an_ed
     for name, kind in adapting.items():
         for option in ("leak", "error_leak", "dead_zone"):
             text = about(kind).parameters[option]
-            assert "Robust laws, each absent unless given" in text
+            assert "Robust adaptation laws, each off by default" in text
             assert kind.driven_by in text
-            assert "Robust laws" in schema[f"block_{name}"]["properties"][option]["description"]
+            assert "Robust adaptation laws" in schema[f"block_{name}"]["properties"][option]["description"]
 
 
 class Seen(Drift):
@@ -442,8 +444,8 @@ def test_what_a_method_says_of_no_estimate_is_refused() -> None:
             return {"w": ca.SX.ones(2)}
 
     texts = {
-        Foreign: "fits() speaks of w_hat, which is none of its estimates",
-        Stranger: "nominal() speaks of ww, which is none of its estimates; did you mean w?",
+        Foreign: "fits() returns w_hat, which is none of its estimates",
+        Stranger: "nominal() returns ww, which is none of its estimates; did you mean w?",
         Nothing: "expected nominal() to return values by estimate, found NoneType",
     }
     for kind, text in texts.items():
@@ -451,5 +453,5 @@ def test_what_a_method_says_of_no_estimate_is_refused() -> None:
             Diagram.build({"plant": Seen(theta=[0.5, 0.8]), "learner": kind(R=50.0)})
         assert text in str(caught.value)
     built = Diagram.build({"plant": Seen(theta=[0.5, 0.8]), "learner": Twice(R=50.0)})
-    with pytest.raises(DmframeError, match=r"start\(\) says where w starts, to which a leak would not pull it back"):
+    with pytest.raises(DmframeError, match=r"start\(\) sets the initial value of w, which a leak does not use"):
         simulate(built, 0.1)

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import random
 from fractions import Fraction
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
-import sympy as sp
 from closed_loops import loop_of
 
-from dmframe.certify import claim_of
+from dmframe.certify import Claim, claim_of
+from dmframe.certify.claim import total
 from dmframe.certify.symbols import symbols_of
 from dmframe.robot.library import load
 
+if TYPE_CHECKING:
+    import sympy as sp
+
 
 def column(name: str, n: int = 2) -> sp.Matrix:
+    import sympy as sp
+
     return sp.Matrix(sp.symbols(f"{name}1:{n + 1}"))
 
 
@@ -29,6 +34,8 @@ def inverse(a: sp.Matrix) -> sp.Matrix:
 
 def by_hand(adaptation: int = -1) -> sp.Expr:
     """DV/dt + dissipation of a planar arm with a PI servo and joint tracking, eqs. (3), (6), (12), (14)-(16), (45)."""
+    import sympy as sp
+
     c2, s2, g1, g12 = sp.symbols("c2 s2 g1 g12")  # cos q2, sin q2, and cos q1, cos(q1 + q2) of gravity
     alpha, kappa = sp.symbols("alpha kappa")
     dq, q_err, dq_d, ddq_d, i, q_c, q_r, w, w_I = map(column, "dq e dqd ddqd i qc qr w wI".split())
@@ -82,11 +89,10 @@ def test_sympy_refutes_the_same_arm_with_one_adaptation_law_turned_round() -> No
     assert by_hand(adaptation=1) != 0
 
 
-ONE = sp.Integer(1)
-
-
 def translated(f: Any, inputs: list[list[Any]], circle: dict[Any, tuple[Any, Any]]) -> list[Any]:
     """A CasADi function's instructions, carried out by SymPy; angles are points of the unit circle."""
+    import sympy as sp
+
     binary = {
         ca.OP_ADD: lambda x, y: x + y,
         ca.OP_SUB: lambda x, y: x - y,
@@ -97,7 +103,7 @@ def translated(f: Any, inputs: list[list[Any]], circle: dict[Any, tuple[Any, Any
         ca.OP_NEG: lambda x: -x,
         ca.OP_SQ: lambda x: x * x,
         ca.OP_TWICE: lambda x: 2 * x,
-        ca.OP_INV: lambda x: ONE / x,
+        ca.OP_INV: lambda x: sp.Integer(1) / x,
         ca.OP_COS: lambda x: circle[x][0],
         ca.OP_SIN: lambda x: circle[x][1],
     }
@@ -121,13 +127,21 @@ def translated(f: Any, inputs: list[list[Any]], circle: dict[Any, tuple[Any, Any
     return found
 
 
+def residual_of(claim: Claim) -> Any:
+    """dV/dt plus the dissipation, less all that V may gain, by CasADi's derivatives."""
+    own = [claim.weight(part) * (part.dissipation - part.excess - part.lemma) for part in claim.parts]
+    return claim.flow.unrecorded(claim.V) + total(own) - claim.consumption
+
+
 def residual_in_sympy(kept: set[str], factor: int = 1) -> Any:
     """dmframe's residual with the first element of some signals left as symbols, all else random fractions."""
+    import sympy as sp
+
     diagram = loop_of(load("arm2"), "joint", "PI", friction="viscous").diagram
     claim = claim_of(diagram)
     symbols = symbols_of(claim)
     (adapting,) = (part for part in claim.parts if part.block == "dynamics")
-    residual = claim.residual + (factor - 1) * adapting.rate
+    residual = residual_of(claim) + (factor - 1) * claim.flow.unrecorded(adapting.storage)
     f = symbols.function("residual", [residual])
     rng = random.Random(3)
     inputs: list[list[Any]] = []

@@ -28,9 +28,9 @@ from mutants import (
 
 from dmframe.block.model import symbols_in
 from dmframe.certify import claim_of
-from dmframe.certify.identity import check_identity
-from dmframe.certify.symbols import symbols_of
+from dmframe.certify.assemble import assembled
 from dmframe.port import Side
+from dmframe.prove.identity import identity
 
 CAUGHT = {"refuted", "no diagram", "condition", "units", "equivalent"}
 
@@ -129,7 +129,7 @@ def test_a_source_has_no_part_in_the_claim() -> None:
     claim = claim_of(small(["waypoints"])[0].diagram)
     own = {s for p in claim.loop.parameters if p.label.startswith("path.") for s in symbols_in([p.symbol])}
     assert own
-    assert not own & symbols_in([claim.V, claim.rate, claim.residual])
+    assert not own & symbols_in([claim.V, *claim.flow.rates_of(symbols_in([claim.V])).values()])
 
 
 def test_the_independent_look_at_dv_dt_sees_a_false_claim() -> None:
@@ -157,4 +157,4 @@ def test_every_loop_that_faults_are_put_into_is_true_without_them() -> None:
     for loop in loops():
         with nothing_printed():
             claim = claim_of(loop.diagram)
-        assert check_identity(claim, symbols_of(claim), trials=1, seed=0).zero, loop.name
+        assert identity(assembled(claim), trials=1, seed=0).zero, loop.name

@@ -9,8 +9,8 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 import pytest
+import scipy
 from scalar_blocks import scalar_loop
-from scipy.integrate import solve_ivp
 
 import dmframe as dm
 from dmframe.block import AbstractBlock, Equations
@@ -60,7 +60,7 @@ def test_a_potential_that_rounding_takes_for_zero_has_its_tube_all_the_same() ->
         q, s = state
         return [float(min(50.0, 3 * (1 - q)) + s), -s]
 
-    run = solve_ivp(moved, (0, 5), [0.0, 0.5], max_step=0.01)
+    run = scipy.integrate.solve_ivp(moved, (0, 5), [0.0, 0.5], max_step=0.01)
     assert 1.03 < np.max(run.y[0]) < 1.1444
 
 

@@ -11,10 +11,10 @@ import pytest
 from closed_loops import field_of, loop_of, loops, states_of
 
 from dmframe.certify import claim_of
-from dmframe.certify.identity import check_identity
-from dmframe.certify.symbols import symbols_of
+from dmframe.certify.assemble import assembled
 from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
+from dmframe.prove.identity import identity
 from dmframe.robot.library import load
 from dmframe.simulate import Solver, simulate
 
@@ -37,7 +37,7 @@ def test_dv_dt_of_the_claim_is_how_v_moves_along_what_a_run_integrates(loop: Any
     V = diagram.loop.on_path(claim.V)  # in reverse mode, where the claim's rate is in forward mode
     slopes = [ca.gradient(V, part) for part in (diagram.loop.state, diagram.loop.time)]
     slope, by_time = (at_time(diagram, part, claim.kappa) for part in slopes)
-    rate = at_time(diagram, claim.rate, claim.kappa)
+    rate = at_time(diagram, claim.flow.unrecorded(claim.V), claim.kappa)
     field = field_of(diagram)
     for state, t in states_of(diagram, 2, 11):
         terms = slope(state, t, p, KAPPA).full().ravel() * field(state, t)
@@ -63,7 +63,7 @@ def test_what_is_changed_in_the_loop_that_runs_changes_what_is_proved(side: str)
         field_of(broken)(state, t)[part], 1.01 * field_of(honest)(state, t)[part], rtol=1e-6, atol=1e-6
     )
     claims = [claim_of(diagram) for diagram in (honest, broken)]
-    verdicts = [check_identity(claim, symbols_of(claim), trials=1, seed=0).zero for claim in claims]
+    verdicts = [identity(assembled(claim), trials=1, seed=0).zero for claim in claims]
     assert verdicts == [True, False]
 
 

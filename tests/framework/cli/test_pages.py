@@ -182,7 +182,7 @@ def test_check_names_each_block_wire_size_and_derived_signal(dmframe: Any) -> No
     wires = {line.split()[0]: line for line in said.out.splitlines() if "<-" in line}
     assert wires["servo.dq_c"].split()[2] == "inverse.dq_c"
     assert wires["model.ddq_ref"].split()[2:] == ["d/dt", "model.dq_ref", "3", "rad/s^2"]
-    assert "0 (nobody drives it)" in wires["dynamics.tau_task"]
+    assert "0 (not driven)" in wires["dynamics.tau_task"]
 
 
 def test_check_takes_overrides(dmframe: Any) -> None:
@@ -270,7 +270,7 @@ def test_a_page_says_where_sizes_are_those_of_an_example_and_what_its_operations
     assert "counted from 1, both ends included" in page
     page = dmframe("blocks", "dynamic_compensator").out
     assert "three joints" not in page
-    assert "\n  clip(vector, width)    each element held between -width and width\n" in page
+    assert "\n  clip(vector, width)    each element limited to [-width, width]\n" in page
     assert "\ntrue values, which its certificate alone reads\n  a_d  a_d  (p)  -\n" in page
 
 

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import xarray
 
 from dmframe.config import load_experiment
 from dmframe.errors import ValueFault
@@ -95,6 +94,8 @@ def test_the_same_graph_twice_gives_two_results(dmframe: Any, tmp_path: Path) ->
 def test_until_replaces_the_duration(dmframe: Any, tmp_path: Path) -> None:
     assert strict(dmframe("run", "arm2_joint", "--until", "200 ms", "--no-plots", "--json").out)["duration"] == 0.2
     dmframe("run", "arm2_joint", "--until", "0.2", "--no-plots", "--out", "mine")
+    import xarray
+
     signals = xarray.open_dataset(tmp_path / "mine" / "signals.nc", engine="h5netcdf")
     assert float(signals["time"][-1]) == pytest.approx(0.2)
 
@@ -230,6 +231,8 @@ def test_divergence_gives_status_1_names_the_culprit_and_keeps_what_was_computed
     state, rest = rest.split("[", 1)
     element, rest = rest.split("]", 1)
     words, unit = rest.rsplit(" ", 1)
+    import xarray
+
     signals = xarray.open_dataset(tmp_path / "mine" / "signals.nc", engine="h5netcdf")
     kept = signals[f"{block}.{state}"]
     assert 0 <= int(element) < kept.shape[1]

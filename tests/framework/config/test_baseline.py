@@ -88,7 +88,7 @@ def test_the_resolved_graph_keeps_what_is_uncertain(tmp_path: Path) -> None:
 
 def test_without_the_key_there_is_nothing_to_compare_with(tmp_path: Path) -> None:
     graph = load_experiment(written(tmp_path, GRAPH))
-    with pytest.raises(MissingError, match="mine: expected a key baseline, which says what to compare with"):
+    with pytest.raises(MissingError, match="mine: expected a key baseline, with the blocks to compare with"):
         graph.baseline()
 
 

@@ -117,18 +117,18 @@ def test_an_alias_repeats_its_anchor_as_data_of_its_own() -> None:
 @pytest.mark.parametrize(
     ("text", "lines"),
     [
-        ("a: 1\nb:\n  a: 1\n  a: 2\n", ["g.yaml:4:3: b.a stands twice, first at g.yaml:3:3; keep one of them"]),
-        ("a: 1\r\na: 2\r\n", ["g.yaml:2:1: a stands twice, first at g.yaml:1:1; keep one of them"]),
+        ("a: 1\nb:\n  a: 1\n  a: 2\n", ["g.yaml:4:3: b.a appears twice, first at g.yaml:3:3; keep one of them"]),
+        ("a: 1\r\na: 2\r\n", ["g.yaml:2:1: a appears twice, first at g.yaml:1:1; keep one of them"]),
         ("a:\n\tb: 1\n", ["g.yaml:2:1: a tab indents this line; YAML indents with spaces"]),
         ("a:\n  c: 1\n \tb: 2\nd: e: f", ["g.yaml:3:2: a tab indents this line; YAML indents with spaces"]),
-        ("a:\t3\n", ["g.yaml:1:3: a tab stands here; write spaces"]),
+        ("a:\t3\n", ["g.yaml:1:3: a tab is not allowed here; write spaces"]),
         ("a: 1\nb: [1, 2", ["g.yaml:2:4: this list is not closed, or lacks a comma; check its [ ... , ... ]"]),
         ("a: {b: 1\nc: 2", ["g.yaml:1:4: this mapping is not closed, or lacks a comma; check its { ... , ... }"]),
         ("a: 'x\nb: 1\n", ["g.yaml:1:4: this quote is never closed"]),
         ("a: 1\nb\nc: 2\n", ["g.yaml:2:1: expected a colon and a space after this key"]),
-        ("a: b: c", ["g.yaml:1:5: a colon cannot stand here; check the indentation, or put the text in quotes"]),
-        ("a: - b", ["g.yaml:1:4: a dash cannot stand here; check the indentation, or put the text in quotes"]),
-        ("a: 'b' c", ["g.yaml:1:8: this does not fit what stands before it; check indentation, quotes and brackets"]),
+        ("a: b: c", ["g.yaml:1:5: a colon is not allowed here; check the indentation, or put the text in quotes"]),
+        ("a: - b", ["g.yaml:1:4: a dash is not allowed here; check the indentation, or put the text in quotes"]),
+        ("a: 'b' c", ["g.yaml:1:8: this does not match the text before it; check indentation, quotes and brackets"]),
         ("a: @x", ["g.yaml:1:4: a value cannot begin with @; put it in quotes"]),
         ("a: }", ["g.yaml:1:4: expected a value, found }; check the brackets, or put the value in quotes"]),
         (
@@ -166,7 +166,7 @@ def test_an_alias_repeats_its_anchor_as_data_of_its_own() -> None:
         ("? [a]\n: b\n", ["g.yaml:1:3: a key is a text, found a list"]),
         ("a: *b", ["g.yaml:1:4: the alias *b repeats no anchor; there is none to choose from"]),
         ("a: &gain 1\nb: *gian", ["g.yaml:2:4: the alias *gian repeats no anchor; did you mean gain?"]),
-        ("a: &x [*x]", ["g.yaml:1:8: the alias *x stands inside the value that it repeats; write it out"]),
+        ("a: &x [*x]", ["g.yaml:1:8: the alias *x is inside the value that it repeats; write it out"]),
         ("a: 'x\0y'", ["g.yaml:1:6: expected readable text, found the control character U+0000; remove it"]),
         ("a: 1\nb: \ud800", ["g.yaml:2:4: expected readable text, found the control character U+D800; remove it"]),
         ('a: "x\\ud800y"', ["g.yaml:1:4: expected readable text, found the control character U+D800; remove it"]),
@@ -206,11 +206,11 @@ def test_all_faults_are_reported_at_once() -> None:
     with pytest.raises(Faults) as caught:
         read_document("a: 1\na: !x .nan\nb: {c: 1, c: 2\n", "g.yaml")
     assert str(caught.value).split("\n") == [
-        "g.yaml:2:1: a stands twice, first at g.yaml:1:1; keep one of them",
+        "g.yaml:2:1: a appears twice, first at g.yaml:1:1; keep one of them",
         "g.yaml:2:4: tags such as !x are not used in a graph; write the value alone",
         "g.yaml:2:4: a: expected a finite number, found .nan",
         "g.yaml:3:4: this mapping is not closed, or lacks a comma; check its { ... , ... }",
-        "g.yaml:3:11: b.c stands twice, first at g.yaml:3:5; keep one of them",
+        "g.yaml:3:11: b.c appears twice, first at g.yaml:3:5; keep one of them",
     ]
     assert caught.value.faults[0].path == ("a",)
 

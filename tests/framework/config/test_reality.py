@@ -92,7 +92,7 @@ def test_any_graph_can_be_had_so(
     assert run.divergence is None
     assert "through transport_delay" in run.notices[0]
     told = capsys.readouterr().err
-    why = "nothing in the graph hands out dq_c"
+    why = "no block outputs dq_c"
     assert [kind for kind in UR if f"reality {kind} is left out: {why}" in told] == left_out
 
 
@@ -194,7 +194,7 @@ def test_none_tells_of_blocks_that_the_graph_has_of_its_own(capsys: pytest.Captu
             "graph:12:27: reality.encoder.type: the key encoder is",
         ),
         ("reality: {like: ur, encoder: {type: circle, step: 1}}", "reality.encoder.type: the key encoder is the type"),
-        ("reality: {mine.py:Mine: {}}", "reality.mine.py:Mine: a block of your own stands under blocks"),
+        ("reality: {mine.py:Mine: {}}", "reality.mine.py:Mine: a block from a file of yours belongs under blocks"),
         (
             "reality: {encoder: {stp: 1, step: 1}}",
             "graph:12:21: blocks.encoder.stp: unknown parameter of encoder; did you",
@@ -213,7 +213,7 @@ def test_what_is_wrong_is_told_with_its_place(section: str, text: str) -> None:
     ("text", "told"),
     [
         ("{encoder: {step: .nan}}", "}}: encoder.step: expected a finite number, found .nan"),
-        ("{like: ur, like: none}", "}: like stands twice; keep one of them"),
+        ("{like: ur, like: none}", "}: like appears twice; keep one of them"),
     ],
 )
 def test_a_fault_inside_a_value_names_what_was_written(text: str, told: str) -> None:
@@ -223,7 +223,7 @@ def test_a_fault_inside_a_value_names_what_was_written(text: str, told: str) -> 
 
 
 def test_a_block_that_fits_nowhere_is_refused() -> None:
-    with pytest.raises(DmframeError, match="expected a block that stands between controller and robot, or one in"):
+    with pytest.raises(DmframeError, match="expected a channel model between controller and robot, or a"):
         dm.load(f"{TEXT}reality: {{accelerometer: {{}}}}\n")
 
 

@@ -118,7 +118,7 @@ def test_an_old_name_is_read_as_the_new_one_with_one_notice(
     assert graph.baseline().diagram().fingerprint == plain.baseline().diagram().fingerprint
     file = plain.document.name
     assert capsys.readouterr().err == (
-        f"{file}:{place}: notice: {before} is called {after} now; the old name still works, better write {after}\n"
+        f"{file}:{place}: notice: {before} is now called {after}; the former name still works, but write {after}\n"
     )
 
 
@@ -144,7 +144,8 @@ def test_set_takes_an_old_name_and_goes_before_the_file(
         graph = load_experiment(write(text), [override])
         values = {item.label: item.value for item in graph.diagram().loop.parameters}
         np.testing.assert_array_equal(values[parameter], value)
-        assert f"--set {override}: notice: {override.split('=')[0].split('.')[-1]} is called" in capsys.readouterr().err
+        notice = f"--set {override}: notice: {override.split('=')[0].split('.')[-1]} is now called"
+        assert notice in capsys.readouterr().err
         renamed = override.replace("gain", "rate").replace("shove", "push")
         assert load_experiment(write(text), [renamed]).diagram().fingerprint == graph.diagram().fingerprint
         capsys.readouterr()
@@ -182,10 +183,10 @@ def test_set_takes_an_old_start(write: Callable[[str], Path]) -> None:
 def test_both_names_at_once_are_an_error_with_its_place(write: Callable[[str], Path]) -> None:
     file = write(NEW.replace("rate: 3", "rate: 3, gain: 4").replace("{cart.push", "{cart.shove: [0, 1], cart.push"))
     text = told(lambda: load_experiment(file))
-    assert f"{file}:7:43: gain is called rate now, and both are given; keep rate alone" in text
-    assert f"{file}:11:13: cart.shove is called cart.push now, and both are given" in text
+    assert f"{file}:7:43: gain is now called rate, and both are given; keep only rate" in text
+    assert f"{file}:11:13: cart.shove is now called cart.push, and both are given" in text
     text = told(lambda: load_experiment(write(NEW), ["pull.gain=1", "pull.rate=2"]))
-    assert text == "--set pull.gain=1: gain is called rate now, and both are given; keep rate alone"
+    assert text == "--set pull.gain=1: gain is now called rate, and both are given; keep only rate"
 
 
 def test_a_bad_value_under_an_old_name_is_told_where_it_stands(write: Callable[[str], Path]) -> None:
@@ -207,8 +208,8 @@ def test_old_names_must_lead_to_names_that_the_block_has() -> None:
             return Equations()
 
     texts = [fault.text for fault in Wrong.contract("wrong")]
-    assert "wrong: says that old is renamed c, which is no parameter, state or port; choose from a, b" in texts
-    assert "wrong: says that a is renamed b, and still has a" in texts
+    assert "wrong: declares old as renamed to c, which is no parameter, state or port; choose from a, b" in texts
+    assert "wrong: declares a as renamed to b, and still has a" in texts
     assert isinstance(Wrong.contract("wrong")[0], BlockError)
 
 

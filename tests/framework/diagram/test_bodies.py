@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.optimize import minimize
+import scipy
 
 from dmframe.diagram.projection import Bodies
 from dmframe.robot.pseudo_inertia import parameters_of, pseudo_inertia
@@ -108,7 +108,9 @@ def test_the_nearest_body_is_where_scipy_ends() -> None:
             Y = y.reshape(4, 4)
             return row(root @ (Y @ Y.T + SHARE * np.eye(4)) @ root.T)
 
-        found = minimize(lambda y, a=a, P0=P0: distance(made(y), a, P0), np.eye(4).ravel(), method="BFGS")
+        found = scipy.optimize.minimize(
+            lambda y, a=a, P0=P0: distance(made(y), a, P0), np.eye(4).ravel(), method="BFGS"
+        )
         assert distance(held, a, P0) == pytest.approx(found.fun, rel=1e-4)
         assert distance(held, made(found.x), P0) < 1e-4 * distance(held, a, P0)
 

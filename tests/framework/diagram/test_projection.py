@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.optimize import minimize
+import scipy
 
 from dmframe.diagram.projection import Ball, Box
 
@@ -25,7 +25,7 @@ def test_a_ball_of_one_radius_holds_the_nearest_point() -> None:
     rng = np.random.default_rng(0)
     for _ in range(5):
         point = rng.normal(size=3) * 4
-        near = minimize(
+        near = scipy.optimize.minimize(
             lambda x, point=point: float(np.sum((x - point) ** 2)),
             [1.0, 0.0, 0.0],
             constraints={"type": "ineq", "fun": lambda x: 4 - np.sum((x - [1, 0, 0]) ** 2)},

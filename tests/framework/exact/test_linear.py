@@ -3,9 +3,9 @@ from __future__ import annotations
 import math
 import random
 from fractions import Fraction
+from typing import TYPE_CHECKING
 
 import pytest
-import sympy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,6 +22,9 @@ from dmframe.exact import (
     reduced_echelon,
 )
 
+if TYPE_CHECKING:
+    import sympy
+
 P = MERSENNE_127
 
 
@@ -30,6 +33,8 @@ def residue(value: Fraction) -> int:
 
 
 def random_matrix(rng: random.Random) -> sympy.Matrix:
+    import sympy
+
     rows, columns, inner = rng.randint(1, 6), rng.randint(1, 7), rng.randint(1, 4)
     left = sympy.Matrix(rows, inner, lambda *_: rng.randint(-3, 3))
     right = sympy.Matrix(inner, columns, lambda *_: sympy.Rational(rng.randint(-4, 4), rng.randint(1, 5)))
@@ -95,6 +100,8 @@ def test_an_accepted_fraction_always_has_the_residue() -> None:
 
 
 def test_primality_is_that_of_sympy() -> None:
+    import sympy
+
     assert [n for n in range(3000) if is_prime(n)] == list(sympy.primerange(3000))
     rng = random.Random(3)
     large = [rng.getrandbits(100) | 1 for _ in range(300)]
@@ -106,6 +113,8 @@ def test_primality_is_that_of_sympy() -> None:
 
 
 def test_random_primes_are_prime_of_the_size_asked_and_repeat_with_the_seed() -> None:
+    import sympy
+
     found = [random_prime(random.Random(seed), bits) for seed, bits in ((1, 121), (1, 127), (2, 160))]
     assert [p.bit_length() for p in found] == [121, 127, 160]
     assert all(sympy.isprime(p) for p in found)

@@ -129,7 +129,7 @@ SEEDED = {
     ),
     "a rate of another state": (r"\dot w &=", r"\dot v &=", "no state v"),
     "the second derivative": (r"\dot w &=", r"\ddot w &=", r"\ddot{w}"),
-    "a wrong weight in S": (r"K_\star/\Lambda}", r"K_\star \Lambda}", "S: the docstring's law is not what the cert"),
+    "a wrong weight in S": (r"K_\star/\Lambda}", r"K_\star \Lambda}", "S: the docstring's law is not that of the cert"),
     "a missing half in S": (r"S &= \tfrac12 |\tilde w|", r"S &= |\tilde w|", "S: the docstring"),
     "a weight of the dissipation": (r"-|\tilde w|^2_{K_\star}", r"-|\tilde w|^2_{K}", r"\dot{S}"),
     "a supply's sign": (r"(\tau_{dc} - K \sigma)", r"(\tau_{dc} + K \sigma)", r"\dot{S}"),
@@ -138,12 +138,12 @@ SEEDED = {
     "a term without its square": (r"|\tilde w|^2_{K_\star}", r"|\tilde w|_{K_\star}", "square"),
     "an equation for an input": (r"\dot w &=", r"\tau_{dc} &=", "the block does not compute it"),
     "a new name that nothing uses": (r"\tau_d &=", r"\tau_x &=", "no other equation uses it"),
-    "a name that nothing bears": (r"\dot q_r - K_c e", r"\dot q_r - K_d e", "nothing bears the name K_d"),
+    "a name that nothing bears": (r"\dot q_r - K_c e", r"\dot q_r - K_d e", "the name K_d is unknown"),
     "a bracket that is not closed": ("(x - x_d) ", "(x - x_d ", "missing"),
     "a function of too few arguments": (r"\dot w &= -\Lambda", r"\dot w &= \max \Lambda", "cannot be read"),
     "a left side that ends too early": (r"\dot w &=", r"\dot &=", "cannot be read"),
     "a number that is none": (r"\dot w &= -\Lambda", r"\dot w &= \sqrt{-1} \Lambda", r"\dot{w}"),
-    "no equation at all": (r"\dot w &= -\Lambda", r"-\Lambda", "no equation"),
+    "no equation at all": (r"\dot w &= -\Lambda", r"-\Lambda", "not an equation"),
     "another order of the product": (r"-\Gamma Y_d^\top \sigma  ", r"-Y_d^\top \Gamma \sigma  ", "cannot be"),
 }
 

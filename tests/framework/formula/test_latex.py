@@ -68,7 +68,7 @@ def test_a_formula_is_its_numbers(text, expected):
         (r"\gamma \odot e", r"^\\odot is not understood"),
         (r"(\gamma e ; x)", r"^; is not understood"),
         (r"e ) + K", r"^\) is not understood here, before \+ K"),
-        (r"q", "nothing bears the name q"),
+        (r"q", "the name q is unknown"),
     ],
 )
 def test_what_makes_no_sense_is_refused(text, said):

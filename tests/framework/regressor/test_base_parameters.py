@@ -6,10 +6,10 @@ import re
 import sys
 from fractions import Fraction
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-import sympy
 
 from dmframe.errors import RobotError, UnknownNameError
 from dmframe.exact import Trial, random_prime
@@ -18,6 +18,9 @@ from dmframe.regressor.export import polarised_regressor
 from dmframe.regressor.full import Sampler, full_regressor
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.library import load
+
+if TYPE_CHECKING:
+    import sympy
 
 FIRST_THREE = ["shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"]
 BOTH = ("viscous", "coulomb")
@@ -79,6 +82,8 @@ def test_pinocchios_regressor_is_carried_and_its_numerical_rank_is_the_count(nam
 
 def evaluate(text: str, values: dict[str, Fraction]) -> dict[str, sympy.Expr]:
     """Read a printed grouping with SymPy: an independent parser of what a person reads."""
+    import sympy
+
     product = re.sub(r"(?<=[\w)]) (?=[\w(])", "*", text).replace("^", "**")
     names = {name: sympy.Symbol(name) for name in re.findall(r"[A-Za-z]\w*", product)}
     lengths = {names[name]: sympy.Rational(x.numerator, x.denominator) for name, x in values.items() if name in names}
@@ -88,6 +93,8 @@ def evaluate(text: str, values: dict[str, Fraction]) -> dict[str, sympy.Expr]:
 
 @pytest.mark.parametrize("name", ["ur10 of three joints", "ur10", "panda", "arm2"])
 def test_printed_groupings_have_the_value_of_the_exact_ones(name: str) -> None:
+    import sympy
+
     found = base(name, BOTH)
     for text, row in zip(found.symbolic, found.grouping, strict=True):
         coefficients = evaluate(text, dict(found.translations))

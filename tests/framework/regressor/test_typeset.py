@@ -7,12 +7,12 @@ import itertools
 import random
 import re
 from fractions import Fraction
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
-import sympy as sp
 from latex2mathml.converter import convert
 
 from dmframe.errors import ValueFault
@@ -28,6 +28,8 @@ UR10 = {"free": ["shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"], "h
 
 def symbolic(matrix: Matrix, n: int) -> Any:
     """The printed text, read by SymPy."""
+    import sympy as sp
+
     q = sp.symbols(f"q_1:{n + 1}")
 
     def number(term: str) -> Any:
@@ -74,15 +76,11 @@ def textbook() -> Any:
     return module
 
 
-class Symbols:
-    """NumPy's name space, for SymPy numbers."""
-
-    cos, sin, array = sp.cos, sp.sin, staticmethod(sp.Matrix)
-
-
 def test_the_planar_arms_equations_are_the_textbooks(monkeypatch: pytest.MonkeyPatch) -> None:
+    import sympy as sp
+
     book = textbook()
-    monkeypatch.setattr(book, "np", Symbols)
+    monkeypatch.setattr(book, "np", SimpleNamespace(cos=sp.cos, sin=sp.sin, array=sp.Matrix))
     names = "a_1 a_2 l_1 l_2 m_1 m_2 I_1 I_2 g_0"
     a_1, a_2, l_1, l_2, m_1, m_2, I_1, I_2, g_0 = sp.symbols(names)
     p = book.Parameters(a_1, a_2, l_1, l_2, m_1, m_2, I_1, I_2, g_0)

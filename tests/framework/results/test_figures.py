@@ -4,7 +4,6 @@ import xml.etree.ElementTree as ET
 from dataclasses import replace
 from itertools import pairwise
 
-import matplotlib as mpl
 import numpy as np
 import pytest
 from PIL import Image
@@ -66,6 +65,8 @@ def test_a_format_that_there_is_not_is_refused_before_anything_is_written(tmp_pa
 
 
 def test_the_same_run_gives_the_same_files_and_no_setting_of_the_user_matters(kinematic):
+    import matplotlib as mpl
+
     once = files_of(error_figure({"one": kinematic.recording}), "error", "one", FORMATS)
     with mpl.rc_context({"lines.linewidth": 7.0, "font.size": 20.0}):
         again = files_of(error_figure({"one": kinematic.recording}), "error", "one", FORMATS)

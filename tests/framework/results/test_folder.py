@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import xarray
 
 import dmframe.results.folder as folder_module
 import dmframe.results.run as run_module
@@ -39,6 +38,8 @@ def test_one_graph_leaves_data_summary_graph_and_provenance(tmp_path, ur10):
 
 def test_signals_come_back_with_their_units(tmp_path, ur10):
     write_run(tmp_path / "out", [ur10], plots=False)
+    import xarray
+
     with xarray.open_dataset(tmp_path / "out" / "signals.nc", engine="h5netcdf") as data:
         assert np.array_equal(data["arm.x"].values, ur10.recording["arm.x"])
         assert data["arm.x"].attrs["units"] == "m"

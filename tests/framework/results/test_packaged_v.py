@@ -33,6 +33,7 @@ def rises_as_stated(name: str) -> None:
     # two digits are stated; where a machine fuses multiplications the run differs by rounding
     assert 100 * share == pytest.approx(stated()[name], rel=0.06, abs=1e-6)
     assert bool(run.storage.notice) is (stated()[name] > 0 or bool(run.storage.along.jumps))
+    assert run.storage.along.beyond == 0
 
 
 @pytest.mark.parametrize("name", CHEAP)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+import scipy
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 from dmframe.config.experiment import load_experiment
 from dmframe.robot.library import find_robot
@@ -128,7 +128,7 @@ def servo_and_robot(robot: Robot, y: Array, dq_c: Array) -> Array:
 
 def to_rounding(robot: Robot, plant: Array, dq_c: Array, T: float) -> Array:
     """PID servo and robot over one period, the command held."""
-    found = solve_ivp(
+    found = scipy.integrate.solve_ivp(
         lambda _, y: servo_and_robot(robot, y, dq_c), (0, T), plant, method="LSODA", rtol=1e-10, atol=1e-12
     )
     return np.array(found.y[:, -1])
@@ -280,7 +280,9 @@ def continuous(times: Array) -> Array:
 
     q = middle + swing * np.sin(phase)
     start = np.concatenate([q, [0, 0], q, -robot.gravity(q) / (K * K_I), q, [0.01, 0.01], [2, 2], np.zeros(22)])
-    found = solve_ivp(field_, (0, times[-1]), start, method="LSODA", t_eval=times, rtol=1e-11, atol=1e-12)
+    found = scipy.integrate.solve_ivp(
+        field_, (0, times[-1]), start, method="LSODA", t_eval=times, rtol=1e-11, atol=1e-12
+    )
     return np.array(found.y.T)
 
 

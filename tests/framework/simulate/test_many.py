@@ -120,7 +120,7 @@ def test_other_numbers_do_not_change_the_diagram() -> None:
             "values.dynamics.Gama: unknown parameter that is a number; did you mean dynamics.Gamma?",
         ),
         ({"model.friction": ["coulomb"]}, "values.model.friction: unknown parameter that is a number"),
-        ({"inverse.w_box": None}, "values.inverse.w_box: expected a number, found none; leaving it out takes another"),
+        ({"inverse.w_box": None}, "values.inverse.w_box: expected a number, found none; removing it requires another"),
         ({"servo.K_P": [1.0, 2.0, 3.0]}, "servo.K_P: "),
         ({"servo.K_P": "5 kg"}, "K_P"),
     ],

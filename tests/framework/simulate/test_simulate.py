@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+import scipy
 
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.config import load_experiment
@@ -184,7 +184,7 @@ def test_a_state_of_the_plant_may_have_a_box(clock: float | None) -> None:
 
 
 def test_rk4_converges_with_the_fourth_order() -> None:
-    exact = solve_ivp(
+    exact = scipy.integrate.solve_ivp(
         lambda t, y: [y[1], -np.sin(y[0]) - 0.1 * y[1] + np.cos(t)],
         (0, 4),
         [0.5, 0],

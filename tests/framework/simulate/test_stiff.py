@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+import scipy
 
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.config import load_experiment
@@ -115,7 +115,7 @@ def orders(errors: list[float]) -> np.ndarray:
 @pytest.mark.parametrize("engine", ["compiled", "interpreted"])
 @pytest.mark.parametrize("clock", [0.4, None])
 def test_it_converges_with_the_third_order_on_a_smooth_plant(clock: float | None, engine: str) -> None:
-    exact = solve_ivp(
+    exact = scipy.integrate.solve_ivp(
         lambda t, y: [y[1], -np.sin(y[0]) - 0.1 * y[1] + np.cos(t)],
         (0, 4),
         [0.5, 0],
@@ -152,7 +152,7 @@ def test_on_a_plant_that_chases_a_path_it_keeps_the_third_order_at_every_stiffne
 
 def test_van_der_pols_oscillator_is_that_of_scipys_radau_at_thousands_of_times_rk4s_step() -> None:
     speed, duration = 1e4, 0.5
-    exact = solve_ivp(
+    exact = scipy.integrate.solve_ivp(
         lambda t, y: [y[1], speed * ((1 - y[0] ** 2) * y[1] - y[0])],
         (0, duration),
         [2, -2 / 3],

@@ -15,7 +15,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import polars
 import pytest
 from study_processes import PATIENCE, environment
 
@@ -99,6 +98,8 @@ def started(folder: Path, *words: str) -> subprocess.Popen[str]:
 @pytest.mark.usefixtures("here")
 def test_a_study_runs_grows_reruns_and_moves(mine: Path, tmp_path: Path, dmframe: Dmframe) -> None:
     """One study through all that the command does, since each loop takes seconds to build."""
+    import polars
+
     status, out, err = dmframe("there/study.yaml", "--dry-run", "--json", "--workers", "1")
     assert status == 0, err
     found = json.loads(out)
@@ -161,6 +162,8 @@ def test_a_study_runs_grows_reruns_and_moves(mine: Path, tmp_path: Path, dmframe
 def test_a_study_whose_row_is_another_in_anything_that_is_measured_says_so(
     tmp_path: Path, finish: Callable[..., State], dmframe: Dmframe
 ) -> None:
+    import polars
+
     measured = "measure: {signals: [servo.u, arm.q], limits: {servo.u: 1 V}}\n"
     (tmp_path / "small.yaml").write_text(SMALL + measured, encoding="utf-8")
     finish(load_study(tmp_path / "small.yaml"), tmp_path / "studies" / "small")

@@ -6,14 +6,14 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from functools import cache, partial
+from importlib import import_module
 from pathlib import Path
 from shlex import quote
 from typing import Any
 
 import numpy as np
-import polars as pl
 import pytest
-from scipy import stats
+import scipy
 
 import dmframe as dm
 from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault
@@ -88,6 +88,8 @@ def page(
 
 def write(parent: Path, figures: Figures = steady, text: str = "", chunk: int = 64, drop: int = 0) -> Path:
     """A table by hand, in chunks of several files and in no order."""
+    import polars as pl
+
     place = parent / "which_gain"
     (place / "runs").mkdir(parents=True)
     (place / "study.yaml").write_text(text or text_of(), encoding="utf-8")
@@ -126,7 +128,7 @@ def test_a_table_of_chunks_in_no_order_is_summed_up_point_by_point(folder: Calla
     rows = found.table.to_dicts()
     assert [row["dynamics.Gamma"] for row in rows] == [1, 10]
     assert [row["diverged"] for row in rows] == [0, lost]
-    known = stats.binomtest(lost, 200).proportion_ci(0.95, method="exact")
+    known = scipy.stats.binomtest(lost, 200).proportion_ci(0.95, method="exact")
     assert (rows[1]["low"], rows[1]["high"]) == pytest.approx((known.low, known.high))
     assert rows[0]["rms_final_median"] == pytest.approx(np.quantile(draws, 0.5, method="inverted_cdf") * 1e-3)
     assert rows[1]["rms_final_q99"] == math.inf  # of the runs that diverged, no quantile forgets one
@@ -171,6 +173,8 @@ def test_of_a_least_the_smallest_is_the_worst(folder: Callable[..., Path]) -> No
 
 @pytest.mark.usefixtures("undrawn")
 def test_a_worst_run_runs_again_exactly_as_it_did(tmp_path: Path) -> None:
+    import polars as pl
+
     text = text_of(runs=8, report="measure: {signals: [arm.q]}\nreport: {worst: {rms_final: 2}}")
     (tmp_path / "study.yaml").write_text(text, encoding="utf-8")
     (tmp_path / "runs").mkdir()
@@ -500,7 +504,7 @@ def test_a_logarithmic_axis_has_plain_numbers(low: float, high: float, marks: li
     "harm",
     [
         lambda file: file.write_bytes(file.read_bytes()[:300]),
-        lambda file: pl.DataFrame({"a": [1.0]}).write_parquet(file),
+        lambda file: import_module("polars").DataFrame({"a": [1.0]}).write_parquet(file),
         lambda file: file.write_bytes(b""),
     ],
 )

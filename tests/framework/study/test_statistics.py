@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy import stats
+import scipy
 
 from dmframe.study.statistics import adjusted, influence, map_of, paired, quantile, share
 
@@ -14,8 +14,8 @@ from dmframe.study.statistics import adjusted, influence, map_of, paired, quanti
 @pytest.mark.parametrize(("count", "runs"), [(0, 299), (1, 50), (7, 40), (40, 40)])
 def test_the_interval_of_a_share_is_clopper_and_pearsons(count: int, runs: int) -> None:
     found = share(np.arange(runs) < count, independent=True)
-    both = stats.binomtest(count, runs).proportion_ci(0.95, method="exact")
-    one = stats.binomtest(count, runs, alternative="less").proportion_ci(0.95, method="exact")
+    both = scipy.stats.binomtest(count, runs).proportion_ci(0.95, method="exact")
+    one = scipy.stats.binomtest(count, runs, alternative="less").proportion_ci(0.95, method="exact")
     assert (found.low, found.high) == pytest.approx((both.low, both.high))
     assert found.most == pytest.approx(one.high)
     assert found.value == count / runs
@@ -31,7 +31,7 @@ def test_none_of_299_is_at_most_one_percent() -> None:
 @pytest.mark.parametrize("p", [0.003, 0.02, 0.1, 0.4])
 @pytest.mark.parametrize("runs", [20, 150])
 def test_limits_of_a_share_hold_as_often_as_they_say(p: float, runs: int) -> None:
-    weights = stats.binom.pmf(np.arange(runs + 1), runs, p)
+    weights = scipy.stats.binom.pmf(np.arange(runs + 1), runs, p)
     found = [share(np.arange(runs) < k, independent=True) for k in range(runs + 1)]
     assert sum(w for w, each in zip(weights, found, strict=True) if each.low <= p <= each.high) >= 0.95
     assert sum(w for w, each in zip(weights, found, strict=True) if p <= each.most) >= 0.95
@@ -58,7 +58,7 @@ def test_a_design_that_spreads_its_points_gets_no_interval() -> None:
 def test_the_interval_of_a_quantile_is_that_of_scipy(p: float) -> None:
     values = np.random.default_rng(3).lognormal(size=1000)
     found = quantile(values, p, independent=True)
-    known = stats.quantile_test(values, p=p).confidence_interval(0.95)
+    known = scipy.stats.quantile_test(values, p=p).confidence_interval(0.95)
     assert (found.low, found.high) == (known.low, known.high)
     assert found.value == np.sort(values)[math.ceil(p * 1000) - 1]
 
@@ -69,7 +69,7 @@ def test_the_interval_of_a_quantile_holds_as_often_as_it_says(p: float, runs: in
     found = quantile(ranks, p, independent=True)
     lower = 0 if math.isinf(found.low or 0) else int(found.low or 0)
     upper = runs + 1 if math.isinf(found.high or 0) else int(found.high or 0)
-    below = stats.binom(runs, p)
+    below = scipy.stats.binom(runs, p)
     assert below.cdf(upper - 1) - below.cdf(lower - 1) >= 0.95
     assert below.cdf(upper - 2) < 0.975 or upper == 1  # and no wider than need be
     assert below.cdf(lower) > 0.025
@@ -90,7 +90,7 @@ def test_a_comparison_goes_by_signs_and_knows_what_diverged() -> None:
     second = np.array([0.5, 1.0, 4.0, 1.0, math.inf, math.inf, 1.0])
     found = paired(first, second, independent=True)
     assert (found.better, found.worse, found.alike, found.runs) == (3, 2, 1, 6)
-    assert found.p == pytest.approx(stats.binomtest(3, 5).pvalue)
+    assert found.p == pytest.approx(scipy.stats.binomtest(3, 5).pvalue)
 
 
 def test_a_comparison_on_the_same_samples_sees_what_two_medians_hide() -> None:
@@ -103,7 +103,7 @@ def test_a_comparison_on_the_same_samples_sees_what_two_medians_hide() -> None:
     assert found.p < 1e-50
     assert found.difference.high is not None
     assert found.difference.high < 0
-    assert stats.mannwhitneyu(robots, robots * 0.98).pvalue > 0.5  # unpaired, nothing is seen
+    assert scipy.stats.mannwhitneyu(robots, robots * 0.98).pvalue > 0.5  # unpaired, nothing is seen
 
 
 def test_several_tests_are_adjusted_as_holm_did() -> None:
@@ -114,8 +114,12 @@ def test_influences_are_the_first_order_indices_of_a_known_function() -> None:
     """y = 4 a + 2 b + c with uniform draws: variances as 16, 4, 1; in a sum near normal, ranks keep the shares."""
     a, b, c, d = np.random.default_rng(5).uniform(size=(4, 20000))
     y = 4 * a + 2 * b + c
-    known = stats.sobol_indices(
-        func=lambda x: 4 * x[0] + 2 * x[1] + x[2], n=4096, dists=[stats.uniform()] * 4, rng=np.random.default_rng(1)
+    uniform = scipy.stats.uniform()
+    known = scipy.stats.sobol_indices(
+        func=lambda x: 4 * x[0] + 2 * x[1] + x[2],
+        n=4096,
+        dists=[uniform] * 4,
+        rng=np.random.default_rng(1),
     ).first_order
     found = [influence(name, draws, y, independent=True) for name, draws in zip("abcd", (a, b, c, d), strict=True)]
     assert [each.share for each in found] == pytest.approx(known.ravel().tolist(), abs=0.03)
@@ -140,7 +144,7 @@ def test_the_chance_of_a_share_is_that_of_kruskal_and_wallis() -> None:
     found = influence("a", a, y, independent=True, bins=4)
     parts = [y[(a > low) & (a <= high)] for low, high in np.lib.stride_tricks.sliding_window_view(
         [-1, *np.quantile(a, [0.25, 0.5, 0.75]), 2], 2)]  # fmt: skip
-    assert found.p == pytest.approx(stats.kruskal(*parts).pvalue)
+    assert found.p == pytest.approx(scipy.stats.kruskal(*parts).pvalue)
 
 
 def test_no_influence_is_claimed_more_often_than_its_chance_says() -> None:

@@ -10,19 +10,21 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
-from functools import reduce
 from typing import Final, final
 
 from flint import arb
 
-from dmframe.certify.identity import Equality
-from dmframe.certify.symbols import Group, Symbols
-from dmframe.exact import Tape
-from dmframe.exact.balls import ZERO, UndecidedError, ball, enclosed, precise
+from dmframe.exact.balls import ONE, RULES, ZERO, UndecidedError, ball, enclosed, precise
 from dmframe.exact.literal import computed, literal
+from dmframe.program import BY_NAME
+from dmframe.prove.claim import Claim, Symbol
+from dmframe.prove.point import Point, equalities
 
 POINTS = 4
 """Points of each kind at which a residual is looked at."""
+
+ZERO_POINTS = 16
+"""Points with some signals at zero: two given signals are a zero and a number at a quarter of them."""
 
 TRIES = 100
 """Points drawn to find one at which everything is defined."""
@@ -53,16 +55,16 @@ NOWHERE = (
 
 
 @precise()
-def doubt(stated: Sequence[Equality], symbols: Symbols, seed: int, of: str = "dV/dt") -> str:
+def doubt(claim: Claim, seed: int, of: str = "dV/dt") -> str:
     """Why a claim that fails in the field is not refuted yet; empty where a real point refutes it. `of` names it.
 
     Points are drawn of both signs, above zero (where roots and powers are real), and with some signals at zero (where
     signs are); one at which something is not defined is drawn again, and is no difference.
     """
-    look = _Look(stated, symbols, random.Random(seed))
+    look = _Look(claim, random.Random(seed))
     reason = ""
-    for draw in (look.any_sign, look.positive, look.some_zero):
-        for point, residuals in look.defined(draw, POINTS):
+    for draw, count in ((look.any_sign, POINTS), (look.positive, POINTS), (look.some_zero, ZERO_POINTS)):
+        for point, residuals in look.defined(draw, count):
             differs = not all(residual.is_zero() for residual in residuals)
             if differs and not look.is_rounding(point, residuals):
                 return ""
@@ -70,23 +72,52 @@ def doubt(stated: Sequence[Equality], symbols: Symbols, seed: int, of: str = "dV
     return (reason or NOWHERE).format(of=of)
 
 
-Point = list[list[arb]]
+Numbers = list[list[arb]]
+
+
+@final
+class Balls:
+    """The ring of real balls. Raises `UndecidedError` where an operation is not defined on a whole ball."""
+
+    def number(self, value: Fraction | int) -> arb:
+        """An exact number."""
+        return ball(Fraction(value))
+
+    def reduced(self, value: arb) -> arb:
+        """The ball itself."""
+        return value
+
+    def inverse(self, value: arb) -> arb:
+        """1 / value."""
+        return _defined(ONE / value)
+
+    def power(self, value: arb, exponent: int) -> arb:
+        """A whole power."""
+        return _defined(value**exponent)
+
+    def call(self, name: str, *arguments: arb) -> arb:
+        """A function's value."""
+        return _defined(RULES[BY_NAME[name].code](*map(arb, arguments)))
+
+
+def _defined(value: arb) -> arb:
+    if not value.is_finite():
+        raise UndecidedError("an operation that is not defined on a whole ball")
+    return value
 
 
 @final
 class _Look:
     """Residuals and their scales at real points."""
 
-    def __init__(self, stated: Sequence[Equality], symbols: Symbols, rng: random.Random) -> None:
-        expressions = [equality.expression for equality in stated] + [equality.scale for equality in stated]
-        tape = Tape.from_function(symbols.function("residual", expressions))
-        self._program, self._has_computed = tape.program, any(map(computed, tape.numbers.values()))
-        self._groups, self._rng = symbols.groups, rng
+    def __init__(self, claim: Claim, rng: random.Random) -> None:
+        self._claim, self._rng = claim, rng
+        self._has_computed = any(map(computed, claim.tape.numbers.values()))
 
-    def defined(self, draw: Callable[[Group], list[arb]], wanted: int) -> Iterator[tuple[Point, list[arb]]]:
+    def defined(self, draw: Callable[[Symbol], list[arb]], wanted: int) -> Iterator[tuple[Numbers, list[arb]]]:
         """So many points, or fewer, at which everything has a value; with the residuals, zero where they vanish."""
         for _ in range(TRIES):
-            point = [self._values(group, draw) for group in self._groups]
+            point = [self._drawn(group, draw) for group in self._claim.symbols]
             try:
                 found = self._left(self._elements(point))
             except UndecidedError:
@@ -96,29 +127,29 @@ class _Look:
             if not wanted:
                 return
 
-    def _values(self, group: Group, draw: Callable[[Group], list[arb]]) -> list[arb]:
+    def _drawn(self, group: Symbol, draw: Callable[[Symbol], list[arb]]) -> list[arb]:
         if group.values is not None:
             return [ball(value) for value in group.values]
         return self._numbers(group, Fraction(1, 2), Fraction(2)) if group.kind == "parameter" else draw(group)
 
-    def any_sign(self, group: Group) -> list[arb]:
+    def any_sign(self, group: Symbol) -> list[arb]:
         """Signals between -1.5 and 1.5; parameters are always between 0.5 and 2."""
         return self._numbers(group, Fraction(-3, 2), Fraction(3, 2))
 
-    def positive(self, group: Group) -> list[arb]:
+    def positive(self, group: Symbol) -> list[arb]:
         """Signals between 0.1 and 1.5."""
         return self._numbers(group, Fraction(1, 10), Fraction(3, 2))
 
-    def some_zero(self, group: Group) -> list[arb]:
+    def some_zero(self, group: Symbol) -> list[arb]:
         """Each signal zero with probability one half."""
         zero = self._rng.random() < 0.5
-        return [ZERO] * group.symbol.numel() if zero else self.any_sign(group)
+        return [ZERO] * group.size if zero else self.any_sign(group)
 
-    def _numbers(self, group: Group, low: Fraction, high: Fraction) -> list[arb]:
-        steps = (self._rng.getrandbits(64) for _ in range(group.symbol.numel()))
+    def _numbers(self, group: Symbol, low: Fraction, high: Fraction) -> list[arb]:
+        steps = (self._rng.getrandbits(64) for _ in range(group.size))
         return [ball(low + (high - low) * Fraction(step, 2**64)) for step in steps]
 
-    def is_rounding(self, point: Point, residuals: Sequence[arb]) -> bool:
+    def is_rounding(self, point: Numbers, residuals: Sequence[arb]) -> bool:
         """True where no residual is larger than what it moves by when computed literals move within their rounding."""
         if not self._has_computed:
             return False
@@ -154,13 +185,14 @@ class _Look:
             found.append(ZERO if vanishes else residual)
         return found
 
-    def _elements(self, point: Point, constant: Callable[[float], arb] = ball) -> list[tuple[arb, arb]]:
-        """Each element of a residual, with its scale."""
-        program = self._program
-        outputs = program.dense(enclosed(program, program.elements(point), constant), ZERO)
-        half = len(outputs) // 2
+    def _elements(self, point: Numbers, constant: Callable[[float], arb] = ball) -> list[tuple[arb, arb]]:
+        """Each element of a residual, with the sum of the absolute values of its terms."""
+        claim = self._claim
+        inputs = [*point, *(point[claim.inputs[label]] for label in claim.gains)]
+        at = Point(claim, Balls(), inputs, enclosed(claim.program, claim.program.elements(inputs), constant))
         pairs = list[tuple[arb, arb]]()
-        for residuals, scales in zip(outputs[:half], outputs[half:], strict=True):
-            own = scales if len(scales) == len(residuals) else [reduce(arb.max, scales)] * len(residuals)
-            pairs += zip(residuals, own, strict=True)
+        for equality in equalities(at, at.moves(claim.moved)):
+            terms = [list(map(arb, row)) for row in zip(*(s.column for s in equality.summands), strict=True)]
+            scales = [sum(map(abs, row), ZERO) for row in terms]
+            pairs += zip((sum(row, ZERO) for row in terms), scales, strict=True)
         return pairs

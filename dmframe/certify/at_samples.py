@@ -1,0 +1,119 @@
+"""Expressions of a claim over samples at each sample of a run, also those of states that the run did not keep."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.block.model import symbols_in
+from dmframe.certificate import SX
+from dmframe.certify.claim import Claim
+from dmframe.diagram import Variable
+from dmframe.diagram.closed_loop import stack
+from dmframe.errors import ValueFault, listed
+from dmframe.simulate import Recording
+from dmframe.simulate.instants import DRAWN
+
+
+@final
+class AtSamples:
+    """A run of a claim over samples.
+
+    A sampled state that the run did not keep, such as stored rows, is recomputed by its map from its start and from
+    what was kept: 0.08 ms a sample of a UR10.
+    """
+
+    def __init__(self, claim: Claim, run: Recording) -> None:
+        self.claim, self.run = claim, run
+
+    @cached_property
+    def whole(self) -> bool:
+        """True for a simulation of which every sample was kept."""
+        instants, time = self.run.instants, self.run.time
+        return instants is not None and bool(np.array_equal(time, instants.times(np.arange(time.size))))
+
+    def of(self, column: SX) -> np.ndarray:
+        """A column of expressions at every sample, (rows, N).
+
+        Raises
+        ------
+        ValueFault
+            It needs a state that the run did not keep, and that is not recomputed: one of the plant, or in a run that
+            is no simulation or did not keep every sample.
+        """
+        loop = self.claim.loop
+        column = loop.on_path(column)
+        lost = self._lost(column)
+        becomes = loop.on_path(stack(self._next(variable) for variable in lost))
+        both = stack([becomes, column])
+        read = [v for v in loop.variables if v not in lost and symbols_in([both]) & symbols_in([v.symbol])]
+        given = stack([*(v.symbol for v in read), loop.time, loop.period, loop.drawn])
+        moving = stack(variable.symbol for variable in lost)
+        becomes, column = ca.substitute([becomes, column], [loop.p], [ca.SX(ca.DM(self.run.diagram.loop.p_values))])
+        function = ca.Function("sample", [moving, given], ca.cse([becomes, ca.densify(column)]))
+        return self._computed(function, self._given(read, both), self._start(lost))
+
+    def _lost(self, column: SX) -> list[Variable]:
+        """The states that the run did not keep, of the column and of what becomes of such states."""
+        missing = [variable for variable in self.claim.loop.variables if variable.label not in self.run.states]
+        found, used = list[Variable](), symbols_in([column])
+        while more := [v for v in missing if v not in found and used & symbols_in([v.symbol])]:
+            kept = [v.label for v in more if not v.sampled]
+            if kept or not self.whole:
+                labels = kept or [variable.label for variable in more]
+                raise ValueFault(
+                    f"V along a run: expected a run that keeps {listed(labels)}, which V or its residual holds, or a "
+                    "simulation that keeps every sample; found neither"
+                )
+            found += more
+            used = symbols_in([self.claim.loop.on_path(stack(map(self._next, more)))])
+        return found
+
+    def _next(self, variable: Variable) -> SX:
+        return self.claim.sample.next[variable.label]
+
+    def _start(self, lost: list[Variable]) -> np.ndarray:
+        """Where these states started."""
+        first, parts = 0, [np.zeros(0)]
+        for variable in self.claim.loop.variables:
+            size = variable.symbol.numel()
+            if variable in lost:
+                parts.append(self.run.start[first : first + size])
+            first += size
+        return np.concatenate(parts)
+
+    def _given(self, read: list[Variable], both: SX) -> np.ndarray:
+        """(N, columns) kept states, time, period and what was drawn."""
+        run, drawn = self.run, self.claim.loop.drawn
+        count, numbers = run.time.size, np.zeros((run.time.size, drawn.numel()))
+        if symbols_in([both]) & symbols_in([drawn]):
+            if run.instants is None or not self.whole:
+                raise ValueFault("V along a run: expected a simulation that keeps every sample, with what each drew")
+            numbers = run.instants.rows(0, count)[:, DRAWN:]
+        period = np.full(count, run.clock or 0.0)
+        columns = [*(run.states[variable.label] for variable in read), run.time[:, None], period[:, None], numbers]
+        return np.ascontiguousarray(np.hstack(columns), dtype=float)
+
+    def _computed(self, function: ca.Function, given: np.ndarray, start: np.ndarray) -> np.ndarray:
+        """The second output of a function of the moving states and what is given; the first is where they move."""
+        count = len(given)
+        if not start.size:
+            found: np.ndarray = function.map(count)(np.zeros((0, count)), given.T)[1].full()
+            return found
+        values = np.empty((count, function.numel_out(1)))
+        now, then = start.copy(), np.empty_like(start)
+        buffer, evaluate = function.buffer()
+        for k in range(count):
+            buffer.set_arg(0, now.data)
+            buffer.set_arg(1, given[k].data)
+            buffer.set_res(0, then.data)
+            buffer.set_res(1, values[k].data)
+            evaluate()
+            now, then = then, now
+        return np.ascontiguousarray(values.T)
+
+
+__all__ = ["AtSamples"]

@@ -1,0 +1,167 @@
+"""The exact test of a claim: all that it says to be zero vanishes at random points of random prime fields."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Iterator, Mapping, Sequence
+from fractions import Fraction
+from typing import Any, Final
+
+from dmframe.errors import ValueFault
+from dmframe.exact import Evaluation, Trial, Witness, ZeroDivision, ZeroTest, random_prime
+from dmframe.exact.identity import log2_error
+from dmframe.exact.ring import evaluated
+from dmframe.exact.sizes import Bound, Sizes
+from dmframe.prove.claim import Claim, Symbol
+from dmframe.prove.point import Equality, Point, equalities
+
+ATTEMPTS: Final = 20
+"""Random points tried until no denominator vanishes."""
+
+BITS: Final = 149
+"""Of the random primes: five digits of Python's integers hold them, as they hold 127 bits, at the same speed."""
+
+
+def residues(trial: Trial, symbol: Symbol, values: Mapping[str, Sequence[Fraction]] | None = None) -> list[int]:
+    """A symbol's residues: its exact values, those given by label, or random ones."""
+    known = (values or {}).get(symbol.label, symbol.values)
+    if known is None:
+        return [trial.random() for _ in range(symbol.size)]
+    return [trial.residue(value) for value in known]
+
+
+def inputs_at(claim: Claim, trial: Trial, values: Mapping[str, Sequence[Fraction]] | None = None) -> list[list[int]]:
+    """Numbers of all inputs, the gains' copies as the gains."""
+    own = {symbol.label: residues(trial, symbol, values) for symbol in claim.symbols}
+    return [*own.values(), *(own[label] for label in claim.gains)]
+
+
+def over_signs(
+    claim: Claim, inputs: Sequence[Sequence[int]], trial: Trial, only: str = ""
+) -> Iterator[list[tuple[Equality, list[int]]]]:
+    """Each equality, or that with one label, with what is left of it, for every choice of signs.
+
+    Only so is a trial's chance to miss as small as the bound says. Where a sign is 0, its argument is, and |x| may be
+    read as 0 or as x: an element that vanishes in one of these readings is given as zero.
+    """
+    evaluation, known = Evaluation(claim.tape, inputs, trial, (), claim.places), dict[Any, Any]()
+
+    def left() -> list[tuple[Equality, list[int]]]:
+        point = Point(claim, trial, inputs, evaluation.values, known)
+        return [
+            (equality, [x % trial.prime for x in equality.sums])
+            for equality in equalities(point, point.moves(claim.moved))
+            if only in ("", equality.label)
+        ]
+
+    found = left()
+    while True:
+        if trial.on_a_jump and any(any(values) for _, values in found):
+            trial.zero_is_its_own_size = True
+            evaluation.sign_anew()
+            others = left()
+            trial.zero_is_its_own_size = False
+            found = [
+                (equality, [a and b and a for a, b in zip(one, other, strict=True)])
+                for (equality, one), (_, other) in zip(found, others, strict=True)
+            ]
+        yield found
+        if not trial.next_signs():
+            return
+        evaluation.sign_anew()
+        found = left()
+
+
+def bound_of(claim: Claim) -> Bound:
+    """What the probability of a wrong answer depends on."""
+    ring = Sizes()
+    fixed = {place: symbol.values for place, symbol in enumerate(claim.symbols) if symbol.values is not None}
+    inputs = ring.inputs(claim.tape, fixed)
+    for label, place in claim.copies.items():
+        inputs[place] = inputs[claim.inputs[label]]
+    point = Point(claim, ring, inputs, evaluated(claim.tape, ring, inputs, claim.places))
+    sums = (size for equality in equalities(point, point.moves(claim.moved)) for size in equality.sums)
+    return ring.bound(size for size in sums if not isinstance(size, int))
+
+
+def identity(claim: Claim, *, trials: int, seed: int) -> ZeroTest:
+    """Decide whether everything vanishes that the claim says to be zero; see `dmframe.exact.zero_test`.
+
+    Raises `ValueFault` where it is nowhere defined, such as with a Jacobian that never has full rank.
+    """
+    bound, rng, used = bound_of(claim), random.Random(seed), list[int]()
+    for _ in range(trials):
+        prime, witness = _trial(claim, rng)
+        used.append(prime)
+        if witness is not None:
+            return ZeroTest(False, len(used), tuple(used), bound.degree_total, -math.inf, witness, seed)
+    error = trials * log2_error(bound, 0, BITS, False)
+    return ZeroTest(True, trials, tuple(used), bound.degree_total, error, None, seed)
+
+
+def _trial(claim: Claim, rng: random.Random) -> tuple[int, Witness | None]:
+    for _ in range(ATTEMPTS):
+        trial = Trial(random_prime(rng, BITS), rng)
+        try:
+            inputs = inputs_at(claim, trial)
+            for found in over_signs(claim, inputs, trial):
+                for equality, left in found:
+                    for row, residue in enumerate(left):
+                        if residue:
+                            point = tuple((s.label, tuple(v)) for s, v in zip(claim.symbols, inputs, strict=False))
+                            return trial.prime, Witness(trial.prime, equality.label, row, 0, residue, point)
+            return trial.prime, None
+        except ZeroDivision:
+            continue
+    raise ValueFault(
+        f"the exact test: a denominator vanishes at all of {ATTEMPTS} random points; expected one that is not "
+        "identically zero"
+    )
+
+
+def empty(claim: Claim, seed: int) -> list[str]:
+    """What is identically zero: V, D V, or the vector of a term, so that nothing would be proved of it."""
+    rng = random.Random(seed + 3)
+    for _ in range(ATTEMPTS):
+        trial = Trial(random_prime(rng, BITS), rng)
+        try:
+            inputs = inputs_at(claim, trial)
+            point = Point(claim, trial, inputs, claim.tape.values(inputs, trial))
+            named = list(_of_samples(point) if claim.over_samples else _of_a_flow(point))
+        except ZeroDivision:
+            continue
+        return [name for name, values in named if not any(x % trial.prime for x in values)]
+    raise ValueFault("the exact test: a denominator vanishes at every random point")
+
+
+def _of_a_flow(point: Point) -> Iterator[tuple[str, list[int]]]:
+    claim, moves = point.claim, point.moves(point.claim.moved)
+    V = sum((point.weight(part) * point.storage(part) for part in claim.parts), 0)
+    yield "V", [V]
+    along = next(equality for equality in equalities(point, moves) if not equality.block)
+    stored = {f"{part.block}: storage of {term.name} dropped" for part in claim.parts for term in part.stored}
+    yield claim.D, [sum(sum(s.column) for s in along.summands if s.name in stored)]
+    for part in claim.parts:
+        for term in (*part.stored, *part.dissipation, *part.errors):
+            if "vector" in term.parts:
+                yield f"{part.block}: {term.name}", point.out(term.parts["vector"])
+
+
+def _of_samples(point: Point) -> Iterator[tuple[str, list[int]]]:
+    claim, moves = point.claim, point.moves(point.claim.moved)
+    own = {equality.block: equality for equality in equalities(point, moves) if equality.says == claim.D}
+    for part in claim.parts:
+        block = part.block
+        if part.stores:
+            named = [s for s in own[block].summands if "what V" not in s.name]
+            yield f"{block}: {claim.D}", [sum(sum(s.column) for s in named)]
+        for role, terms in (("V", part.stored), ("what V loses", part.dissipation)):
+            yield from ((f"{block}: term {k} of {role}", [point.value(term)]) for k, term in enumerate(terms, start=1))
+        for steps in part.steps:
+            rows = [x for k in range(steps.rows) for x in point.out(steps.parts[f"h{k}"])]
+            yield f"{block}: the rows of {steps.estimate}", rows
+        for line in part.lines:
+            if line.when is not None:
+                yield f"{block}: when {line.state} is stored", point.out(line.when)
+        yield from ((f"{block}: the rest of a relation", point.out(relation.rest)) for relation in part.plant)

@@ -1,0 +1,277 @@
+"""A claim at one point: its outputs, derivatives and differences, and all that it says to be zero.
+
+The point is of any ring: residues of a prime field for the exact test, sizes for its error bound, reals for a second
+look. A fault changes what moves the states; what the certificates state keeps its values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from functools import cached_property
+from typing import Any, NamedTuple, final
+
+from dmframe.exact import Tape, Trial
+from dmframe.exact.ring import compute
+from dmframe.prove.claim import Claim, Line, Out, Part, Steps, Term, made_of
+from dmframe.prove.rules import Taken, form, pushed, taken
+
+Numbers = Sequence[Any]
+Known = dict[tuple[str, str], tuple[dict[str, list[Any]], Taken]]
+
+
+class Summand(NamedTuple):
+    """A column that an equality adds, and what it is called where a fault drops it."""
+
+    name: str
+    column: list[Any]
+
+
+class Equality(NamedTuple):
+    """Columns whose sum must vanish, and the block that claims it; none for D V of the diagram."""
+
+    block: str
+    says: str
+    summands: list[Summand]
+
+    @property
+    def label(self) -> str:
+        """Block and what is claimed."""
+        return f"{self.block}: {self.says}" if self.block else self.says
+
+    @property
+    def sums(self) -> list[Any]:
+        """The elements that must vanish."""
+        return [sum(column[1:], column[0]) for column in zip(*(s.column for s in self.summands), strict=True)]
+
+
+@final
+class Point:
+    """A claim evaluated at one point.
+
+    Parameters
+    ----------
+    ring
+        Of the numbers.
+    inputs
+        Those of all symbols and of the gains' copies.
+    values
+        Those of all instructions.
+    known
+        What steps came to at other points, which is read again where their parts are the same; it is added to.
+    """
+
+    def __init__(
+        self, claim: Claim, ring: Any, inputs: Sequence[Numbers], values: Numbers, known: Known | None = None
+    ) -> None:
+        self._known = {} if known is None else known
+        self.claim, self.ring, self.inputs, self._values = claim, ring, inputs, values
+
+    def out(self, name: Out) -> list[Any]:
+        """An output, dense and column-major; zeros are the integer 0."""
+        return _dense(self.claim.tape, self._values, self.claim.outputs[name])
+
+    def input(self, label: str) -> Numbers:
+        """A symbol."""
+        return self.inputs[self.claim.inputs[label]]
+
+    def moves(self, outs: Mapping[str, Out], reverse: Collection[str] = ()) -> dict[str, list[Any]]:
+        """Rates or next values by label; a reversed rate has the other sign, a reversed move the other direction."""
+        found = {label: self.out(out) for label, out in outs.items()}
+        for label in reverse:
+            before = self.input(label) if self.claim.over_samples else [0] * len(found[label])
+            found[label] = [2 * x - then for x, then in zip(before, found[label], strict=True)]
+        return found
+
+    def at(self, states: Mapping[str, Numbers]) -> Point:
+        """The point at which these states have other values, for the outputs of which V is made."""
+        inputs, values = list(self.inputs), list(self._values)
+        for label, numbers in states.items():
+            inputs[self.claim.inputs[label]] = numbers
+        places = self.claim.later
+        if isinstance(self.ring, Trial):
+            nodes = self.claim.tape.nodes
+            self.claim.tape.compute(((place, nodes[place]) for place in places), values, inputs, self.ring)
+        else:
+            compute(self.claim.tape, self.ring, values, inputs, places)
+        return Point(self.claim, self.ring, inputs, values)
+
+    def derivatives(self, moves: Mapping[str, Numbers]) -> dict[Out, list[Any]]:
+        """Of what V is made of, along these rates."""
+        columns = self.claim.flow.along(self.ring, self._values, self._direction(moves))
+        return dict(zip(self.claim.differentiated, columns, strict=True))
+
+    def plant_derivatives(self) -> dict[Out, list[Any]]:
+        """Of what the plant's identities differentiate, along the plant's rates."""
+        claim = self.claim
+        direction = self._direction(self.moves(claim.plant_moves))
+        return dict(zip(claim.momenta, claim.plant_flow.along(self.ring, self._values, direction), strict=True))
+
+    def _direction(self, moves: Mapping[str, Numbers]) -> dict[int, Numbers]:
+        return {self.claim.inputs[label]: numbers for label, numbers in moves.items()}
+
+    def value(self, term: Term) -> Any:
+        """A term."""
+        if term.rule == "square":
+            vector, weight = (self.out(out) for out in made_of(term))
+            return form(self.ring, vector, weight, vector)
+        return self.out(term.parts["value"])[0]
+
+    def weight(self, part: Part) -> Any:
+        """The weight of a part's storage in V."""
+        return self.input(part.weight)[0] if part.weight else 1
+
+    @cached_property
+    def taken(self) -> Mapping[tuple[str, str], Taken]:
+        """What all steps come to, by block and estimate."""
+        return {
+            (part.block, steps.estimate): self._taken(part.block, steps)
+            for part in self.claim.parts
+            for steps in part.steps
+        }
+
+    def _taken(self, block: str, steps: Steps) -> Taken:
+        parts, key = {name: self.out(out) for name, out in steps.parts.items()}, (block, steps.estimate)
+        if key not in self._known or self._known[key][0] != parts:
+            self._known[key] = parts, taken(self.ring, steps, parts)
+        return self._known[key][1]
+
+    def half(self, value: Any) -> Any:
+        """Half of a number."""
+        return self.ring.reduced(value * self.ring.inverse(self.ring.number(2)))
+
+    def storage(self, part: Part) -> Any:
+        """S but for what steps store."""
+        return self.half(sum((self.value(term) for term in part.stored), 0))
+
+
+def differences(point: Point, moves: Mapping[str, Numbers], part: Part) -> list[Summand]:
+    """D S of a block's stored terms, one by one."""
+    if not part.stored:
+        return []
+    if point.claim.over_samples:
+        then = point.at(moves)
+        return [Summand(term.name, [point.half(then.value(term) - point.value(term))]) for term in part.stored]
+    along = point.derivatives(moves)
+    return [Summand(term.name, [_rate(point, term, along)]) for term in part.stored]
+
+
+def _rate(point: Point, term: Term, along: Mapping[Out, list[Any]]) -> Any:
+    """Half of D of a term."""
+    if term.rule != "square":
+        return point.half(along[term.parts["value"]][0])
+    ring, (vector, weight) = point.ring, made_of(term)
+    a, W, da, dW = point.out(vector), point.out(weight), along[vector], along[weight]
+    return point.half(form(ring, a, W, da) + form(ring, da, W, a) + form(ring, a, dW, a))
+
+
+def equalities(point: Point, moves: Mapping[str, Numbers]) -> Iterator[Equality]:
+    """All that the claim says to be zero; D V of the diagram comes first.
+
+    The blocks' own claims are not needed for D V of the diagram, where the supplies cancel; but a block whose supply is
+    wrong could not be built upon.
+    """
+    claim = point.claim
+    own = [(part, list(_own(point, moves, part))) for part in claim.parts]
+    if not claim.over_samples:
+        yield _whole(point, own)
+    for part, summands in own:
+        if part.stores or not claim.over_samples:
+            exchanged = Summand("", [-x for x in point.out(part.supply)]) if part.supply else Summand("", [0])
+            yield Equality(part.block, "dS/dt" if not claim.over_samples else claim.D, [*summands, exchanged])
+        yield from _of_a_sample(point, moves, part)
+    if not claim.over_samples:
+        yield from _memories(point, moves)
+        yield from _symmetric(point)
+    for dominating, consuming, composed, wanted in claim.composed:
+        summands = [Summand("", point.out(composed)), Summand("", [-x for x in point.out(wanted)])]
+        yield Equality(dominating, f"the vector that it dominates is that of {consuming}", summands)
+
+
+def _own(point: Point, moves: Mapping[str, Numbers], part: Part) -> Iterator[Summand]:
+    """D S + dissipation - residual - lemma - cross term of one block, by the faults that drop them."""
+    block, ring = part.block, point.ring
+    for term, found in zip(part.stored, differences(point, moves, part), strict=True):
+        yield Summand(f"{block}: storage of {term.name} dropped", found.column)
+    if point.claim.over_samples:
+        steps = [point.taken[block, item.estimate] for item in part.steps]
+        yield Summand("", [ring.reduced(sum((item.moved for item in steps), 0))])
+        lost = sum((point.value(term) for term in part.dissipation), 0) + sum((item.lost for item in steps), 0)
+        gained = sum((point.value(term) for term in part.residual), 0) + sum((item.gained for item in steps), 0)
+        yield Summand(f"{block}: what V loses dropped", [lost])
+        yield Summand(f"{block}: what V gains dropped", [-gained])
+        return
+    for term in part.dissipation:
+        yield Summand(f"{block}: dissipation of {term.name} dropped", [point.value(term)])
+    for term in part.residual:
+        yield Summand(f"{block}: bounded residual of {term.name} dropped", [-point.value(term)])
+    if part.lemma:
+        yield Summand("", [-x for x in point.out(part.lemma)])
+    if part.consumed is not None:
+        yield Summand("", [-point.value(part.consumed)])
+
+
+def _whole(point: Point, own: Sequence[tuple[Part, Sequence[Summand]]]) -> Equality:
+    """D V of the diagram: the parts' terms with their weights, without supplies."""
+    found = [
+        Summand(name, [point.ring.reduced(point.weight(part) * x) for x in column])
+        for part, summands in own
+        for name, column in summands
+    ]
+    return Equality("", point.claim.D, found or [Summand("", [0])])
+
+
+def _of_a_sample(point: Point, moves: Mapping[str, Numbers], part: Part) -> Iterator[Equality]:
+    """The moves of estimates and delay lines, the plant's identities, and what the block's output solves."""
+    block = part.block
+    for steps in part.steps:
+        for name, said in point.taken[block, steps.estimate].moves.items():
+            yield _equal(block, f"what {name} becomes", moves[f"{block}.{name}"], said)
+    for line in part.lines:
+        yield _equal(block, f"what {line.state} keeps", moves[f"{block}.{line.state}"], _kept(point, line))
+    if part.plant:
+        along = point.plant_derivatives()
+        for place, relation in enumerate(part.plant, start=1):
+            which = "its relation" if len(part.plant) == 1 else f"its relation {place}"
+            rest = Summand(f"{block}: the rest of {which} dropped", point.out(relation.rest))
+            yield Equality(block, "what the plant's motion obeys", [Summand("", along[relation.momentum]), rest])
+    for left in part.solved:
+        yield Equality(block, "the equation that its output solves", [Summand("", point.out(left))])
+
+
+def _kept(point: Point, line: Line) -> list[Any]:
+    when = None if line.when is None else point.out(line.when)[0]
+    shapes = [_shape(point.claim, out) for out in (line.newest, line.before)]
+    return pushed(point.ring, point.out(line.newest), point.out(line.before), (shapes[0], shapes[1]), when)
+
+
+def _shape(claim: Claim, out: Out) -> tuple[int, int]:
+    pattern = claim.program.outputs[claim.outputs[out]]
+    return pattern.rows, pattern.size // pattern.rows
+
+
+def _equal(block: str, says: str, one: Numbers, other: Numbers) -> Equality:
+    return Equality(block, says, [Summand("", list(one)), Summand("", [-x for x in other])])
+
+
+def _memories(point: Point, moves: Mapping[str, Numbers]) -> Iterator[Equality]:
+    """Information matrices move as their terms state."""
+    for part in point.claim.parts:
+        for name, matrix, rate in part.memories:
+            yield _equal(part.block, f"dG/dt of {name}", point.derivatives(moves)[matrix], point.out(rate))
+
+
+def _symmetric(point: Point) -> Iterator[Equality]:
+    """Both matrices of a divergence are symmetric: it reads their lower triangles."""
+    for part in point.claim.parts:
+        for name, out in part.symmetric:
+            matrix, (rows, _) = point.out(out), _shape(point.claim, out)
+            transposed = [matrix[column + row * rows] for column in range(rows) for row in range(rows)]
+            yield _equal(part.block, f"{name} is symmetric", matrix, transposed)
+
+
+def _dense(tape: Tape, values: Numbers, output: int) -> list[Any]:
+    pattern, sources = tape.program.outputs[output], tape.program.sources[output]
+    matrix: list[Any] = [0] * pattern.size
+    for place, source in zip(pattern.places, sources, strict=True):
+        matrix[place] = values[source]
+    return matrix

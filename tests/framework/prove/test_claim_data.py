@@ -1,0 +1,180 @@
+"""A claim as data: what is exported is what was checked, and it needs neither CasADi nor a diagram."""
+
+from __future__ import annotations
+
+import json
+import random
+import subprocess
+import sys
+from functools import cache
+from typing import Any
+
+import casadi as ca
+import pytest
+
+import dmframe as dm
+from dmframe.certificate import LeastSquaresSteps, NormalisedSteps
+from dmframe.certify import claim_of
+from dmframe.certify.assemble import assembled
+from dmframe.errors import ValueFault
+from dmframe.exact import Tape, Trial, random_prime
+from dmframe.exact.balls import ball
+from dmframe.prove.claim import Claim, Steps
+from dmframe.prove.export import digest, from_json, to_json
+from dmframe.prove.faults import inject_faults
+from dmframe.prove.identity import identity
+from dmframe.prove.point import equalities
+from dmframe.prove.reals import Balls
+from dmframe.prove.rules import inverse_of, taken
+
+
+@cache
+def claim(name: str) -> Claim:
+    return assembled(claim_of(dm.load(name).diagram))
+
+
+NAMES = ["arm2_joint", "ur10_fast"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_is_read_back_is_the_claim_that_was_checked(name: str) -> None:
+    own = claim(name)
+    again = from_json(to_json(own))
+    assert to_json(again) == to_json(own)
+    first, second = (identity(each, trials=1, seed=3) for each in (own, again))
+    assert first.zero
+    assert first == second
+    assert inject_faults(own, seed=3) == inject_faults(again, seed=3)
+
+
+def test_a_file_is_checked_where_casadi_cannot_be_imported(tmp_path: Any) -> None:
+    (tmp_path / "claim.json").write_text(to_json(claim("arm2_joint")), encoding="utf-8")
+    script = """
+import sys
+class Refuses:
+    def find_spec(self, name, *_):
+        if name.partition(".")[0] in ("casadi", "pinocchio", "pin") or name.startswith("dmframe.diagram"):
+            raise ImportError(name)
+sys.meta_path.insert(0, Refuses())
+from dmframe.prove.export import from_json
+from dmframe.prove.faults import inject_faults
+from dmframe.prove.identity import identity
+found = from_json(open("claim.json").read())
+faults = inject_faults(found, seed=0)
+print(identity(found, trials=2, seed=0).zero, len(faults), all(fault.refuted for fault in faults))
+"""
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == (f"True {len(inject_faults(claim('arm2_joint'), seed=0))} True\n", "")
+
+
+def test_a_corrupted_file_is_refused_or_refuted_or_says_the_same() -> None:
+    text, rng = to_json(claim("arm2_joint")), random.Random(4)
+    outcomes = {"refused": 0, "refuted": 0, "zero": 0}
+    for _ in range(60):
+        found = json.loads(text)
+        nodes = found["program"]["nodes"]
+        node = rng.choice([node for node in nodes if node[0] not in ("input", "const")])
+        place = rng.randrange(len(node))
+        node[place] = rng.choice(["add", "mul", "sub", "neg", "sq"]) if place == 0 else rng.randrange(len(nodes))
+        try:
+            changed = from_json(json.dumps(found))
+        except ValueFault:
+            outcomes["refused"] += 1
+            continue
+        assert digest(changed) != digest(claim("arm2_joint")) or found == json.loads(text)
+        outcomes["zero" if identity(changed, trials=1, seed=0).zero else "refuted"] += 1
+    assert outcomes["refuted"] > 15
+    assert outcomes["refused"] > 10
+    assert outcomes["zero"] < 15  # operations exchanged for equal ones, and terms that change on both sides alike
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda found: found.update(version=2), "expected version 1, found 2"),
+        (lambda found: found.pop("symbols"), "KeyError"),
+        (lambda found: found["program"]["nodes"].append(["launch", 0]), "KeyError: 'launch'"),
+        (lambda found: found["program"]["nodes"].insert(0, ["add", 0, 0]), "the instruction 0, add"),
+        (lambda found: found["program"].update(nodes=[]), "ValueError"),
+    ],
+)
+def test_what_is_no_claim_is_refused(change: Any, says: str) -> None:
+    found = json.loads(to_json(claim("arm2_joint")))
+    change(found)
+    with pytest.raises(ValueFault, match=says):
+        from_json(json.dumps(found))
+    with pytest.raises(ValueFault, match="a claim: expected what `to_json` writes"):
+        from_json("no JSON")
+
+
+def test_the_derivative_of_v_is_that_of_casadi() -> None:
+    """The checker's dV/dt, in dual numbers, and CasADi's expression at the same point of the same field."""
+    symbolic = claim_of(dm.load("ur10_fast").diagram)
+    data = assembled(symbolic)
+    from dmframe.certify.symbols import symbols_of
+    from dmframe.prove.identity import inputs_at
+    from dmframe.prove.point import Point
+
+    rng = random.Random(8)
+    trial = Trial(random_prime(rng), rng)
+    inputs = inputs_at(data, trial)
+    point = Point(data, trial, inputs, data.tape.values(inputs, trial))
+    whole = next(equalities(point, point.moves(data.moved)))
+    ours = sum(sum(s.column) for s in whole.summands if ": storage of " in s.name) % trial.prime
+    function = symbols_of(symbolic).function("rate", [symbolic.flow.unrecorded(symbolic.V)])
+    ((casadis,),) = Tape.from_function(function).evaluate(inputs[: len(data.symbols)], trial)
+    assert ours == casadis != 0
+
+
+def numbers_of(steps: NormalisedSteps | LeastSquaresSteps, rng: random.Random) -> tuple[dict[str, list[Any]], Any, Any]:
+    """Random parts of steps, as balls, with CasADi's function of the same symbols and its inputs."""
+    named: dict[str, Any] = {"theta": steps.theta, "true": steps.true, "gain": steps.gain, "floor": steps.floor}
+    for k, (h, y) in enumerate(steps.rows):
+        named |= {f"h{k}": h, f"y{k}": y}
+    named |= dict(zip(("lower", "upper"), steps.box, strict=False))
+    if isinstance(steps, LeastSquaresSteps):
+        named |= {"gathered": steps.gathered, "retention": steps.retention}
+    given = {name: [rng.uniform(0.2, 1.0) for _ in range(symbol.numel())] for name, symbol in named.items()}
+    if steps.box:
+        given["lower"] = [x + 0.05 for x in given["theta"]]  # some elements meet their face
+        given["upper"] = [x + 1.0 for x in given["lower"]]
+    if isinstance(steps, LeastSquaresSteps):
+        given["gathered"] = [0.0] * len(given["gathered"])
+    results = [*steps.moves.values(), steps.change / 2, steps.decrease / 2, steps.residual / 2]
+    function = ca.Function("steps", list(named.values()), [ca.vec(x) for x in results])
+    return {name: [ball(x) for x in values] for name, values in given.items()}, function, list(given.values())
+
+
+@pytest.mark.parametrize("box", [False, True])
+@pytest.mark.parametrize("squares", [False, True])
+def test_the_checkers_steps_are_those_of_the_symbolic_lemma(squares: bool, box: bool) -> None:
+    parts, size = (2, 3), 5
+    symbols = {name: ca.SX.sym(name, size) for name in ("theta", "true", "gain", "h0", "h1", "lower", "upper")}
+    rows = ((symbols["h0"], ca.SX.sym("y0", 2)), (symbols["h1"], ca.SX.sym("y1", 2)))
+    ends = (symbols["lower"], symbols["upper"]) if box else ()
+    common = symbols["theta"], symbols["true"], symbols["gain"], parts, ca.SX.sym("floor")
+    steps: NormalisedSteps | LeastSquaresSteps
+    if squares:
+        theta, true, gain, parts, floor = common
+        gathered = ca.SX.sym("gathered", 9)
+        steps = LeastSquaresSteps(
+            "w", "G", theta, gathered, true, gain, parts, floor, ca.SX.sym("retention"), rows, ends
+        )
+    else:
+        steps = NormalisedSteps("w", *common, rows, ends)
+    given, function, inputs = numbers_of(steps, random.Random(6))
+    rule = Steps("least_squares" if squares else "normalised", "w", "G" if squares else "", parts, 2, box, {})
+    found = taken(Balls(), rule, given)
+    ours = [*found.moves.values(), [found.moved], [found.lost], [found.gained]]
+    theirs = [out.full().ravel().tolist() for out in function(*inputs)]
+    for one, other in zip(ours, theirs, strict=True):
+        assert [float(x) for x in one] == pytest.approx(other, rel=1e-9, abs=1e-12)
+
+
+def test_a_matrix_times_its_inverse_is_one() -> None:
+    rng = random.Random(1)
+    trial = Trial(random_prime(rng), rng)
+    W = [[trial.random() for _ in range(4)] for _ in range(4)]
+    inverse = inverse_of(trial, W)
+    product = [[sum(W[i][k] * inverse[k][j] for k in range(4)) % trial.prime for j in range(4)] for i in range(4)]
+    assert product == [[int(i == j) for j in range(4)] for i in range(4)]
