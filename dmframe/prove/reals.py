@@ -23,6 +23,9 @@ from dmframe.prove.point import Point, equalities
 POINTS = 4
 """Points of each kind at which a residual is looked at."""
 
+ZERO_POINTS = 16
+"""Points with some signals at zero: two given signals are a zero and a number at a quarter of them."""
+
 TRIES = 100
 """Points drawn to find one at which everything is defined."""
 
@@ -60,8 +63,8 @@ def doubt(claim: Claim, seed: int, of: str = "dV/dt") -> str:
     """
     look = _Look(claim, random.Random(seed))
     reason = ""
-    for draw in (look.any_sign, look.positive, look.some_zero):
-        for point, residuals in look.defined(draw, POINTS):
+    for draw, count in ((look.any_sign, POINTS), (look.positive, POINTS), (look.some_zero, ZERO_POINTS)):
+        for point, residuals in look.defined(draw, count):
             differs = not all(residual.is_zero() for residual in residuals)
             if differs and not look.is_rounding(point, residuals):
                 return ""
