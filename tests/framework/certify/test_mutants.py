@@ -1,6 +1,6 @@
 """Some hundred of the faults in equations, certificates and the plant library, each in the least loop that holds it.
 
-``make mutants`` tries all of them in all loops.
+``make mutants`` tries all of them; with ``MUTANTS=--everywhere`` in all loops.
 """
 
 from __future__ import annotations
