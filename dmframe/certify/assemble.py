@@ -63,7 +63,7 @@ class _Assembly:
             for part, block in of.cross_terms
             if block is not None and part.certificate.consumes is not None
         )
-        moves, plant = self._moves(), self._plant_moves()
+        moves, plant = self._moves(parts), self._plant_moves()
         symbols = symbols_of(of, self._uncertain)  # with the trajectories' derivatives
         gains = self._gains(symbols)
         copies = [ca.SX.sym(f"{gain.label}.changed", gain.symbol.shape) for gain in gains]
@@ -187,12 +187,13 @@ class _Assembly:
         before = self._out(f"{label}: before", self._of.sample.symbols[label])
         return data.Line(item.state, self._out(f"{label}: newest", item.newest), before, when)
 
-    def _moves(self) -> dict[str, SX]:
+    def _moves(self, parts: Sequence[data.Part]) -> dict[str, SX]:
         """Rates of what V and information matrices hold; over samples, the next values of all sampled states."""
         of = self._of
         if of.over_samples:
             return {label: ca.vec(ca.densify(then)) for label, then in of.sample.next.items()}
         made = [ca.SX(piece) for part in of.parts for term in part.certificate.storage for piece in term.pieces]
+        made += [self._outs[matrix] for part in parts for _, matrix, _ in part.memories]
         return of.flow.rates_of(symbols_in(made))
 
     def _plant_moves(self) -> dict[str, SX]:

@@ -142,9 +142,6 @@ def discrete_assumptions(claim: Claim, symbols: Symbols, seed: int) -> Iterator[
             acted = "the command that a row holds is what acted in its sample: a delay is as configured, or echoed"
             text = f"{part.block}: {acted}"
             yield Assumption(text, "the means over a sample")
-        if part.certificate.steps and part.certificate.plant:
-            text = "its rows are means over a sample of the relations that it states, and its true values theirs"
-            yield Assumption(f"{part.block}: {text}", "the means over a sample")
         if part.certificate.steps and not part.certificate.plant:
             text = f"{part.block}: the plant's motion obeys what its rows say; the block states no relation that does"
             yield Assumption(text, "the means over a sample")

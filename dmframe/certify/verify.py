@@ -19,6 +19,7 @@ from dmframe.certify.conditions import conditions_of, decide, remedies
 from dmframe.certify.contradicted import contradicted
 from dmframe.certify.discrete import discrete_assumptions, discrete_conditions, discrete_statements
 from dmframe.certify.excess import Bound, bounds_of, total_bound
+from dmframe.certify.explained import UNCHECKED, explained
 from dmframe.certify.hypotheses import hypotheses, undefined
 from dmframe.certify.over import failing_of, over_intervals
 from dmframe.certify.positive import Signs
@@ -69,6 +70,8 @@ class Verdict:
         What dV/dt may have above the dissipation, term by term; none for a claim without a bounded residual.
     build, check
         Seconds spent on writing V and dV/dt, and on deciding.
+    exact
+        The claim as data, of which `test`, `controls` and `refutation` speak; `dmframe.prove.export.to_json` writes it.
     """
 
     outcome: Outcome
@@ -87,6 +90,7 @@ class Verdict:
     bounds: tuple[Bound, ...] = ()
     build: float = 0.0
     check: float = 0.0
+    exact: data.Claim | None = None
 
     @property
     def flow_claim(self) -> Claim | None:
@@ -99,11 +103,17 @@ class Verdict:
         return self.claim if self.claim is not None and self.claim.over_samples else None
 
     @property
+    def rows_assumed(self) -> bool:
+        """True where an estimator's rows could not be compared with motions of the plant."""
+        return any(UNCHECKED in item.text for item in self.assumptions)
+
+    @property
     def headline(self) -> str:
         """The outcome in words, with what a proof does not reach."""
         words = self.outcome.replace("_", " ")
         if self.outcome == "proved" and self.samples is not None:
             words += f" over samples of {_over(self.samples, self.states)}"
+            words += "; that its rows follow from the plant is assumed" * self.rows_assumed
         if self.outcome == "proved" and self.bounds:
             grows = any(bound.times for bound in self.bounds)
             words += ", up to a residual that grows with a signal" if grows else ", up to a bounded residual"
@@ -195,7 +205,7 @@ def _verified(
     clock.built()
 
     def ends(outcome: Outcome, reason: str, **found: Any) -> Verdict:
-        return Verdict(outcome, reason, claim, build=clock.build, check=clock.check, **found)
+        return Verdict(outcome, reason, claim, build=clock.build, check=clock.check, exact=exact, **found)
 
     if smooth is not None and smooth.faults:
         return ends("not_applicable", "; ".join(smooth.faults))
@@ -284,6 +294,9 @@ def _in_continuous_time(
 
 def _in_discrete_time(claim: Claim, symbols: Symbols, numbers: Numbers, start: Mapping[str, Any], seed: int) -> _Found:
     conditions, assumptions = discrete_conditions(claim, numbers, start)
+    rows = [explained(claim, part, item, seed) for part in claim.parts for item in part.certificate.steps]
+    conditions += [item for found in rows for item in found.checked]
+    assumptions += [item for found in rows for item in found.assumed]
     return _Found(
         (*conditions, *reach_conditions(claim)),
         (*assumptions, *discrete_assumptions(claim, symbols, seed)),

@@ -161,6 +161,9 @@ def verify(
     report: Annotated[
         Path | None, typer.Option(metavar="FILE", callback=home, help="Write a report: .html, .md or .json.")
     ] = None,
+    claim: Annotated[
+        Path | None, typer.Option(metavar="FILE", callback=home, help="Write the claim that was checked, as JSON.")
+    ] = None,
     seed: Annotated[str, typer.Option(metavar="N", help="Seed of the random points and primes.")] = "0",
     fresh: Annotated[  # read by `dmframe.remembered.front`, before the library is imported
         bool, typer.Option("--fresh", help="Prove again, even if a verdict for the same inputs is remembered.")
@@ -175,7 +178,8 @@ def verify(
 
     replay = ["dmframe", "verify", *graph, *(word for text in overrides for word in ("--set", text))]
     found = graphs_of(graph, overrides, trust=trust)
-    return verify_graphs(found, report=report, replay=replay, seed=whole("--seed", seed), as_json=as_json)
+    number = whole("--seed", seed)
+    return verify_graphs(found, report=report, claim=claim, replay=replay, seed=number, as_json=as_json)
 
 
 @app.command()

@@ -7,24 +7,41 @@ from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from dmframe.cli.streams import tell
+from dmframe.errors import ValueFault
+from dmframe.files import check_place as check_file
+from dmframe.files import write_text
 from dmframe.graph import Graph
 from dmframe.graph.progress import progress_line
 from dmframe.graph.runs import labels_of
 from dmframe.remembered.recorder import finish
 
+if TYPE_CHECKING:
+    from dmframe.report import Verification
+
 NOT_PROVED = 1
 
 
 def verify_graphs(
-    graphs: Sequence[Graph], *, report: Path | None, replay: Sequence[str], seed: int, as_json: bool
+    graphs: Sequence[Graph],
+    *,
+    report: Path | None,
+    claim: Path | None,
+    replay: Sequence[str],
+    seed: int,
+    as_json: bool,
 ) -> int:
     """Verify graphs one after another; returns the exit status. `replay` is the command line."""
     from dmframe.report import check_place, write_report
 
     if report is not None:
         check_place(report)
+    if claim is not None:
+        if len(graphs) != 1:
+            raise ValueFault(f"--claim: expected one graph, found {len(graphs)}; a file holds one claim")
+        check_file(claim)
     for graph in graphs:  # report faults of all graphs before the first proof
         _ = graph.diagram
     labels = labels_of([(graph.name, graph.experiment) for graph in graphs])
@@ -34,6 +51,8 @@ def verify_graphs(
     summaries = [{**each.summary, "proved_at": proved_at, "remembered": False} for each in found]
     page = "\n\n".join(map(str, found))
     try:
+        if claim is not None:
+            _write_claim(claim, found[0])
         if report is not None:  # written before printing, which may fail
             words = [*replay, "--seed", str(seed), "--report", report.name]
             with progress_line("report", quiet=as_json) as progress:
@@ -43,7 +62,17 @@ def verify_graphs(
             tell(json.dumps(summaries[0] if len(summaries) == 1 else summaries, indent=2))
         else:
             tell(page)
-    if report is not None:
-        tell(f"wrote {report}", aside=as_json)
+    for path in (claim, report):
+        if path is not None:
+            tell(f"wrote {path}", aside=as_json)
     finish(page, summaries, status, proved_at)
     return status
+
+
+def _write_claim(path: Path, found: Verification) -> None:
+    """Write the claim as data. Raises `ValueFault` where the graph has none."""
+    from dmframe.prove.export import to_json
+
+    if found.verdict.exact is None:
+        raise ValueFault(f"--claim: {found.label} has no claim: {found.verdict.reason}")
+    write_text(path, to_json(found.verdict.exact) + "\n")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -56,6 +57,13 @@ class Resolver:
         self._outputs, self._rates = dict[End, SX](), dict[End, SX]()
         self._held = set[End]()
         self._open = list[str]()
+
+    def with_outputs(self, outputs: Mapping[End, SX]) -> Resolver:
+        """The same diagram with these outputs replaced by other expressions, wherever another block reads them."""
+        other = copy(self)
+        other._outputs, other._rates, other.faults = dict(outputs), {}, []
+        other.crossings, other.projections = dict(self.crossings), dict(self.projections)
+        return other
 
     def output(self, block: str, port: str) -> SX:
         """An output in the leaves of its own side."""

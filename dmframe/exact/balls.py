@@ -5,7 +5,7 @@ comparison of balls is true only if it is true of all their numbers; `!=` is not
 decides how narrow a ball is, never whether it holds the result: another thread that lowers it can make a proof fail,
 and cannot make it wrong.
 
-A wide interval is not for balls, whose radii have 30 bits: see `dmframe.exact.switching.ranges`.
+The radius of a ball has 30 bits, so that a wide interval loses its sharp ends: see `dmframe.exact.ranges`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from dmframe.exact.literal import literal
 from dmframe.program import COMPARISONS, DIVISIONS, JUMPS, Node, Program, by_code, run, sign_of
 
 BITS: Final = 256
-"""Precision."""
+"""Precision, where no other is asked for."""
 
 ZERO, ONE = arb(0), arb(1)
 UNDECIDED = arb.nan()
@@ -40,42 +40,46 @@ class UndecidedError(DmframeError):
 
 
 @contextmanager
-def precise() -> Iterator[None]:
-    """Compute with `BITS` bits, as a context or a decorator. python-flint has one precision for all threads."""
-    with _LOCK, ctx.workprec(BITS):
+def precise(bits: int = BITS) -> Iterator[None]:
+    """Compute with so many bits, as a context or a decorator. python-flint has one precision for all threads."""
+    with _LOCK, ctx.workprec(bits):
         yield
 
 
-@precise()
-def _rational(value: Fraction) -> arb:
-    return arb(fmpq(value.numerator, value.denominator))
+def _rational(value: Fraction, bits: int) -> arb:
+    with precise(bits):
+        return arb(fmpq(value.numerator, value.denominator))
 
 
 @lru_cache(maxsize=4096)
-def ball(value: Fraction | float) -> arb:
+def ball(value: Fraction | float, bits: int = BITS) -> arb:
     """The narrowest ball with a rational number; a float is the decimal that it was written as (`literal`)."""
-    return _rational(value if isinstance(value, Fraction) else literal(value))
+    return _rational(value if isinstance(value, Fraction) else literal(value), bits)
 
 
 def below(value: arb) -> float:
-    """A float that is at most every number of a ball."""
-    return nextafter(float(value.lower()), -inf)
+    """The largest float, or the one before, that is at most every number of a ball."""
+    end = value.lower()
+    near = float(end)
+    return near if arb(near) <= end else nextafter(near, -inf)
 
 
 def above(value: arb) -> float:
-    """A float that is at least every number of a ball."""
-    return nextafter(float(value.upper()), inf)
+    """The least float, or the one after, that is at least every number of a ball."""
+    end = value.upper()
+    near = float(end)
+    return near if arb(near) >= end else nextafter(near, inf)
 
 
 Held = Callable[[int, Sequence[arb]], arb | None]
 
 
-@precise()
 def enclosed(
     program: Program,
     inputs: Sequence[Sequence[arb]],
-    constant: Callable[[float], arb] = ball,
+    constant: Callable[[float], arb] | None = None,
     held: Held | None = None,
+    bits: int = BITS,
 ) -> list[arb]:
     """The values of all nodes.
 
@@ -84,7 +88,7 @@ def enclosed(
     inputs
         For each argument, its stored elements.
     constant
-        The ball of a literal.
+        The ball of a literal, by default `ball`.
     held
         A node's place and the values before it -> a value instead of the node's own, or None.
 
@@ -101,14 +105,15 @@ def enclosed(
         values.append(value)
         return value
 
-    return run(
-        program,
-        RULES,
-        given=lambda argument, element: inputs[argument][element],
-        constant=constant,
-        refuse=lambda code: UndecidedError(f"no enclosure is known of CasADi's instruction {code}"),
-        keep=keep,
-    )
+    with precise(bits):
+        return run(
+            program,
+            RULES,
+            given=lambda argument, element: inputs[argument][element],
+            constant=constant or (lambda value: ball(value, bits)),
+            refuse=lambda code: UndecidedError(f"no enclosure is known of CasADi's instruction {code}"),
+            keep=keep,
+        )
 
 
 def _reason(node: Node, operands: Sequence[arb]) -> str:
@@ -191,9 +196,7 @@ def _atan2(y: arb, x: arb) -> arb:
 
 _TRUTHS: Final = COMPARISONS | by_code(dict.fromkeys(("not", "and", "or"))).keys()
 
-_OF_ARB: Final = (
-    "sqrt exp expm1 log log1p sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh erf erfinv".split()
-)
+_OF_ARB: Final = "sqrt exp expm1 log log1p sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh erf".split()
 
 RULES: Final = ARITHMETIC | by_code(
     {
@@ -222,7 +225,7 @@ RULES: Final = ARITHMETIC | by_code(
         "if_else_zero": _where,
     }
 )
-"""All of CasADi's operations."""
+"""All of CasADi's operations but `erfinv`, whose own value in CasADi is off by up to 4e-8."""
 
 
 __all__ = [

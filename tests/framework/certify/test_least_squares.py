@@ -372,13 +372,15 @@ def test_a_memory_that_grows_by_itself_and_a_box_without_the_truth_are_told() ->
     assert "true value of theta inside its box" in verdict(most=1.5).reason
 
 
-def test_that_rows_follow_from_the_relation_is_assumed_and_told() -> None:
+@pytest.mark.parametrize("lie", ["", "another_relation"])
+def test_rows_are_compared_with_the_plants_motion_whatever_relation_is_stated(lie: str) -> None:
     """dy/dt = v is true of the plant, and says nothing of its mass."""
-    told = "learner: its rows are means over a sample of the relations that it states, and its true values theirs"
-    for lie in ("", "another_relation"):
-        found = verdict(lie=lie)
-        assert found.outcome == "proved"
-        assert told in [item.text for item in found.assumptions]
+    found = verdict(lie=lie)
+    assert found.outcome == "proved"
+    assert not found.rows_assumed
+    (item,) = [item for item in found.conditions if "falls with the period" in item.name]
+    assert item.holds
+    assert item.how == "sampled"
 
 
 def test_along_a_run_v_falls_and_the_true_values_are_found() -> None:

@@ -167,6 +167,7 @@ def test_an_estimator_that_takes_normalised_steps_is_proved_over_samples() -> No
         ("learner: gain of the steps of theta", True),
         ("learner: floor of the steps of theta", True),
         ("learner: true value of theta inside its box", True),
+        ("learner: what the rows of theta leave unexplained of the plant's motion falls with the period", True),
     ]
     assert all(control.refuted for control in verdict.controls)
     assert {control.fault for control in verdict.controls} >= {
@@ -655,10 +656,20 @@ def test_of_sums_of_states_only_what_they_determine_is_bounded() -> None:
     assert bounded(lambda x: ca.vertcat(x.x + x.z, 2 * x.x + 2 * x.z)) == ()
 
 
+class Listener(Learner):
+    """Learns from the commands of another."""
+
+    inputs = (*Learner.inputs, Input("heard", "2"))
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        own = super().equations(u, x, p)
+        return replace(own, next={**own.next, "c_old": u.heard})
+
+
 def test_of_two_estimators_both_are_named_and_the_plant_is_not_called_bounded() -> None:
     two = Diagram.build(
-        {"carts": Carts(), "learner": Learner(), "other": Learner(gain=3.0)},
-        {"carts.c": "learner.c"},
+        {"carts": Carts(), "learner": Learner(), "other": Listener(gain=3.0)},
+        {"carts.c": "learner.c", "other.heard": "learner.c"},
     )
     verdict = verify(two)
     assert verdict.outcome == "proved"

@@ -1,0 +1,157 @@
+"""A closed loop whose commands are free: what sampled states become when any signal is commanded.
+
+A block that stores its own command stores the free one: where the value at the next sample is made of the expression of
+a command, the free symbol takes its place. So no block is known by name, and nothing is left of a law whose command
+alone reads it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import NamedTuple, final
+
+import casadi as ca
+
+from dmframe.block.model import symbols_in
+from dmframe.certificate import SX
+from dmframe.diagram import Diagram
+from dmframe.diagram.closed_loop import Variable, stack
+
+
+@final
+class DrivenLoop:
+    """What becomes of the sampled states of a diagram under free commands.
+
+    Attributes
+    ----------
+    commands
+        Free symbols, a column: what the plant is commanded.
+    """
+
+    def __init__(self, diagram: Diagram) -> None:
+        self._diagram, self._loop = diagram, diagram.loop
+        leaves = self._loop.commanded
+        self.commands = stack(leaf.symbol for leaf in leaves)
+        self._free = {_end(leaf.name): leaf.symbol for leaf in leaves}
+        self._resolver = diagram.resolver.with_outputs(self._free)
+
+    def measured(self, expressions: Sequence[SX]) -> list[SX]:
+        """Expressions with measured signals replaced by what they are in the plant."""
+        leaves, meanings = self._measurements
+        return list(ca.substitute(list(expressions), [leaves], [meanings])) if leaves.numel() else list(expressions)
+
+    @property
+    def feeds_through(self) -> bool:
+        """True where a measured signal holds a command of the same instant."""
+        return bool(ca.depends_on(self._measurements[1], self.commands))
+
+    def becomes(self, expressions: Sequence[SX]) -> Mapping[str, SX]:
+        """What the states on which expressions depend are one sample later, by label, and those on which they do."""
+        found, waiting = dict[str, SX](), symbols_in(map(ca.SX, expressions))
+        while reached := [v for v in self._loop.stepped if v.label not in found and symbols_in([v.symbol]) & waiting]:
+            after = self.measured([self._next(variable) for variable in reached])
+            found |= {variable.label: value for variable, value in zip(reached, after, strict=True)}
+            waiting |= symbols_in(after)
+        return found
+
+    @cached_property
+    def _measurements(self) -> tuple[SX, SX]:
+        done = list[tuple[SX, SX]]()
+        for leaf in self._loop.measured:
+            known = stack(a for a, _ in done), stack(b for _, b in done)
+            (now,) = ca.substitute([leaf.expression], [known[0]], [known[1]]) if done else [leaf.expression]
+            done.append((leaf.symbol, now))
+        return stack(a for a, _ in done), stack(b for _, b in done)
+
+    def _next(self, variable: Variable) -> SX:
+        """In the leaves of its side, the commands free; of a controller in continuous time, its step on a clock."""
+        model, resolver = self._diagram.models[variable.block], self._resolver
+        stated = model.equations.next.get(variable.name)
+        if stated is not None:
+            return resolver.expand(variable.block, self._with_commands(variable.block, stated))
+        rate, second = (
+            resolver.rate(variable.block, variable.name),
+            resolver.second(variable.block, variable.name),
+        )
+        return variable.symbol + self._loop.period * (rate if second is None else rate + self._loop.period * second)
+
+    def _with_commands(self, block: str, after: SX) -> SX:
+        """An expression in a block's own symbols with the block's commands replaced by the free ones."""
+        for known, free in self._own.get(block, ()):
+            after = with_nodes(after, known, free)
+        return after
+
+    @cached_property
+    def _own(self) -> Mapping[str, Sequence[tuple[Sequence[Known], SX]]]:
+        """The commands of each block of a controller, element by element, with the free symbols."""
+        found = dict[str, list[tuple[Sequence[Known], SX]]]()
+        for (block, port), free in self._free.items():
+            model = self._diagram.models[block]
+            found.setdefault(block, []).append((known_elements(model.equations.outputs[port]), ca.vec(free)))
+        return found
+
+
+def _end(label: str) -> tuple[str, str]:
+    block, _, port = label.partition(".")
+    return block, port
+
+
+class Known(NamedTuple):
+    """An element of a command, and the identities of its symbols."""
+
+    element: SX
+    used: set[int]
+
+
+def known_elements(expression: SX) -> tuple[Known, ...]:
+    """The elements, column by column."""
+    return tuple(Known(row, symbols_in([row])) for row in ca.vertsplit(ca.vec(ca.densify(expression))))
+
+
+def with_nodes(expression: SX, known: Sequence[Known], instead: SX) -> SX:
+    """An expression in which known elements, wherever they stand, are replaced by those of a column of symbols.
+
+    An element that is written twice is found, too, as long as both are the same operations.
+    """
+    if not _may_hold(expression, known):
+        return expression
+    elements = ca.vertsplit(ca.vec(ca.densify(expression)))
+    marks = dict(zip((item.element.element_hash() for item in known), ca.vertsplit(instead), strict=True))
+    after = [marks.get(element.element_hash(), element) for element in elements]
+    place = [k for k, row in enumerate(after) if row is elements[k] and _may_hold(row, known)]
+    if place:
+        both = ca.vertsplit(ca.cse(ca.vertcat(*(item.element for item in known), *(after[k] for k in place))))
+        marks = dict(zip((row.element_hash() for row in both), ca.vertsplit(instead), strict=False))
+        for k, value in zip(place, _rebuilt(both[len(known) :], marks), strict=True):
+            after[k] = value
+    return ca.reshape(ca.vertcat(*after), *expression.shape)
+
+
+def _may_hold(expression: SX, known: Sequence[Known]) -> bool:
+    used = symbols_in([expression])
+    return any(item.used and item.used <= used for item in known)
+
+
+def _rebuilt(roots: Sequence[SX], marks: Mapping[int, SX]) -> list[SX]:
+    """Expressions with marked nodes replaced, node by node and each once."""
+    done, kept = dict[int, SX](marks), list(roots)
+    waiting = list(roots)
+    while waiting:
+        node = waiting[-1]
+        key = node.element_hash()
+        parts = [node.dep(k) for k in range(node.n_dep())] if key not in done else []
+        if open_parts := [part for part in parts if part.element_hash() not in done]:
+            waiting += open_parts
+            kept += open_parts  # an identity is a node's own while it lives
+            continue
+        waiting.pop()
+        if key not in done:
+            values = [done[part.element_hash()] for part in parts]
+            same = all(value.element_hash() == part.element_hash() for value, part in zip(values, parts, strict=True))
+            done[key] = node if same else _operation(node.op(), values)
+    return [done[root.element_hash()] for root in roots]
+
+
+def _operation(code: int, operands: Sequence[SX]) -> SX:
+    return ca.SX.binary(code, *operands) if len(operands) == 2 else ca.SX.unary(code, *operands)

@@ -1,0 +1,308 @@
+"""The plant moved by random smooth commands, sampled, and what a block's rows leave unexplained of it.
+
+Equations, starts and wires are those of the graph: the plant flows with each command held, and the sampled states that
+the rows need go from sample to sample where their blocks say. Only the commands are replaced (`DrivenLoop`); rounding
+is taken away, and nothing is drawn.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, NamedTuple, final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.block.faults import fault_context
+from dmframe.block.model import symbols_in
+from dmframe.certificate import SX, Steps
+from dmframe.certify.claim import Claim, Part
+from dmframe.certify.driven import DrivenLoop
+from dmframe.diagram import Diagram, Parameter, Variable
+from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.view import view
+from dmframe.errors import DmframeError
+from dmframe.sampled import DelayLine
+from dmframe.simulate.block_starts import has_start
+from dmframe.simulate.instants import Instants
+from dmframe.simulate.start import start_state
+from dmframe.simulate.stiffness import fastest
+from dmframe.steps import summed
+
+ROUNDED: Final = 1e-12
+"""The step of a quantiser whose rounding is taken away."""
+
+AMPLITUDE: Final = 0.25
+"""The largest command of a motion, in its own unit."""
+
+SINUSOIDS: Final = 3
+RATES: Final = (1.0, 6.0)
+"""Of how many sinusoids a command is the sum, and between which rates they lie [rad/s]."""
+
+POSE: Final = 1.2
+"""The largest angle or length from which a motion starts, within the joint's limits."""
+
+SPREAD: Final = 1.25
+"""By up to this factor parameters are off the graph's; those of the controller are not above them."""
+
+SPAN: Final = 1.5
+"""The integrator's longest step, times the plant's fastest rate at the start."""
+
+
+ALIKE: Final = 20
+"""Depth to which two expressions are compared."""
+
+
+class UnmovedError(DmframeError):
+    """The plant cannot be moved this way."""
+
+
+class Lesson(NamedTuple):
+    """A row of an estimator's steps, h and y of all outputs; `stored`, as a delay line takes it up."""
+
+    h: SX
+    y: SX
+    stored: bool
+
+
+class Left(NamedTuple):
+    """What rows leave at the samples of one motion, eta = left + slope @ unknown constants, and what they are made of.
+
+    `left`, `y` and `said`, y and h' theta_true: (samples, outputs); `slope`: (samples, outputs, constants).
+    """
+
+    left: np.ndarray
+    slope: np.ndarray
+    y: np.ndarray
+    said: np.ndarray
+
+
+@final
+@dataclass(frozen=True)
+class Motion:
+    """Parameters, where the states start that nothing else says, and amplitudes and rates of the commands."""
+
+    p: Mapping[str, np.ndarray]
+    pose: Mapping[str, np.ndarray]
+    amplitudes: np.ndarray
+    rates: np.ndarray
+
+    def commands(self, t: np.ndarray) -> np.ndarray:
+        """(commands, instants): sums of sinusoids, zero at t = 0."""
+        return np.asarray(np.sum(self.amplitudes[:, :, None] * np.sin(self.rates[:, :, None] * t), axis=1))
+
+
+def lessons(claim: Claim, part: Part, item: Steps) -> tuple[Lesson, ...]:
+    """The different rows of steps, each once; of a row that a delay line stores, the one that it stores."""
+    stored = dict[int, tuple[int, SX, DelayLine]]()
+    for line in part.certificate.delay_lines:
+        symbol = claim.sample.symbols[f"{part.block}.{line.state}"]
+        stored |= {x.element_hash(): (k, new, line) for x, k, new in _entries(line, symbol)}
+    found = dict[tuple[int, ...], Lesson]()
+    for h, y in item.rows:
+        h, y = (ca.vec(ca.densify(ca.SX(side))) for side in (h, y))
+        row = ca.vertsplit(ca.vertcat(h, y))
+        known = [stored.get(x.element_hash()) for x in row]
+        lines = [one[2] for one in known if one is not None]
+        together = all(_same_time(lines[0], line) for line in lines) and len({one and one[0] for one in known}) == 1
+        of_line = len(lines) == len(row) and together
+        if of_line:
+            row = [one[1] for one in known if one is not None]
+        column = ca.vertcat(*row)
+        key = tuple(x.element_hash() for x in row)
+        found.setdefault(key, Lesson(column[: h.numel()], column[h.numel() :], of_line))
+    return tuple(found.values())
+
+
+def _entries(line: DelayLine, symbol: SX) -> Iterator[tuple[SX, int, SX]]:
+    """Each element of a delay line's state, with the number of its entry and the element of the newest one."""
+    rows, columns = line.newest.shape
+    newest, down = ca.densify(ca.SX(line.newest)), columns == symbol.shape[1]
+    for i in range(symbol.shape[0]):
+        for j in range(symbol.shape[1]):
+            k = i // rows if down else j // columns
+            yield symbol[i, j], k, newest[i % rows, j % columns]
+
+
+def _same_time(one: DelayLine, other: DelayLine) -> bool:
+    """True where two delay lines take up entries at the same samples."""
+    return one is other or bool(ca.is_equal(ca.SX(one.when), ca.SX(other.when), ALIKE))
+
+
+@final
+class Moved:
+    """A block's rows along motions of the plant; raises `UnmovedError` where the plant cannot be moved this way.
+
+    Attributes
+    ----------
+    lessons
+        The different rows.
+    reads
+        The parameters, a column, of rows and plant that no motion varies, as they are zero.
+    """
+
+    def __init__(self, claim: Claim, part: Part, item: Steps) -> None:
+        self._diagram, self._loop = claim.diagram, claim.loop
+        loop, driven = self._loop, DrivenLoop(claim.diagram)
+        if driven.feeds_through:
+            raise UnmovedError("what is measured holds a command of the same instant")
+        if not driven.commands.numel():
+            raise UnmovedError("the plant takes no command")
+        self.lessons = lessons(claim, part, item)
+        rows = _rows(part, item, self.lessons)
+        flow, (held, _) = loop.flow, loop.held_over_a_sample
+        after = driven.becomes([*rows, flow, held])
+        self._needed = [variable for variable in loop.stepped if variable.label in after]
+        self._x, self._z = (stack(v.symbol for v in states) for states in (self._needed, loop.flowing))
+        self._commands = driven.commands.numel()
+        seen = [self._x, self._z, driven.commands, loop.time, loop.period, loop.p]
+        becomes = stack(after[variable.label] for variable in self._needed)
+        self._sample = self._function("sample", seen, [becomes, held, *rows])
+        self._flow = self._function("flow", [self._z, held, loop.time, loop.p], driven.measured([flow]))
+        self._made = dict(_stated_starts(claim.diagram))
+        self._posed = list(_posed(self._diagram, part, self._made))
+        self._plant = {p.label for p in loop.parameters if ca.depends_on(flow, p.symbol)}
+        read = symbols_in([becomes, *rows, flow])
+        self._read = {p.label for p in loop.parameters if read & symbols_in([p.symbol]) and not self._rounds(p)}
+        still = (x for p in loop.parameters if p.label in self._read for x in _zeros(p))
+        self.reads = stack(x for x in still if x.element_hash() in read)
+
+    def _function(self, name: str, seen: Sequence[SX], made: Sequence[SX]) -> Any:
+        still, drawn = self._loop.standing(0.0), self._loop.drawn  # a source that steps does so between two motions
+        made = [still.on_path(item) for item in made]
+        if drawn.numel():
+            made = ca.substitute(made, [drawn], [ca.SX.zeros(drawn.numel())])
+        function = ca.Function(name, list(seen), ca.cse(list(made)), {"allow_free": True})
+        if function.has_free():
+            raise UnmovedError(f"its rows, or what moves the plant, hold {function.get_free()[0]}")
+        return function
+
+    def motion(self, rng: np.random.Generator) -> Motion:
+        """A random one."""
+        numbers = {p.label: self._number(p, rng) for p in self._loop.parameters}
+        size = (self._commands, SINUSOIDS)
+        amplitudes = AMPLITUDE / SINUSOIDS * rng.uniform(0.5, 1, size) * rng.choice([-1, 1], size)
+        pose = {v.label: self._pose(v, rng) for v in self._posed}
+        return Motion(numbers, pose, amplitudes, rng.uniform(*RATES, size))
+
+    def _number(self, parameter: Parameter, rng: np.random.Generator) -> np.ndarray:
+        """The graph's, times a random factor; of a quantiser next to nothing."""
+        if self._rounds(parameter):
+            return np.full_like(parameter.value, ROUNDED)
+        most = 1.0 if parameter.label in self._plant else 0.0  # a pole of the controller stays inside the unit circle
+        factor = float(SPREAD ** rng.uniform(-1.0, most))
+        return factor * parameter.value if parameter.label in self._read else parameter.value
+
+    def _rounds(self, parameter: Parameter) -> bool:
+        """True for the step of a quantiser."""
+        block, _, name = parameter.label.partition(".")
+        model = self._diagram.models.get(block)
+        return model is not None and any(port.rounded_by == name for port in model.block.outputs)
+
+    def _pose(self, variable: Variable, rng: np.random.Generator) -> np.ndarray:
+        lower, upper = np.full((2, variable.symbol.numel()), [[-POSE], [POSE]])
+        if self._diagram.robot is not None and variable.symbol.numel() == self._diagram.robot.n:
+            joints = self._diagram.robot.joints
+            lower = np.maximum(lower, [joint.lower for joint in joints])
+            upper = np.minimum(upper, [joint.upper for joint in joints])
+        return np.asarray(rng.uniform(np.minimum(lower, upper), upper))
+
+    def left(self, motion: Motion, T: float, duration: float) -> Left:
+        """Of the samples of one motion, from its start."""
+        x, z, p = self._start(motion, T)
+        count, substeps = round(duration / T), math.ceil(T / self._step(motion, x, z, p, T))
+        t = T * np.arange(count)
+        ticks = self._ticks(T, substeps, count)
+        _, left, slope, y, said = ticks(np.concatenate([x, z]), motion.commands(t), t[None], np.tile(p[:, None], count))
+        found = [np.asarray(item.full().T) for item in (left, slope, y, said)]
+        if not all(np.all(np.isfinite(item)) for item in found):
+            raise UnmovedError("a motion leaves all bounds")
+        found[1] = found[1].reshape(count, -1 if found[1].size else 0, found[0].shape[1]).swapaxes(1, 2)
+        return Left(*found)
+
+    def _start(self, motion: Motion, T: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        loop = self._loop
+        parameters = tuple(replace(p, value=motion.p[p.label]) for p in loop.parameters)
+        diagram = replace(self._diagram, loop=replace(loop, parameters=parameters))
+        wanted = {variable.label for variable in (*self._needed, *loop.flowing)}
+        idle = {variable.label: 0.0 for variable in loop.variables if variable.label not in wanted}
+        state = start_state(diagram, {**idle, **motion.pose}, self._made, Instants(T))
+        edges = np.cumsum([0, *(variable.symbol.numel() for variable in loop.variables)])
+        at = {v.label: state[a:b] for v, a, b in zip(loop.variables, edges, edges[1:], strict=False)}
+        x, z = (np.concatenate([np.zeros(0), *(at[v.label] for v in of)]) for of in (self._needed, loop.flowing))
+        return x, z, diagram.loop.p_values
+
+    def _step(self, motion: Motion, x: np.ndarray, z: np.ndarray, p: np.ndarray, T: float) -> float:
+        """The integrator's, by the plant's Jacobian at the start, from differences."""
+        held = self._sample(x, z, motion.commands(np.zeros(1)), 0, T, p)[1]
+        moved = z[:, None] + 1e-6 * np.eye(z.size)
+        rates = self._flow(np.column_stack([moved, z]), held, 0, p).full() if z.size else np.zeros((0, 1))
+        speed = float(fastest(((rates[:, :-1] - rates[:, -1:]) / 1e-6)[None])[0]) if z.size else 0.0
+        if not math.isfinite(speed):
+            raise UnmovedError("the plant's rates are too steep")
+        return min(T, SPAN / max(speed, 1e-9))
+
+    def _ticks(self, T: float, substeps: int, count: int) -> Any:
+        """(x, z, commands, instants, p) -> (x, z, what the rows leave, ...) of that many samples, a column each."""
+        sizes = self._x.numel(), self._z.numel(), self._commands, 1, self._loop.p.numel()
+        x, z, c, t, p = (ca.MX.sym(name, size) for name, size in zip("xzctp", sizes, strict=True))
+        becomes, held, *rows = self._sample(x, z, c, t, T, p)
+        h, end = T / substeps, z
+        flow = self._runge_kutta(h)
+        for k in range(substeps):
+            end = flow(end, held, t + k * h, p)
+        tick = ca.Function("tick", [x, z, c, t, p], [becomes, end, *(ca.vec(row) for row in rows)])
+        both = ca.MX.sym("state", x.numel() + z.numel())
+        parts = tick(both[: x.numel()], both[x.numel() :], c, t, p)
+        one = ca.Function("one", [both, c, t, p], [ca.vertcat(*parts[:2]), *parts[2:]])
+        return one.mapaccum("ticks", count)
+
+    def _runge_kutta(self, h: float) -> Any:
+        z, held, t, p = (ca.MX.sym(name, self._flow.numel_in(k)) for k, name in enumerate(("z", "held", "t", "p")))
+        a = self._flow(z, held, t, p)
+        b = self._flow(z + h / 2 * a, held, t + h / 2, p)
+        c = self._flow(z + h / 2 * b, held, t + h / 2, p)
+        d = self._flow(z + h * c, held, t + h, p)
+        return ca.Function("step", [z, held, t, p], [z + h / 6 * (a + 2 * b + 2 * c + d)])
+
+
+def _zeros(parameter: Parameter) -> Iterator[SX]:
+    """The elements of a parameter that are zero, which no factor varies."""
+    elements = ca.vertsplit(ca.vec(ca.densify(ca.SX(parameter.symbol))))
+    for element, number in zip(elements, parameter.value.ravel(order="F"), strict=True):
+        if not number:
+            yield element
+
+
+def _rows(part: Part, item: Steps, rows: Sequence[Lesson]) -> list[SX]:
+    """What all rows leave where the unknown constants are zero, its slope in them, y and h' theta_true."""
+    true, unknown = ca.vec(ca.densify(ca.SX(item.true))), stack(part.certificate.unknown.values())
+    said = ca.vertcat(*(summed(item.parts, row.h * true) for row in rows))
+    y = ca.vertcat(*(row.y for row in rows))
+    if unknown.numel() > len(item.parts):
+        raise UnmovedError("there are more unknown constants than outputs, and they could explain any rows")
+    slope = ca.jacobian(y - said, unknown)
+    if ca.depends_on(ca.vec(slope), unknown):
+        raise UnmovedError("what its rows leave is not affine in its unknown constants")
+    (said,) = ca.substitute([said], [unknown], [ca.SX.zeros(unknown.numel())]) if unknown.numel() else [said]
+    return [ca.densify(part) for part in (y - said, slope, y, said)]
+
+
+def _stated_starts(diagram: Diagram) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Where blocks say that their states start, stated once: a run holds them to stating it alike."""
+    for name in diagram.blocks:
+        seen = view(diagram, name)
+        with fault_context(name, "start()"):
+            yield ("said", name), dict(diagram.blocks[name].composed_start(seen.u, seen.p, seen.truth))
+
+
+def _posed(diagram: Diagram, part: Part, made: dict[tuple[str, ...], Any]) -> Iterator[Variable]:
+    """The plant's positions that nothing says where they start: they may start anywhere."""
+    positions = symbols_in(ca.SX(item.position) for item in part.certificate.acted)
+    for variable in diagram.loop.flowing:
+        if not has_start(diagram, variable, made) and (
+            symbols_in([variable.symbol]) & positions or (diagram.robot is not None and variable.name == "q")
+        ):
+            yield variable

@@ -1,0 +1,51 @@
+"""``python -m dmframe.prove FILE``: check the claim of a file that ``dmframe verify --claim FILE`` wrote.
+
+It reads neither a graph nor CasADi. It decides the identity and the faults; what follows from V, and the conditions at
+numbers, are not in the file. Exit status 0 where the identity holds and every fault is refuted, 1 otherwise, 2 for a
+file that is no claim.
+"""
+
+from __future__ import annotations
+
+import secrets
+import sys
+from pathlib import Path
+
+from dmframe.errors import DmframeError
+from dmframe.prove.export import digest, from_json
+from dmframe.prove.faults import inject_faults
+from dmframe.prove.identity import empty, identity
+
+
+def main(arguments: list[str]) -> int:
+    """Check one file; returns the exit status."""
+    if len(arguments) != 1:
+        sys.stderr.write("usage: python -m dmframe.prove FILE\n")
+        return 2
+    seed = secrets.randbits(64)  # not known to who wrote the file
+    try:
+        claim = from_json(Path(arguments[0]).read_text(encoding="utf-8"))
+        test = identity(claim, trials=3, seed=seed)
+        faults = inject_faults(claim, seed=seed) if test.zero else ()
+        nothing = empty(claim, seed) if test.zero else []
+    except (DmframeError, OSError, UnicodeDecodeError) as error:
+        sys.stderr.write(f"{arguments[0]}: {error}\n")
+        return 2
+    missed = [fault.fault for fault in faults if not fault.refuted]
+    lines = [f"claim {digest(claim)}"]
+    holds = test.zero and bool(faults) and not missed and not nothing
+    if not test.zero:
+        lines.append(f"the identity does not hold: {test.witness.output if test.witness else ''}")
+    else:
+        lines.append(f"the identity holds; error below 2^{test.log2_error_bound:.0f}, seed {seed}")
+        lines.append(
+            f"{len(faults) - len(missed)} of {len(faults)} seeded faults refuted" + f"; missed: {missed}" * bool(missed)
+        )
+    if nothing:
+        lines.append(f"identically zero: {'; '.join(nothing)}")
+    sys.stdout.write("\n".join(lines) + "\n")
+    return 0 if holds else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

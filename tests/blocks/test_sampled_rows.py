@@ -1,0 +1,217 @@
+"""Rows of a sampled estimator against motions of its plant: honest ones are explained, and no lie is proved."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import pytest
+from sampled_arm2 import sampled_arm2
+
+import dmframe as dm
+from dmframe.certify import Verdict, verify
+from dmframe.certify.claim import claim_of
+from dmframe.certify.explained import explained
+from dmframe_blocks._sample_estimators import Projection
+from dmframe_blocks.sampled_inverse import SampledInverse
+
+PID = {"type": "pid_servo", "K_D": [60, 30], "K_P": [120, 60], "K_I": [40, 20]}
+PI = {"type": "pi_servo", "K_P": [60, 30], "K_I": [120, 60]}
+SQUARES = {"estimator": "least_squares", "average": 2}
+ECHO = {"echoed": True}
+
+
+def verdict(maker: dict[str, Any] = PID, **inverse: Any) -> Verdict:
+    """Of two links with that servo, and such a sampled inverse."""
+    memory = {} if "estimator" in inverse else {"replay": 2}
+    graph = sampled_arm2(**{"servo": maker["type"].partition("_")[0], **memory, **inverse})
+    graph["blocks"]["servo"] = maker
+    if samples := inverse.get("delay"):
+        graph["blocks"]["line"] = {"type": "transport_delay", "samples": samples}
+    if inverse.get("echoed"):
+        graph["wires"] = {"inverse.q_echo": "servo.q_c"}
+    return verify(dm.load(graph).diagram)
+
+
+def checked(found: Verdict) -> Any:
+    (item,) = [item for item in found.conditions if "leave unexplained of the plant's motion" in item.name]
+    return item
+
+
+@pytest.mark.parametrize(
+    ("maker", "options"),
+    [
+        (PID, {}),
+        (PI, {}),
+        (PID, {"filtered": False}),
+        (PID, {"average": 3, "stride": 2}),
+        (PID, {"delay": 1}),
+        (PI, {"delay": 2, "average": 2}),
+        (PID, ECHO),
+        (PID, {"time_stamps": True}),
+        (PI, SQUARES),
+        (PID, {**SQUARES, "filtered": False, "tau": 0.5}),
+    ],
+)
+def test_honest_rows_are_explained(maker: dict[str, Any], options: dict[str, Any]) -> None:
+    found = verdict(maker, **options)
+    assert found.outcome == "proved", found.reason
+    assert checked(found).holds
+    assert not found.rows_assumed
+
+
+def test_noise_and_a_load_that_is_picked_up_take_no_part() -> None:
+    graph = dm.load(sampled_arm2(replay=2))
+    assert checked(verify(graph.reality({"encoder": {"step": 1e-4, "noise": 1e-4}}).diagram)).holds
+    data = sampled_arm2(replay=2)
+    data["blocks"]["arm"]["type"] = "loaded_manipulator"
+    data["blocks"]["load"] = {"type": "payload", "mass": [1.0], "at": [0.3]}
+    assert checked(verify(dm.load(data).diagram)).holds
+
+
+def test_a_command_that_the_plant_changes_is_not_what_acted() -> None:
+    ramp = dm.load(sampled_arm2(replay=2)).reality({"command_ramp": {"time_constant": 0.02}})
+    found = verify(ramp.diagram)
+    assert found.outcome == "not_applicable"
+    assert not checked(found).holds
+
+
+Honest = Callable[..., Any]
+
+
+def sampled(change: Callable[[SampledInverse, Any, Any, Any, tuple[Any, ...]], tuple[Any, ...]]) -> dict[str, Any]:
+    """`_sample` with its command, v, psi and y changed; both sides are then filtered as they should be."""
+    honest: Honest = SampledInverse._sample
+
+    def lying(self: SampledInverse, u: Any, x: Any, p: Any) -> tuple[Any, ...]:
+        u_applied, v, psi, y = change(self, u, x, p, honest(self, u, x, p)[:4])
+        h, g = (psi - x.psi_slow, y - x.y_slow) if self.filtered else (psi, y)
+        return u_applied, v, psi, y, h, g
+
+    return {"_sample": lying}
+
+
+def column(k: int, value: Callable[[Any], Any]) -> dict[str, Any]:
+    """Another column of that number in the rows of all joints."""
+
+    def change(self: SampledInverse, u: Any, x: Any, p: Any, found: tuple[Any, ...]) -> tuple[Any, ...]:
+        u_applied, v, psi, y = found
+        psi = ca.SX(psi)
+        for part in self._averaged(p).joints:
+            place = part.start + k if k >= 0 else part.stop + k
+            psi[place] = value(psi[place])
+        return u_applied, v, psi, y
+
+    return sampled(change)
+
+
+def crossed(self: SampledInverse, u: Any, x: Any, p: Any, found: tuple[Any, ...]) -> tuple[Any, ...]:
+    """The columns of K_I/K_D and of the viscous friction exchanged."""
+    u_applied, v, psi, y = found
+    psi = ca.SX(psi)
+    for part in self._averaged(p).joints:
+        psi[part.start + 1], psi[part.stop - 2] = psi[part.stop - 2], psi[part.start + 1]
+    return u_applied, v, psi, y
+
+
+def one_side(self: SampledInverse, u: Any, x: Any, p: Any) -> tuple[Any, ...]:
+    u_applied, v, psi, y, h, _ = SAMPLE(self, u, x, p)
+    return u_applied, v, psi, y, h, y
+
+
+def regressors(momentum: float, kinetic: float, gravity: float) -> dict[str, Any]:
+    """`_psi` with shares of its three regressors."""
+
+    def psi(self: SampledInverse, p: Any, start: Any, v: Any, command: Any, T: Any, *, momentum_: Any = 1) -> Any:
+        robot, m = p.robot, start.q + T * v / 2
+        e = m - start.target - T * command / 2
+        change = (robot.momentum_regressor(m, v) - robot.momentum_regressor(start.m_before, start.v_before)) / T
+        Y = momentum * momentum_ * change - kinetic * robot.kinetic_regressor(m, v)
+        Y += gravity * robot.gravity_regressor(m)
+        return self._averaged(p).row(e, start.z + T * e / 2, ca.DM.ones(robot.n), Y, v, robot.coulomb(v))
+
+    return {"_psi": lambda self, p, start, v, c, T, *, momentum=1: psi(self, p, start, v, c, T, momentum_=momentum)}
+
+
+def instead_of_acceleration(
+    self: SampledInverse, p: Any, start: Any, v: Any, c: Any, T: Any, *, momentum: Any = 1
+) -> Any:
+    """The momentum regressor of the velocity, not of its change."""
+    robot, m = p.robot, start.q + T * v / 2
+    e = m - start.target - T * c / 2
+    Y = momentum * robot.momentum_regressor(m, v) - robot.kinetic_regressor(m, v) + robot.gravity_regressor(m)
+    return self._averaged(p).row(e, start.z + T * e / 2, ca.DM.ones(robot.n), Y, v, robot.coulomb(v))
+
+
+def other_joint(self: SampledInverse, x: Any, p: Any, row: Any, goal: Any) -> tuple[Any, Any, dict[str, Any]]:
+    """The rows of all joints with the answer of another joint."""
+    row, goal, kept = MEANT(self, x, p, row, goal)
+    return row, ca.vertcat(goal[1:], goal[0]), kept
+
+
+def stored_elsewhere(self: Projection, x: Any, h: Any, g: Any) -> Any:
+    """Stored with the answer of another joint, and so learnt from again."""
+    lines = KEPT(self, x, h, g)
+    return (lines[0], replace(lines[1], newest=ca.horzcat(lines[1].newest[1:], lines[1].newest[0])))
+
+
+def learnt_elsewhere(self: Projection, x: Any, h: Any, g: Any, by: Any) -> Any:
+    theta, kept = LEARNT(self, x, h, g, by)
+    return theta, {**kept, "goals": self._stored(x, x.goals, ca.vertcat(g[1:], g[0]))}
+
+
+def before(self: SampledInverse, u: Any, x: Any, p: Any, found: tuple[Any, ...]) -> tuple[Any, ...]:
+    u_applied, v, psi, _ = found
+    return u_applied, v, psi, u_applied - x.v_before
+
+
+SAMPLE, MEANT = SampledInverse._sample, SampledInverse._meant
+KEPT, LEARNT = Projection.kept, Projection.learnt
+
+LIES: dict[str, dict[Any, dict[str, Any]]] = {
+    "y negated": {SampledInverse: sampled(lambda self, u, x, p, f: (*f[:3], -f[3]))},
+    "y doubled": {SampledInverse: sampled(lambda self, u, x, p, f: (*f[:3], 2 * f[3]))},
+    "y of the sample before": {SampledInverse: sampled(before)},
+    "columns crossed": {SampledInverse: sampled(crossed)},
+    "a column scaled by 2": {SampledInverse: column(0, lambda of: 2 * of)},
+    "z omitted": {SampledInverse: column(1, lambda of: 0)},
+    "momentum of the other sign": {SampledInverse: regressors(-1, 1, 1)},
+    "kinetic of the other sign": {SampledInverse: regressors(1, -1, 1)},
+    "gravity dropped": {SampledInverse: regressors(1, 1, 0)},
+    "velocity for acceleration": {SampledInverse: {"_psi": instead_of_acceleration}},
+    "friction of the other sign": {SampledInverse: column(-1, lambda of: -of)},
+    "drag of the other sign": {SampledInverse: column(-2, lambda of: -of)},
+    "rows of another joint": {SampledInverse: {"_meant": other_joint}},
+    "stored rows of another joint": {Projection: {"kept": stored_elsewhere, "learnt": learnt_elsewhere}},
+    "one side filtered": {SampledInverse: {"_sample": one_side}},
+}
+
+
+def lying(monkeypatch: pytest.MonkeyPatch, lie: str) -> None:
+    for of, methods in LIES[lie].items():
+        for name, method in methods.items():
+            monkeypatch.setattr(of, name, method)
+
+
+@pytest.mark.parametrize("lie", list(LIES))
+def test_rows_that_are_not_the_plants_are_not_explained(lie: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    lying(monkeypatch, lie)
+    claim = claim_of(dm.load(sampled_arm2(servo="pid", replay=2)).diagram)
+    (part,) = [part for part in claim.parts if part.certificate.steps]
+    (item,) = explained(claim, part, part.certificate.steps[0]).checked
+    assert not item.holds
+    assert "does not fall with the period" in item.name
+    assert ("stored row of joint1" in item.name) is (lie == "stored rows of another joint")
+
+
+@pytest.mark.parametrize("lie", ["y negated", "stored rows of another joint"])
+def test_a_lie_of_rows_and_certificate_is_not_proved(lie: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    lying(monkeypatch, lie)
+    found = verdict()
+    assert found.outcome == "not_applicable"
+    says = "the identity holds, but a condition fails: inverse: what the rows of theta leave unexplained of the plant's"
+    assert found.reason.startswith(f"{says} motion does not fall with the period: ")
+    assert "row of joint2, " in found.reason
+    assert found.reason.endswith(" of the data at T = 5, 2.5, 1.25, 0.625, 0.312 ms")
