@@ -33,7 +33,6 @@ WORDS: Final[dict[str, str]] = {
 """Pattern of the private word, and what to write."""
 
 TO_DO: Final[tuple[str, ...]] = (
-    "blocks",
     "tests",
     "dmframe/exact",
 )
