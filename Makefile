@@ -31,8 +31,8 @@ test: lint
 thorough: setup
 	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m thorough
 
-# Every fault that can be seeded into a block, a certificate or the plant library, in all closed loops that it touches:
-# minutes to an hour; MUTANTS=--quick puts each into one loop only.
+# Every fault that can be seeded into a block, a certificate or the plant library, each in one closed loop that it
+# touches: half an hour; MUTANTS=--everywhere puts it into all of them.
 mutants: setup
 	$(BIN)/python tests/framework/certify/mutants.py $(MUTANTS)
 

@@ -1,1 +1,1 @@
-"""The block library: one file, one block, found by the catalogue through the entry point ``dmframe.blocks``."""
+"""The block library: one block per file, registered through the entry point ``dmframe.blocks``."""

@@ -1,15 +1,16 @@
-"""A closed position servo read over one sample: linear in constants of each joint.
+"""Averaged model of a closed servo over one sample, linear in constant parameters of each joint.
 
 Averaged over a sample of length T with the command u held, each joint of a robot behind a PID position servo obeys
 
     u - v = psi' theta,    psi = (e, z + T e/2, 1, [Y_p(m, v) - Y_p before]/T - Y_c(m, v) + Y_g(m), v, phi(v))
 
-but for what averages of functions differ from functions of averages: v is the average velocity, m the middle pose, e
-the error of the target in the middle, z the sum of T e over the samples before, and Y_p, Y_c, Y_g the joint's rows of
-the regressors. theta holds K_P/K_D, K_I/K_D, an offset, w times the inertial parameters, and w times the friction, with
-w = 1/(K K_D). Of a PI velocity servo, e is the integral itself: (e, 1, ...), K_I/K_P, an offset, and w = 1/(K K_P).
+up to the difference between averages of functions and functions of averages. Here v is the average velocity, m the
+middle pose, e the error of the target at the middle, z the sum of T e over the earlier samples, and Y_p, Y_c, Y_g are
+the joint's rows of the regressors. theta consists of K_P/K_D, K_I/K_D, an offset, w times the inertial parameters, and
+w times the friction, with w = 1/(K K_D). For a PI velocity servo, e is the integral itself: the row is (e, 1, ...) and
+theta is (K_I/K_P, offset, ...), with w = 1/(K K_P).
 
-Rows and parameters of all joints stand one below the other, in one column.
+Rows and parameters of all joints are stacked in one column.
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ from dmframe.robot.parameters import DynamicParameters, Friction
 from dmframe.robot.symbolic import SymbolicRobot
 
 SERVO: Final = {"pid": ("k_P", "k_I", "offset"), "pi": ("k_I", "offset")}
-"""The constants of a joint's servo that a sample shows: over its velocity gain, K_P and K_I of a PID servo."""
+"""The identifiable constants of a joint's servo: gains divided by the velocity gain, K_P and K_I for a PID servo."""
 
 STEEPEST: Final = 4
-"""|w M/T| above which the momentum's change is left out of a command."""
+"""|w M/T| above which a command omits the change of momentum."""
 
 _UNITS: Final = {"k_P": "1/s", "k_I": "1/s^2", "offset": "rad/s"}
 _FRICTION: Final[dict[Friction, str]] = {"viscous": "B", "coulomb": "D"}
@@ -37,12 +38,12 @@ _FRICTION: Final[dict[Friction, str]] = {"viscous": "B", "coulomb": "D"}
 
 @lru_cache(maxsize=8)
 def averaged_servo(chain: SerialChain, servo: str, friction: frozenset[Friction]) -> AveragedServo:
-    """The relation of a robot, one object for all who ask."""
+    """The averaged model of a robot; one shared object per robot and options."""
     return AveragedServo(chain, servo, friction)
 
 
 class Start(NamedTuple):
-    """Where a sample starts: pose, target, sum of the errors; middle pose and average velocity of the sample before."""
+    """Start of a sample: pose, target, sum of the errors; middle pose and average velocity of the previous sample."""
 
     q: Any
     target: Any
@@ -52,7 +53,7 @@ class Start(NamedTuple):
 
 
 def _used(chain: SerialChain) -> Sequence[Sequence[int]]:
-    """For each joint the inertial parameters that its torque can hold; a column of zeros would learn nothing."""
+    """For each joint the inertial parameters that affect its torque; columns of zeros are left out."""
     robot, q, dq = SymbolicRobot(chain), ca.SX.sym("q", chain.n), ca.SX.sym("dq", chain.n)
     parts = robot.momentum_regressor(q, dq), robot.kinetic_regressor(q, dq), robot.gravity_regressor(q)
     pattern = ca.densify(sum(ca.DM(part.sparsity(), 1) for part in parts)).full()
@@ -61,16 +62,16 @@ def _used(chain: SerialChain) -> Sequence[Sequence[int]]:
 
 @final
 class AveragedServo:
-    """What the columns are, and the operations on them, each of which prints as one sign.
+    """The columns of the averaged model, and operations on them, each of which prints as one function.
 
     Attributes
     ----------
     joints, parts
-        The part of the column that belongs to each joint, and how many numbers that is.
+        The part of the column that belongs to each joint, and its number of elements.
     size
-        How many numbers the column holds.
+        Number of elements of the column.
     elements
-        Their names and units, of theta: k_P1, k_I1, offset1, w1_m_1, ..., w1_B, w1_D, k_P2, ...
+        Names and units of the elements of theta: k_P1, k_I1, offset1, w1_m_1, ..., w1_B, w1_D, k_P2, ...
     """
 
     def __init__(self, chain: SerialChain, servo: str, friction: frozenset[Friction]) -> None:
@@ -89,18 +90,18 @@ class AveragedServo:
 
     @cached_property
     def row(self) -> Callable[..., Expression]:
-        """The operation that makes a row of its parts."""
+        """Operation that assembles a row."""
 
         @operation
         def row(e: Any, sum_e: Any, one: Any, Y: Any, v: Any, phi: Any) -> Any:
-            """The rows of all joints in one column, of what each joint has."""
+            """The rows of all joints in one column, from the values of each joint."""
             return self._row(e, sum_e, one, Y, v, phi)
 
         return row
 
     @cached_property
     def answer(self) -> Callable[..., Expression]:
-        """The operation psi' theta."""
+        """Operation psi' theta."""
 
         @operation
         def answer(psi: Any, theta: Any) -> Any:
@@ -111,44 +112,44 @@ class AveragedServo:
 
     @cached_property
     def of_joint(self) -> Callable[..., Expression]:
-        """The operation that gives each element the value of its joint."""
+        """Operation that gives each element the value of its joint."""
 
         @operation
         def of_joint(a: Any) -> Any:
-            """For each element of a row the value of its joint."""
+            """The value of its joint for each element of a row."""
             return self._each(a)
 
         return of_joint
 
     @cached_property
     def changing(self) -> Callable[..., Expression]:
-        """The operation that leaves the constant out of a row."""
+        """Operation that sets the constant of a row to zero."""
 
         @operation
         def changing(psi: Any) -> Any:
-            """The row without its constants."""
+            """The row with zeros for its constants."""
             return psi * self._placed(1, 1, 0, 1, 1)
 
         return changing
 
     @cached_property
     def kinds(self) -> Callable[..., Expression]:
-        """The operation that gives each element the value of its kind."""
+        """Operation that gives each element the value of its kind."""
 
         @operation
         def kinds(k_P: Any, k_I: Any, offset: Any, inertia: Any, friction: Any) -> Any:
-            """For each element of a row the value, or the interval, of its kind."""
+            """The value, or the interval, of its kind for each element of a row."""
             return self._placed(k_P, k_I, offset, inertia, friction)
 
         return kinds
 
     @cached_property
     def learnt(self) -> Callable[..., Expression]:
-        """The operation that learns from rows."""
+        """Operation that updates the estimate with rows."""
 
         @operation
         def learnt(theta: Any, h: Any, g: Any, rows: Any, goals: Any, Gamma: Any, nu: Any, box: Any) -> Any:
-            """What the rows teach, one by one: h, the stored ones, and h again; each time put back into the box."""
+            """The estimate after projections onto h, the stored rows, and h again, each clipped to the box."""
             stored = [(rows[k, :].T, goals[k, :].T) for k in range(rows.shape[0])]
             for seen, wanted in ((h, g), *stored, (h, g)):
                 theta = self.projected(theta, seen, wanted, Gamma, nu)
@@ -158,24 +159,24 @@ class AveragedServo:
         return learnt
 
     def projected(self, theta: Any, h: Any, g: Any, Gamma: Any, nu: Any) -> Any:
-        """Theta + Gamma h (g - h' theta)/(nu + h' Gamma h), joint by joint: what one row teaches."""
+        """Theta + Gamma h (g - h' theta)/(nu + h' Gamma h), joint by joint: the update by one row."""
         epsilon = g - self._sums(h * theta)
         return theta + Gamma * h * self._each(epsilon / (nu + self._sums(h * Gamma * h)))
 
     @cached_property
     def pushed(self) -> Callable[..., Expression]:
-        """The operation that stores a row."""
+        """Operation that stores a row."""
 
         @operation
         def pushed(rows: Any, new: Any) -> Any:
-            """The rows with a new one before them, and without the last."""
+            """The rows with a new first one, without the last."""
             return ca.vertcat(new.T, rows[:-1, :])
 
         return pushed
 
     @cached_property
     def total(self) -> Callable[..., Expression]:
-        """The operation that adds rows."""
+        """Operation that adds rows."""
 
         @operation
         def total(rows: Any) -> Any:
@@ -186,22 +187,22 @@ class AveragedServo:
 
     @cached_property
     def share(self) -> Callable[..., Expression]:
-        """The operation that says what a command takes from the row."""
+        """Operation that gives the sensitivity of the prediction to the command."""
 
         @operation
         def share(theta: Any, T: Any) -> Any:
-            """By how much the answer falls with the command: k_P T/2 + k_I T^2/4, with a PI servo k_I T/2."""
+            """Decrease of the prediction per unit of command: k_P T/2 + k_I T^2/4; k_I T/2 for a PI servo."""
             return self._share(theta, T)
 
         return share
 
     @cached_property
     def inertia(self) -> Callable[..., Expression]:
-        """The operation that makes w M of the momenta of unit velocities."""
+        """Operation that computes w M from the momentum regressors of unit velocities."""
 
         @operation
         def inertia(theta: Any, momenta: Any) -> Any:
-            """The matrix whose row i is what the parameters of joint i answer to the momenta of unit velocities."""
+            """The matrix whose row i is w times the momentum of joint i for unit velocities, by its own estimates."""
             n, still = self.chain.n, ca.SX.zeros(self.chain.n)
             units = ca.horzsplit(momenta, momenta.shape[1] // n)
             rows = (self._row(still, still, still, Y, still, still) for Y in units)
@@ -211,11 +212,11 @@ class AveragedServo:
 
     @cached_property
     def safe(self) -> Callable[..., Expression]:
-        """The operation that says whether a command may plan with the momentum."""
+        """Operation that decides whether a command may use the change of momentum."""
 
         @operation
         def safe(S: Any, margin: Any) -> Any:
-            """Whether (1/2 - margin) I + S is positive definite in its symmetric part, and S at most 4 in norm."""
+            """True if the symmetric part of (1/2 - margin) I + S is positive definite and the norm of S at most 4."""
             _, pivots = ldl(ca.DM.eye(self.chain.n) * (0.5 - margin) + (S + S.T) / 2)
             fine = ca.sumsqr(S) <= STEEPEST**2
             for pivot in pivots:
@@ -226,7 +227,7 @@ class AveragedServo:
 
     @cached_property
     def offset(self) -> Callable[..., Expression]:
-        """The operation that picks the offsets."""
+        """Operation that selects the offsets."""
 
         @operation
         def offset(theta: Any) -> Any:
@@ -237,11 +238,11 @@ class AveragedServo:
 
     @cached_property
     def damping(self) -> Callable[..., Expression]:
-        """The operation that says how the answer rises with the velocity, but for inertia."""
+        """Operation that gives the slope of the prediction with respect to velocity, without inertia."""
 
         @operation
         def damping(theta: Any, v: Any, v_0: Any, T: Any) -> Any:
-            """The slope of the answer in v, but for inertia; of Coulomb friction as a chord, which is steep at rest."""
+            """Slope of the prediction in v, without inertia; Coulomb friction, which is steep at rest, as a secant."""
             slope = self._share(theta, T)
             for back, kind in enumerate(reversed(self.friction), start=1):
                 element = theta[[part.stop - back for part in self.joints]]
@@ -276,7 +277,7 @@ class AveragedServo:
         return ca.vertcat(*(ca.repmat(values[i], part.stop - part.start, 1) for i, part in pairs))
 
     def _placed(self, k_P: Any, k_I: Any, offset: Any, inertia: Any, friction: Any) -> Any:
-        """One below the other; of more than one row each is a joint's, a single one is for all."""
+        """The values stacked by joint; a single row is used for all joints."""
         servo, parts = {"k_P": k_P, "k_I": k_I, "offset": offset}, list[Any]()
         for i, used in enumerate(self._used):
             values = [*(servo[name] for name in self.servo), *[inertia] * len(used), *[friction] * len(self.friction)]

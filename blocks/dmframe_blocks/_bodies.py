@@ -1,7 +1,7 @@
-"""Estimated bodies that stay bodies: two laws on positive definite pseudo-inertias, their steps and their storages.
+"""Adaptation of physically consistent inertial parameters: two laws on pseudo-inertias, their steps and storage.
 
-One moves each in the metric of the estimate itself, in which the edge of the set is infinitely far away. The other
-keeps the metric of the nominal body, and is put back onto the set where it leaves it.
+The first law uses the metric of the present estimate, in which the boundary of the set is infinitely far away. The
+second uses the constant metric of the nominal body, and projects the estimate onto the set.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ def parameters(P: Any) -> Any:
 
 
 def links(a: Any, joints: int) -> list[Any]:
-    """The ten inertial parameters of each link, which stand in front."""
+    """The ten inertial parameters of each link, which come first."""
     return [a[TEN * k : TEN * (k + 1)] for k in range(joints)]
 
 
 def moved(a: Any, g: Any, joints: int, c: Any, Gamma: Any) -> tuple[Any, Any]:
-    r"""The rate of the estimates that the gradient g drives, and the second term of their step on a clock.
+    r"""The rate of the estimates driven by the gradient g, and the second-order term of their step on a clock.
 
-    Each link's pseudo-inertia P moves by :math:`-c\, P Q P`. Over a sample it becomes :math:`A P A^\top` with
-    :math:`A = 1 - \tfrac12 c T\, P Q`, which is positive definite whenever P is and A has an inverse.
+    The rate of each link's pseudo-inertia P is :math:`-c\, P Q P`. Over a sample P becomes :math:`A P A^\top` with
+    :math:`A = 1 - \tfrac12 c T\, P Q`, which is positive definite if P is and A is invertible.
     """
     rates, seconds = list[Any](), list[Any]()
     for P, Q in ((body(a_k), force(g_k)) for a_k, g_k in zip(links(a, joints), links(g, joints), strict=True)):
@@ -57,21 +57,21 @@ def moved(a: Any, g: Any, joints: int, c: Any, Gamma: Any) -> tuple[Any, Any]:
 
 
 def natural(g: Any, nominal: Any, joints: int, c: Any, Gamma: Any) -> Any:
-    r"""The rate that the gradient g drives in the metric of the nominal bodies: of each, :math:`-c\, P_0 Q P_0`."""
+    r"""The rate driven by the gradient g in the metric of the nominal bodies: :math:`-c\, P_0 Q P_0` for each link."""
     pairs = zip(links(nominal, joints), links(g, joints), strict=True)
     rates = [parameters(-c * (body(n_k) @ force(g_k) @ body(n_k))) for n_k, g_k in pairs]
     return ca.vertcat(*rates, -Gamma * g[TEN * joints :])
 
 
 def weight(nominal: Any, joints: int, c: Any, Gamma: Any) -> Any:
-    """The metric in which `natural` is the gradient's law."""
+    """The metric in which `natural` is the gradient law."""
     rest = nominal.shape[0] - TEN * joints
     return metric_of(nominal[: TEN * joints], c, ca.DM.ones(rest) / Gamma)
 
 
 @operation
 def metric_of(a: Any, c: Any, rest: Any) -> Any:
-    """W of each link in a, d'W d = trace(X body(d) X body(d))/c with X the inverse of its body; then diag(rest)."""
+    """W for each link in a, d'W d = trace(X body(d) X body(d))/c with X the inverse of its body; then diag(rest)."""
     units = [body(ca.DM([float(i == j) for i in range(TEN)])) for j in range(TEN)]
     inverses = [inverse_spd(body(link)) for link in links(a, a.shape[0] // TEN)]
     moved = ([X @ unit @ X / c for unit in units] for X in inverses)
@@ -80,7 +80,7 @@ def metric_of(a: Any, c: Any, rest: Any) -> Any:
 
 
 def storage(a: Any, true: Any, joints: int, c: Any, Gamma: Any) -> tuple[LogDet | Square, ...]:
-    """The divergence of each estimated body from the true one, and the square of what is no body's."""
+    """The divergence of each estimated body from the true one, and the square of the other errors."""
     pairs = enumerate(zip(links(a, joints), links(true, joints), strict=True), start=1)
     bodies = [LogDet(named(f"P_hat_{k}", body(a_k)), body(true_k), 2 / c) for k, (a_k, true_k) in pairs]
     rest: Sequence[Square] = ()

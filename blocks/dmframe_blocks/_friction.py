@@ -1,4 +1,4 @@
-"""A plant's friction and the columns that a controller has for it."""
+"""Conditions that a controller has regressor columns for the plant's friction."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ _KINDS: Final = (("viscous", "viscous", "B"), ("coulomb", "Coulomb", "D"))
 
 
 def columns_for(friction: Collection[Friction], truth: Signals) -> tuple[Condition, ...]:
-    """Whatever friction the plant has, there is a column for it."""
+    """Conditions that there is a column for each kind of friction of the plant."""
     lacking = [kind for kind in _KINDS if kind[0] not in friction and kind[2] in truth]
     return tuple(_column_for(key, name, getattr(truth, of)) for key, name, of in lacking)
 
 
 def _column_for(key: str, name: str, true: SX) -> Inequality:
-    """No such friction, or a column for it."""
+    """The condition that the plant has no such friction, for a regressor without a column for it."""
     owners = ", ".join(dict.fromkeys(re.sub(r"(_\d+)?$", "", str(symbol)) for symbol in ca.symvar(true)))
     return Inequality(
         f"the plant has no {name} friction: {owners} is zero",

@@ -1,4 +1,4 @@
-"""Bodies at a tool, one after another: their ten parameters, and what can be one."""
+"""A sequence of rigid bodies held by the tool: their ten inertial parameters, and checks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Row = Sequence[float]
 
 
 def check_bodies(at: Row, mass: Row, center: Sequence[Row] | None, inertia: Sequence[Row] | None) -> None:
-    """Raise `ValueError` for lists of unequal lengths, times that do not increase, and what is no rigid body."""
+    """Raise `ValueError` for lists of unequal lengths, times that do not increase, and inconsistent inertias."""
     count = len(mass)
     for name, rows in (("at", at), ("center", center), ("inertia", inertia)):
         if rows is not None and len(rows) != count:
@@ -37,7 +37,7 @@ def check_times(at: Row) -> None:
 
 
 def now_held(t: SX, p: Signals) -> SX:
-    """The ten parameters of the body that is there now, of a block with `mass`, `at`, `center` and `inertia`."""
+    """The ten parameters of the present body, for a block with `mass`, `at`, `center` and `inertia`."""
     count = p.mass.numel()
     center = p.center if "center" in p else ca.DM.zeros(count, 3)
     inertia = p.inertia if "inertia" in p else ca.DM.zeros(count, 6)
@@ -46,7 +46,7 @@ def now_held(t: SX, p: Signals) -> SX:
 
 @operation
 def held(t: Any, mass: Any, at: Any, center: Any, inertia: Any, a_k: Any) -> Any:
-    """The parameters of the last body whose time has come, nothing before the first."""
+    """The parameters of the last body whose time has come, zero before the first."""
     a_load, before = ca.SX.zeros(10), ca.SX.zeros(10)
     for k in range(mass.numel()):
         now = body(mass[k], a_k[-3:] + center[k, :].T, inertia[k, :].T)
@@ -55,7 +55,7 @@ def held(t: Any, mass: Any, at: Any, center: Any, inertia: Any, a_k: Any) -> Any
 
 
 def body(mass: Any, r: Any, inertia: Any) -> Any:
-    """The ten parameters of a body about the origin, its centre at r, in the order of `robot.parameters.Inertial`."""
+    """The ten parameters, about the origin, of a body with centre r, in the order of `robot.parameters.Inertial`."""
     x, y, z = ca.vertsplit(r)
     about = ca.vertcat(y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y)
     return ca.vertcat(mass, mass * r, inertia + mass * about)
@@ -63,11 +63,11 @@ def body(mass: Any, r: Any, inertia: Any) -> Any:
 
 @operation
 def with_body(inertia: Any, body: Any) -> Any:
-    """The inertial parameters with a body on the last link; or what weighs of them, with what weighs of it."""
+    """The inertial parameters with a body added to the last link; or those with weight, with those of the body."""
     size = body.shape[0]
     return ca.vertcat(inertia[:-size], inertia[-size:] + body)
 
 
 def with_held(inertia: Any, held: Any, part: Callable[[Any], Any] = lambda body: body) -> Any:
-    """`with_body` of what the plant's tool holds, or of a part of it; the robot's own where it holds nothing at all."""
+    """`with_body` for the body at the plant's tool, or for a part of it; the robot's own parameters without a body."""
     return inertia if held.is_zero() else with_body(inertia, part(held))

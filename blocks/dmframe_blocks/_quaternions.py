@@ -1,7 +1,7 @@
-r"""Orientations as quaternions of any length: rational, and each gives a rotation that is orthogonal identically.
+r"""Orientations as quaternions of arbitrary length, whose rotation matrices are rational and identically orthogonal.
 
-A quaternion is a column :math:`p = (p_0, v)` of four numbers, not all zero. It stands for the rotation that its unit
-multiple does: p, -p and 2 p are one orientation, so that nothing has to be kept at length one.
+A quaternion is a column :math:`p = (p_0, v)` of four numbers, not all zero. It represents the rotation of its unit
+multiple: p, -p and 2 p are the same orientation, so no normalisation is needed.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from dmframe.block import SX, Assumption, Written, operation, sentence
 
 LESS_THAN_HALF_A_TURN: Final = Assumption(
     sentence(
-        "the tool stays less than half a turn from its orientation, {apart} < 8: {V(0)} < {most} is enough; half a "
-        "turn away {e_R} is zero too, an equilibrium that the least disturbance leaves",
+        "the tool stays less than half a turn from its orientation, {apart} < 8: {V(0)} < {most} is sufficient; half a "
+        "turn away {e_R} is zero too, at an unstable equilibrium",
         apart=Written("|R - R_d|^2", "|R − R_d|²", "|R - R_d|^2"),
         most=Written("4 lever^2", "4 lever²", r"4\,\mathrm{lever}^2"),
     ),
@@ -24,7 +24,7 @@ LESS_THAN_HALF_A_TURN: Final = Assumption(
         size=Written(
             "|e_R|^2 = |R - R_d|^2 (8 - |R - R_d|^2)/4",
             "|e_R|² = |R − R_d|² (8 − |R − R_d|²)/4",
-            "|e_R|^2 = |R - R_d|^2\\, (8 - |R - R_d|^2)/4",
+            r"|e_R|^2 = |R - R_d|^2\, (8 - |R - R_d|^2)/4",
         ),
     ),
 )
@@ -44,7 +44,7 @@ def right(p: SX) -> SX:
 
 @operation
 def turned(p: SX, by: SX) -> SX:
-    """The product of two quaternions: the orientation p, turned by the other one about axes that turn with it."""
+    """The product of two quaternions: the orientation p, rotated by the other one about body-fixed axes."""
     return ca.vertcat(p[0] * by[0] - ca.dot(p[1:], by[1:]), p[0] * by[1:] + by[0] * p[1:] + ca.cross(p[1:], by[1:]))
 
 
@@ -55,19 +55,19 @@ def about(axis: SX, angle: SX) -> SX:
 
 
 NOWHERE = 1e-150
-"""What a rotation vector is as long as at least, so that one of length zero has an axis, too [rad]."""
+"""Lower bound of the length of a rotation vector, so that one of length zero has an axis [rad]."""
 
 
 @operation
 def quaternion(v: SX) -> SX:
-    """The unit quaternion of a rotation vector: axis times angle, as robots' pendants show orientations."""
+    """The unit quaternion of a rotation vector: axis times angle, as teach pendants display orientations."""
     angle = ca.fmax(ca.sqrt(ca.sumsqr(v)), NOWHERE)
     return ca.vertcat(ca.cos(angle / 2), ca.sin(angle / 2) / angle * v)
 
 
 @operation
 def partly(a: SX, b: SX, share: SX) -> SX:
-    """The turn that leads from the unit quaternion a towards b on the shortest way, as far as a share of it."""
+    """Rotation by a fraction of the shortest rotation from the unit quaternion a to b."""
     whole = turned(ca.vertcat(a[0], -a[1:]), b)
     size = ca.fmax(ca.sqrt(ca.sumsqr(whole[1:])), NOWHERE)
     half = ca.atan2(size, ca.fabs(whole[0]))
@@ -76,12 +76,12 @@ def partly(a: SX, b: SX, share: SX) -> SX:
 
 
 def apart(R: Any, R_d: Any) -> Any:
-    """The sum of the squares of all elements of R - R_d: 8 sin(angle/2)^2, so that nothing but 0 is 0 below a turn."""
+    """The sum of the squares of all elements of R - R_d: 8 sin(angle/2)^2, which is zero only for R = R_d."""
     return ca.sumsqr(ca.vec(R - R_d))
 
 
 @operation
 def turn_from(R: Any, R_d: Any) -> Any:
-    r"""The axis of the turn from R_d to R, times twice the sine of its angle: the vector of R R_d' - R_d R'."""
+    r"""The axis of the rotation from R_d to R, times twice the sine of its angle: the vector of R R_d' - R_d R'."""
     A = R @ R_d.T
     return ca.vertcat(A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1])

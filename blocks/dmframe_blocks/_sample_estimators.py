@@ -1,4 +1,4 @@
-"""How a sampled inverse learns from rows: projections onto new and stored ones, or least squares that forgets."""
+"""Estimators of a sampled inverse: the projection algorithm with replay, and least squares with forgetting."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from dmframe_blocks._averaged_servo import AveragedServo
 
 
 class Learning(NamedTuple):
-    """What an estimator is given: Gamma, nu, the box, and what it does not forget from sample to sample."""
+    """Parameters of an estimator: Gamma, nu, the box, and the retention per sample."""
 
     gain: Any
     floor: Any
@@ -34,29 +34,29 @@ class Learning(NamedTuple):
 
 
 class Estimator(Protocol):
-    """Moves theta, and what it keeps of the samples."""
+    """Updates theta and the estimator's memory."""
 
     def learnt(self, x: Signals, h: SX, g: SX, by: Learning) -> tuple[SX, Mapping[str, SX]]:
-        """Theta after a new row h, g, and the states that it keeps."""
+        """Theta after a new row h, g, and the states of the memory."""
 
     def steps(self, x: Signals, true: SX, h: SX, g: SX, by: Learning) -> Steps:
-        """The same for a proof."""
+        """The same steps for a proof."""
 
     def kept(self, x: Signals, h: SX, g: SX) -> tuple[DelayLine, ...]:
-        """The states that hold rows."""
+        """The states that store rows."""
 
 
 @final
 @dataclass(frozen=True)
 class Projection:
-    """Onto the new row, the stored ones from new to old, and the new one once more."""
+    """Projections onto the new row, the stored rows from new to old, and the new row again."""
 
     averaged: AveragedServo
     replay: int
     stride: int
 
     def learnt(self, x: Signals, h: SX, g: SX, by: Learning) -> tuple[SX, Mapping[str, SX]]:
-        """Theta after these steps, in its box after each; and the rows with the new one, if its turn has come."""
+        """Theta after these steps, each clipped to the box; and the stored rows, with the new one if it is due."""
         theta = self.averaged.learnt(
             x.theta, h, g, x.rows, x.goals, named("sizes", by.gain), by.floor, named("box", by.box)
         )
@@ -66,7 +66,7 @@ class Projection:
         return theta, kept
 
     def steps(self, x: Signals, true: SX, h: SX, g: SX, by: Learning) -> Steps:
-        """Normalised ones."""
+        """Normalised steps."""
         stored = [(x.rows[k, :].T, x.goals[k, :].T) for k in range(self.replay)]
         rows, box = ((h, g), *stored, (h, g)), tuple(ca.horzsplit(by.box))
         return NormalisedSteps("theta", x.theta, true, by.gain, self.averaged.parts, by.floor, rows, box)
@@ -87,7 +87,7 @@ class Projection:
 @final
 @dataclass(frozen=True)
 class LeastSquares:
-    """Of all rows so far, each sample's counting a little less than that of the next."""
+    """Recursive least squares over all rows, with exponential forgetting."""
 
     averaged: AveragedServo
 
@@ -110,11 +110,11 @@ class LeastSquares:
 
     @cached_property
     def regressed(self) -> Callable[..., Expression]:
-        """The operation that learns from a row."""
+        """Operation that updates the estimate with a row."""
 
         @operation
         def regressed(theta: Any, gathered: Any, h: Any, g: Any, Gamma: Any, nu: Any, box: Any) -> Any:
-            """Theta by least squares, back in its box, and below it the triangles of G + h h'/nu, joint by joint."""
+            """Theta by least squares, projected onto its box, and below it the triangles of G + h h'/nu, by joint."""
             estimates, triangles, end = [], [], 0
             for j, part in enumerate(self.averaged.joints):
                 start, end = end, end + triangle(part.stop - part.start)
@@ -127,7 +127,7 @@ class LeastSquares:
         return regressed
 
     def step(self, theta: Any, G: Any, h: Any, g: Any, Gamma: Any, nu: Any, box: Any) -> tuple[Any, Any]:
-        """Theta and G of one joint after a row; in P the inverse of 1/Gamma + G, before and after it."""
+        """Theta and G of one joint after a row; P is the inverse of 1/Gamma + G, before and after it."""
         P = inverse_spd(ca.diag(1 / Gamma) + G)
         learnt = P @ h
         n = nu + ca.dot(h, learnt)
@@ -136,27 +136,27 @@ class LeastSquares:
         )
 
     def put_back(self, theta: Any, G: Any, P: Any, box: Any) -> tuple[Any, Any]:
-        """Onto the nearest point of each face that is passed, as P^-1 measures it; if that leaves another, cut.
+        """Projection onto each violated face in the norm of P^-1; clipping if the result violates another face.
 
-        An element that is cut would take others along in the norm of P^-1: so G is forgotten then, and no norm joins
-        them any more.
+        Clipping one element could increase the norm of P^-1, which couples the elements. G is therefore set to zero in
+        that case, so that the norm is diagonal.
         """
         for i in range(theta.shape[0]):
             face = ca.fmin(ca.fmax(theta[i], box[i, 0]), box[i, 1])
             theta = theta - P[:, i] * (theta[i] - face) / P[i, i]
-            theta[i] = face  # as it is but for rounding, which would count as outside below
+            theta[i] = face  # exactly: rounding would count as outside below
         cut, inside = ca.fmin(ca.fmax(theta, box[:, 0]), box[:, 1]), ca.SX(1)
-        for i in range(theta.shape[0] - 1):  # the last is where it was just put
+        for i in range(theta.shape[0] - 1):  # the last element has just been projected
             inside *= theta[i] == cut[i]
         return cut, inside * G
 
 
 @lru_cache(maxsize=8)
 def least_squares(averaged: AveragedServo) -> LeastSquares:
-    """One object for all who ask, so that its operation is one."""
+    """The shared estimator object, so that its operation is unique."""
     return LeastSquares(averaged)
 
 
 def triangle(size: int) -> int:
-    """How many numbers the lower triangle of a square matrix has."""
+    """Number of elements of the lower triangle of a square matrix."""
     return size * (size + 1) // 2

@@ -9,7 +9,7 @@ from dmframe.block import AbstractBlock, Access, Certificate, Equations, Input, 
 
 @final
 class Accelerometer(AbstractBlock):
-    r"""Hands out the joint accelerations, which the robot's maker does not.
+    r"""Outputs the joint accelerations, which industrial robots usually do not provide.
 
     .. math::
 
@@ -21,7 +21,7 @@ class Accelerometer(AbstractBlock):
 
     Notes
     -----
-    Not for: accelerations differentiated from a velocity; their noise and delay are no part of the proof.
+    Not for: accelerations differentiated from a velocity; the proof does not include their noise and delay.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""The Jacobian of an image by a camera that is learnt while the robot moves."""
+"""Image Jacobian of an uncalibrated camera, adapted online."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ from dmframe_blocks._image import image_regressor, pinhole
 
 @final
 class AdaptiveCamera(AdaptingBlock):
-    r"""Estimates the nine numbers of a fixed camera from its image, and gives the image's Jacobian with them.
+    r"""Estimates the nine parameters of a fixed camera from its image and computes the image Jacobian with them.
 
     .. math::
 
         J_{\chi} &= (\hat N - (\chi - \tfrac12 e_{\chi})\, \hat m^\top)\, \hat J     \tag{1} \\
         \dot{\hat a_c} &= \Gamma_c Y_c^\top e_{\chi}                                    \tag{2}
 
-    with a_c = (right, down, ahead) of `camera`, of which N has the first two as rows and m is the last; Y_c is what
-    makes :math:`Y_c \hat a_c = J_{\chi} \dot q`. With :math:`\tilde a_c = \hat a_c - a_c` and
+    with a_c = (right, down, ahead) of `camera`: N has the first two as rows, and m is the last. Y_c is the matrix with
+    :math:`Y_c \hat a_c = J_{\chi} \dot q`. With :math:`\tilde a_c = \hat a_c - a_c` and
     :math:`\alpha = \mathrm{task\_weight}`,
 
     .. math::
@@ -45,23 +45,23 @@ class AdaptiveCamera(AdaptingBlock):
         S &= \tfrac12 \alpha |\tilde a_c|^2_{\Gamma_c^{-1}}                            \tag{3} \\
         \dot S &= \alpha\, e_{\chi}^\top Y_c \tilde a_c                                 \tag{4}
 
-    It is the Jacobian of the depth times the image, not of the image, and so holds no division by a depth that nobody
-    knows. Without the velocity of the image, with the robot's own geometry known. The scale of all nine numbers
-    together is only that of the depth: a camera twice as far away, of twice the focal length, differs little.
+    (1) is the Jacobian of the depth times the image, so it contains no division by the unknown depth. The law uses no
+    image velocity; the robot's geometry has to be known. The common scale of the nine parameters corresponds to the
+    depth only: a camera at twice the distance with twice the focal length gives almost the same image.
 
     Parameters
     ----------
     Gamma_c : (c, c), 1/m, positive definite, or its diagonal
-        Adaptation gain. Larger learns the camera faster and passes more noise of the image.
+        Adaptation gain. A larger gain adapts faster and passes more image noise.
     a_c_hat : (c,)
-        The estimate at the start: three numbers each of right, down and ahead.
+        Initial estimate: three elements each of right, down and ahead.
     a_c_hat_box : [lower, upper]
-        Interval onto which the estimate is projected, to keep the Jacobian's rank.
+        Interval onto which the estimate is projected, so that the Jacobian keeps full rank.
 
     Notes
     -----
-    Not for: a camera that moves; a robot whose lengths are uncertain, as the products of both would have to be
-    learnt.
+    Not for: a camera that moves; a robot with uncertain lengths, for which products of camera and robot parameters
+    would have to be estimated.
 
     References
     ----------

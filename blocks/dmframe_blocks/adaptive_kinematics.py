@@ -1,4 +1,4 @@
-"""The Jacobian of kinematics that are adapted while the robot moves."""
+"""Task Jacobian of uncertain kinematics, adapted online."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from dmframe.block import (
 
 @final
 class AdaptiveKinematics(AdaptingBlock):
-    r"""Estimates link and tool offsets from the tool's measured position, and gives the Jacobian with them.
+    r"""Estimates link and tool offsets from the tool's measured position and computes the Jacobian with them.
 
     .. math::
 
@@ -48,8 +48,9 @@ class AdaptiveKinematics(AdaptingBlock):
         \dot S &= \alpha\, e_k^\top (\hat J \dot q - \dot x)                 \tag{4}
 
     The position itself is linear in the translations: :math:`e_x = f(q, \hat a_k) - x` is :math:`W_k(q)\, \tilde a_k`,
-    without any derivative. With R it is fitted too, and with forgetting by least squares over the last
-    :math:`1/\mathrm{forgetting}` seconds, with :math:`G = \tfrac12 (G_k + G_k^\top)`, which is :math:`G_k`:
+    without any derivative. With R this prediction error drives the estimate too (composite adaptation); with
+    forgetting it is least squares over about the last :math:`1/\mathrm{forgetting}` seconds. With
+    :math:`G = \tfrac12 (G_k + G_k^\top)`, which equals :math:`G_k`:
 
     .. math::
 
@@ -60,29 +61,28 @@ class AdaptiveKinematics(AdaptingBlock):
         \dot S &= \alpha\, e_k^\top (\hat J \dot q - \dot x)
                   - \tfrac12 \alpha |e_x|^2_R - \tfrac12 \alpha\, \mathrm{forgetting}\, |\tilde a_k|^2_G \tag{8}
 
-    With R alone :math:`P = \Gamma_k`, and (8) spends :math:`\alpha |e_x|^2_R`.
+    With R alone :math:`P = \Gamma_k`, and (8) dissipates :math:`\alpha |e_x|^2_R`.
 
     Parameters
     ----------
     Gamma_k : (h, h), positive definite, or its diagonal
-        Adaptation gain. Larger adapts faster and passes more noise of the measured position.
+        Adaptation gain. A larger gain adapts faster and passes more noise of the measured position.
     adapt : all, links or tool
-        Which translations are adapted: those of the joints, that of the tool, or both. The others are known.
+        The translations that are adapted: those between joints, that of the tool, or both. The others are known.
     start_error : (h,), m
-        Error of the estimate at the start.
+        Initial error of the estimate.
     a_k_hat_box : [lower, upper]
-        Interval onto which the estimate is projected, to keep the Jacobian's rank.
+        Interval onto which the estimate is projected, so that the Jacobian keeps full rank.
     R : diagonal (m,), 1/s, > 0
-        Composite adaptation, absent unless given: weight of the position's prediction error. Larger learns faster;
-        sampled with period T it needs Gamma_k R T, times the number of translations adapted, well below 2.
+        Composite adaptation, off by default: weight of the position's prediction error. A larger weight adapts faster.
+        With the sampling period T, Gamma_k R T times the number of adapted translations has to be well below 2.
     forgetting : scalar, 1/s, > 0
-        Absent unless given, and then with R: how fast what the position said is forgotten. Gamma_k is then the
-        bound of the gain.
+        Forgetting rate of least squares, off by default; requires R. Gamma_k is then the upper bound of the gain.
 
     Notes
     -----
-    Not for: a robot whose tool is not seen, since x must be measured rather than computed. With R, x must be measured
-    in the frame of the robot's base; the others need only its changes.
+    Not for: a robot without an external measurement of the tool position x. With R, x must be measured in the base
+    frame of the robot; without R only changes of x are used.
 
     References
     ----------
@@ -108,7 +108,7 @@ class AdaptiveKinematics(AdaptingBlock):
     forgetting: Scalar | None = Positive("", "1/s", default=None)
 
     def elements(self, robot: Any) -> Mapping[str, Sequence[Element]]:
-        """h: three a translation."""
+        """h: three elements per translation."""
         links = robot.joint_names
         places = {"all": (*links, "tool"), "links": links, "tool": ("tool",)}[self.adapt]
         return {"h": [Element(f"{place} {axis}", "m") for place in places for axis in "xyz"]}
@@ -127,7 +127,7 @@ class AdaptiveKinematics(AdaptingBlock):
         return {"a_k_hat": Fit(x_hat - u.x, self._columns(p.robot.position_regressor(u.q)), p.R)}
 
     def nominal(self, u: Signals, p: Signals) -> Mapping[str, SX]:
-        """The true translations, wrong by `start_error`."""
+        """The true translations plus `start_error`."""
         return {"a_k_hat": self._adapted(p.robot.a_k) + p.start_error}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
@@ -140,11 +140,11 @@ class AdaptiveKinematics(AdaptingBlock):
         )
 
     def _columns(self, regressor: SX) -> SX:
-        """Those of the parameters that are adapted."""
+        """The columns of the adapted parameters."""
         return regressor if self.adapt == "all" else _PARTS[self.adapt](regressor)
 
     def _adapted(self, a_k: SX) -> SX:
-        """The part of all kinematic parameters that is adapted."""
+        """The adapted ones of all kinematic parameters."""
         return a_k if self.adapt == "all" else _PARTS[self.adapt](a_k)
 
     def _with(self, robot: Any, estimate: SX) -> SX:
@@ -157,13 +157,13 @@ class AdaptiveKinematics(AdaptingBlock):
 
 @operation
 def links(a: SX) -> SX:
-    """Of the translations, or of their columns, all but the last three: those between joints."""
+    """The translations between joints, or their columns: all but the last three."""
     return a[:-3] if a.is_column() else a[:, :-3]
 
 
 @operation
 def tool(a: SX) -> SX:
-    """Of the translations, or of their columns, the last three: that to the tool."""
+    """The translation to the tool, or its columns: the last three."""
     return a[-3:] if a.is_column() else a[:, -3:]
 
 

@@ -1,4 +1,4 @@
-"""Admittance: a measured force moves the goal of the tool as it would move a mass on a spring and a damper."""
+"""Admittance control: a measured force moves the goal of the tool like a mass with spring and damper."""
 
 from __future__ import annotations
 
@@ -24,37 +24,37 @@ FORCE: Final = sentence("the environment's force {f_ext} stays bounded")
 
 @final
 class Admittance(AbstractBlock):
-    r"""Turns a measured force into a compliant goal of the tool, and tells the servo level of the force.
+    r"""Computes a compliant goal of the tool from a measured force, and the joint torque that compensates the force.
 
     .. math::
 
         \dot{v_a} &= (f_{ext} - D_a v_a - K_a x_a) / M_a, \quad \dot{x_a} = v_a, \quad x_c = x_d + x_a   \tag{1} \\
         \tau_{task} &= -\hat J^\top f_{ext}   \tag{2}
 
-    Wire the goal of the generator to `x_c`, ``task.x_d: NAME.x_c``: it then has its velocity and acceleration too, for
-    which nobody differentiates the force. With known kinematics, (2) takes the force out of dV/dt, which is what it is
-    without a contact: V holds no energy of the environment, and bounds :math:`x - x_c` alone. What is left of
-    (1) is driven by the force,
+    Wire the goal of the generator to `x_c`, ``task.x_d: NAME.x_c``. Its velocity and acceleration follow from (1)
+    without a derivative of the force. With known kinematics, (2) cancels the force in dV/dt, which is then the same as
+    without contact: V contains no energy of the environment and bounds :math:`x - x_c` only. The force drives the
+    remaining states,
 
     .. math:: \dot{v_a} = -(K_a / M_a)\, x_a - (D_a / M_a)\, v_a + f_{ext} / M_a   \tag{3}
 
-    so that :math:`x_c` stays bounded if the environment keeps its force bounded, which is assumed. Then
-    :math:`x - x_c` goes to zero, and the tool answers the force as (1) says.
+    so that :math:`x_c` is bounded if the force is, which is assumed. Then :math:`x - x_c` converges to zero, and the
+    tool responds to the force with the admittance (1).
 
     Parameters
     ----------
     M_a : diagonal (m,), kg, > 0
-        Mass of the goal. Smaller follows the force faster.
+        Mass of the goal. A smaller mass follows the force faster.
     D_a : diagonal (m,), N s/m, > 0
-        Its damping. On a clock with period T a wall of stiffness k asks for more than about T k.
+        Damping. On a clock with period T, contact with a wall of stiffness k requires more than about T k.
     K_a : diagonal (m,), N/m, > 0
-        Its stiffness. Pressed by the depth e into a wall of stiffness k, the tool stays with the force
+        Stiffness. If the goal x_d is at the depth e inside a wall of stiffness k, the contact force settles at
         e k K_a/(k + K_a).
 
     Notes
     -----
-    Not for: kinematics that are uncertain, whose Jacobian does not cancel the force; a force that is not measured at
-    the tool's point.
+    Not for: uncertain kinematics, whose Jacobian does not cancel the force; a force that is not measured at the tool
+    point.
 
     References
     ----------
@@ -84,16 +84,14 @@ class Admittance(AbstractBlock):
         )
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """Nothing is stored; (3) drives x_a."""
+        """No storage; x_a is bounded by the stable linear subsystem (3)."""
         return Certificate(
             driven=(
                 Driven(
                     vectors=(x.x_a, x.v_a),
                     rates=((0, 1), (-p.K_a / p.M_a, -p.D_a / p.M_a)),
                     bounded=(x.x_a, x.v_a),
-                    otherwise=(
-                        Assumption(sentence("the environment's force {f_ext} stays bounded"), "a passive environment"),
-                    ),
+                    otherwise=(Assumption(FORCE, "a passive environment"),),
                     inputs=(0, u.f_ext / p.M_a),
                 ),
             ),

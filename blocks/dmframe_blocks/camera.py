@@ -1,4 +1,4 @@
-"""A fixed camera that sees the tool."""
+"""A fixed camera that observes the tool."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from dmframe_blocks._directions import check_space
 
 @final
 class Camera(AbstractBlock):
-    r"""A pinhole that stands still: where in its image the tool is, and how far in front of it.
+    r"""Pinhole camera, fixed in the base frame: image coordinates and depth of the tool.
 
     .. math::
 
@@ -35,28 +35,28 @@ class Camera(AbstractBlock):
         \chi &= \frac{1}{\mathrm{depth}} N (x - \mathrm{position}), \quad
                 N = \begin{bmatrix} \mathrm{right}^\top \\ \mathrm{down}^\top \end{bmatrix}    \tag{2}
 
-    The image is measured, the depth is not. As the tool moves, the depth times the velocity of the image is
-    :math:`(N - \chi\, \mathrm{ahead}^\top)` times that of the tool: linear in the nine numbers
+    The image is measured, the depth is not. The depth times the image velocity is
+    :math:`(N - \chi\, \mathrm{ahead}^\top)` times the velocity of the tool: linear in the nine parameters
     a_c = (right, down, ahead).
 
-    Image coordinates are slopes: pixels from any fixed pixel, divided by any fixed number of pixels. With the focal
-    length in pixels as that number, `right` and `down` are unit vectors; as nobody needs to know it, a number near to
-    it does as well, and they are then a little longer or shorter. They need not be at right angles: skew pixels, and
-    pixels that are no squares, are in them.
+    Image coordinates are dimensionless: pixels from any fixed pixel, divided by any fixed number of pixels. If that
+    number is the focal length in pixels, `right` and `down` are unit vectors. The focal length need not be known: with
+    an approximate number the vectors are slightly longer or shorter. They need not be orthogonal, so they also
+    represent skewed and non-square pixels.
 
     Parameters
     ----------
     position : (3,), m
-        Of the pinhole, in the base's frame.
+        Position of the pinhole in the base frame.
     right, down, ahead : (3,)
-        Along the rows and columns of the image, and into the scene, in the base's frame; not in one plane. `ahead` of
-        length 1 makes the depth one in metres.
+        Directions of the image rows, of the image columns, and into the scene, in the base frame; not coplanar. With
+        `ahead` of length 1 the depth is in metres.
     depth_min : scalar, m, > 0
-        A run tells where the tool comes nearer than this, or behind the camera.
+        A run reports if the tool comes nearer than this, or behind the camera.
 
     Notes
     -----
-    Not for: a lens that bends straight lines, a camera on the robot. That the tool stays in sight is not looked at.
+    Not for: lens distortion, a camera on the robot. The field of view is not modelled.
 
     References
     ----------

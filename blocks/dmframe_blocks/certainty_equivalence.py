@@ -1,4 +1,4 @@
-"""The torque that the estimated dynamics asks for."""
+"""Certainty-equivalence torque of estimated dynamics."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dmframe.block import AbstractBlock, Certificate, Equations, Input, Output, 
 
 @final
 class CertaintyEquivalence(AbstractBlock):
-    r"""Takes the estimates for the truth: inverse dynamics along the reference acceleration.
+    r"""Inverse dynamics along the reference acceleration with estimated parameters (certainty equivalence).
 
     .. math::
 
@@ -17,7 +17,7 @@ class CertaintyEquivalence(AbstractBlock):
 
     Parameters
     ----------
-    None. A torque law of your own, any block with an output tau_d, can stand in its place.
+    None. Any block with an output tau_d can replace it.
 
     References
     ----------

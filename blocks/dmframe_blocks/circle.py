@@ -1,4 +1,4 @@
-"""A circle in the task space."""
+"""Circular path in the task space."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from dmframe.block import TIME, AbstractBlock, Equations, Output, Real, Scalar, 
 
 @final
 class Circle(AbstractBlock):
-    r"""The tool's path is a circle, run through at a constant rate.
+    r"""Circular tool path at constant angular rate.
 
     .. math::
 
         x_d = c + r\, (\sin(\omega t + \varphi),\, \cos(\omega t + \varphi))   \tag{1}
 
     with :math:`c = \mathrm{center}`, :math:`r = \mathrm{radius}`, :math:`\omega = \mathrm{rate}` and
-    :math:`\varphi = \mathrm{phase}`, in the two axes of `plane`; a task of two coordinates has only the one plane.
+    :math:`\varphi = \mathrm{phase}`, in the two axes of `plane`; a task with two coordinates has one plane only.
 
     Parameters
     ----------
     center : (m,), m
-        The middle of the circle.
+        Centre of the circle.
     radius : scalar, m
-        At 0 the path is a point.
+        Radius; with 0 the path is a point.
     rate : scalar, rad/s
-        Angular frequency. The speed along the path is radius times as much.
+        Angular rate. The speed along the path is radius times rate.
     phase : scalar, rad
-        Where on the circle the path begins.
+        Initial angle on the circle.
     plane : xy, xz or yz
         The plane in which the circle lies.
 

@@ -1,4 +1,4 @@
-"""The most that a robot's controller takes of a commanded velocity."""
+"""Velocity limits of a robot's command interface."""
 
 from __future__ import annotations
 
@@ -11,25 +11,24 @@ from dmframe.block import AbstractBlock, Diagonal, Equations, Input, Output, Pos
 
 @final
 class CommandLimits(AbstractBlock):
-    r"""Cuts each joint's commanded velocity off at its limit.
+    r"""Saturates each joint's commanded velocity at its limit.
 
     .. math::
 
         \dot q_{lim}      &= \min(\max(\dot q_c, -v_{max}), v_{max})   \tag{1} \\
         \mathrm{excess}   &= \dot q_c - \dot q_{lim}   \tag{2}
 
-    The limits :math:`v_{max}` are those of the robot's URDF, unless `speed` says others. The servo integrates what it
-    gets: its q_c is the integral of :math:`\dot q_{lim}`. A run tells where something was cut off.
+    The limits :math:`v_{max}` are those of the robot's URDF, unless `speed` is given. The servo integrates the limited
+    command: its q_c is the integral of :math:`\dot q_{lim}`. A run reports saturation.
 
     Parameters
     ----------
     speed : diagonal (n,), rad/s, > 0
-        Limits of the joints; without it, those of the robot's URDF.
+        Velocity limits of the joints; by default those of the robot's URDF.
 
     Notes
     -----
-    Not for: a maker who slows all joints down together so that the direction is kept. A commanded position is not
-    limited.
+    Not for: a robot that scales all joints together to keep the direction. A commanded position is not limited.
 
     References
     ----------
@@ -41,7 +40,7 @@ class CommandLimits(AbstractBlock):
     inputs = (Input("dq_c", "n", "rad/s"),)
     outputs = (
         Output("dq_lim", "n", "rad/s", instead_of="dq_c"),
-        Output("excess", "n", "rad/s", notice="a commanded velocity is beyond its limit, and cut off"),
+        Output("excess", "n", "rad/s", notice="a commanded velocity is beyond its limit, and is saturated"),
     )
 
     speed: Diagonal | None = Positive("n", "rad/s", default=None)

@@ -1,4 +1,4 @@
-"""How a robot's controller goes from one commanded velocity to the next."""
+"""Acceleration-limited transition between velocity commands."""
 
 from __future__ import annotations
 
@@ -11,33 +11,33 @@ from dmframe.block import AbstractBlock, Diagonal, Equations, Input, Output, Pos
 
 @final
 class CommandRamp(AbstractBlock):
-    r"""Approaches the commanded velocity with a limited acceleration, and through a filter of first order.
+    r"""Passes the commanded velocity through a first-order filter with limited acceleration.
 
     .. math::
 
         \ddot q_{ramp} = (\dot q_c - \dot q_{ramp}) / \mathrm{time\_constant}   \tag{1}
 
-    and with an acceleration
+    and with an acceleration limit
 
     .. math::
 
         \ddot q_{ramp} = \min(\max((\dot q_c - \dot q_{ramp}) / \mathrm{time\_constant}, -\mathrm{acceleration}),
             \mathrm{acceleration})   \tag{2}
 
-    Far from the command it is a ramp of that slope, as of Universal Robots' speedj, and
-    near to it the filter. At the start the robot is at rest.
+    Far from the command the velocity is a ramp with that slope, as in speedj of Universal Robots; near the command it
+    is the filter. The robot starts at rest.
 
     Parameters
     ----------
     acceleration : diagonal (n,), rad/s^2, > 0
-        Largest rate of the velocity that the servo is given; without it there is no limit.
+        Largest acceleration of the velocity that the servo receives; by default there is no limit.
     time_constant : scalar, s, > 0
-        Of the filter. With a ramp, take the period of the maker's own loop.
+        Time constant of the filter. With a ramp, use the period of the manufacturer's control loop.
 
     Notes
     -----
-    Not for: a maker who limits the leading axis and scales the others with it, as speedj does, so that all joints
-    arrive together: here each joint has its own ramp.
+    Not for: a robot that limits the leading axis and scales the others with it, as speedj does, so that all joints
+    arrive together. Here each joint has its own ramp.
 
     References
     ----------

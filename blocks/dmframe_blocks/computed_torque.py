@@ -27,7 +27,7 @@ from dmframe.block import (
 
 @final
 class ComputedTorque(AbstractBlock):
-    r"""The acceleration that makes the joint error decay, to be realised by a torque.
+    r"""Reference acceleration for which the joint error decays; an inverse-dynamics torque realises it.
 
     .. math::
 
@@ -44,7 +44,7 @@ class ComputedTorque(AbstractBlock):
     Parameters
     ----------
     alpha_bar : scalar, 1/s, > 0
-        Rate at which the error decays once the estimates fit. Larger asks for more torque.
+        Decay rate of the error with correct estimates. A larger value requires more torque.
 
     References
     ----------
@@ -80,7 +80,7 @@ class ComputedTorque(AbstractBlock):
         )
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """(3) and (4) where the adaptation is direct; the indirect one stores no tracking error."""
+        """(3) and (4) for direct adaptation; no storage for indirect adaptation."""
         outputs, q_err = self.equations(u, x, p).outputs, u.q - u.q_d
         s_star = named("s_star", outputs["s_star"])
         driven = (Driven((q_err,), ((-p.alpha_bar,),), (q_err,)),)
@@ -94,7 +94,7 @@ class ComputedTorque(AbstractBlock):
         )
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
-        """(4) names no error where the adaptation is indirect: it is the prediction error that vanishes."""
+        """With indirect adaptation only the prediction error is shown to vanish, so an assumption is needed."""
         if truth.direct.is_zero():
             text = sentence(
                 "{M_hat} stays uniformly positive definite, so that where the prediction error vanishes the tracking "

@@ -1,4 +1,4 @@
-"""Adaptation by the tracking error whose estimated bodies stay physical ones."""
+"""Direct adaptation of physically consistent inertial parameters."""
 
 from __future__ import annotations
 
@@ -25,38 +25,38 @@ from dmframe_blocks._bodies import moved, natural, storage, weight
 
 @final
 class ConsistentAdaptation(AbstractBlock):
-    r"""Adapts by the tracking error, and no link's estimate ever leaves the set of bodies that there can be.
+    r"""Direct adaptation by the tracking error that keeps the estimates of all links physically consistent.
 
     .. math::
 
         \epsilon = \hat M^{-1} s^\star                       \tag{1}
 
-    The estimates move as those of `consistent_compensator`, by :math:`g = Y_d^\top \epsilon`. With the divergence of
-    the estimated bodies from the true ones as what is stored,
+    The adaptation law is that of `consistent_compensator`, with :math:`g = Y_d^\top \epsilon`. The storage function is
+    the divergence of the estimated bodies from the true ones, with
 
     .. math::
 
         \dot S = -\epsilon^\top Y_d (\hat a_d - a_d)   \tag{2}
 
-    The mass matrix of bodies is positive definite at every pose. So that :math:`\hat M` has an inverse, which the
-    gradient's law takes for granted, follows.
+    The mass matrix of physically consistent parameters is positive definite in every pose. The inverse of
+    :math:`\hat M`, which a gradient law has to assume, therefore exists.
 
     Parameters
     ----------
     c : scalar, > 0
-        Adaptation gain of the bodies: in proportion to what they are, heavy ones move more.
+        Adaptation gain of the inertial parameters, relative to their size: estimates of heavy links change more.
     Gamma : scalar, > 0
-        Adaptation gain of friction, and of all else that is no body's.
+        Adaptation gain of friction and of all other parameters that are not inertial.
     floor : scalar, > 0
-        The least share of its nominal body that an estimated one may be, 1 at most, of the projection that
-        `consistent_compensator` describes. Left out, there is none.
+        Lower bound of an estimated pseudo-inertia as a fraction of the nominal one, at most 1, for the projection
+        described in `consistent_compensator`. Without it there is no projection.
 
     Notes
     -----
-    Not for: a regressor whose `gravity` stands apart, of which the weights would move as no body's; a robot without a
-    nominal model.
+    Not for: a regressor with separate parameters of `gravity`, which would be adapted as non-inertial ones; a robot
+    without a nominal model.
 
-    `direct` says that the tracking error drives the adaptation: 1.
+    The output `direct` is 1: the tracking error drives the adaptation.
 
     References
     ----------
@@ -87,7 +87,7 @@ class ConsistentAdaptation(AbstractBlock):
         return Equations(outputs, {"a_d_hat": rate}, second={"a_d_hat": second})
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, Any]:
-        """The nominal model's bodies."""
+        """The inertial parameters of the nominal model."""
         return {"a_d_hat": u.a_d_nominal}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:

@@ -1,4 +1,4 @@
-"""Adaptive compensation whose estimated bodies stay physical ones."""
+"""Adaptive dynamic compensation with physically consistent inertial parameters."""
 
 from __future__ import annotations
 
@@ -24,47 +24,47 @@ from dmframe_blocks._bodies import moved, natural, storage, weight
 
 @final
 class ConsistentCompensator(AbstractBlock):
-    r"""Compensates the dynamics, and no link's estimate ever leaves the set of bodies that there can be.
+    r"""Adaptive dynamic compensation that keeps the estimates of all links physically consistent.
 
     .. math::
 
         \tau_{dc} &= Y_d \hat a_d + \tau_{task}          \tag{1}
 
-    The ten estimates of a link make up its pseudo-inertia :math:`\hat P`, which is positive definite if and only if
-    some distribution of mass has them. With :math:`g = Y_d^\top \sigma` and the symmetric Q for which
-    :math:`\mathrm{tr}(Q P(a)) = g^\top a` for all a, it moves by :math:`-c \hat P Q \hat P`; friction and all else that
-    is no body's moves by :math:`-\Gamma g`. What is stored is the divergence from the true body, whose rate is that of
-    the plain gradient's square:
+    The ten estimates of a link form its pseudo-inertia :math:`\hat P`, which is positive definite if and only if a
+    mass distribution with these parameters exists. With :math:`g = Y_d^\top \sigma` and the symmetric Q for which
+    :math:`\mathrm{tr}(Q P(a)) = g^\top a` for all a, its rate is :math:`-c \hat P Q \hat P`. The rate of friction and
+    all other parameters is :math:`-\Gamma g`. The storage function is the divergence from the true body; its rate
+    equals that of the quadratic storage of a gradient law:
 
     .. math::
 
         \dot S = -\sigma^\top Y_d (\hat a_d - a_d)   \tag{2}
 
-    So it takes the gradient's place in every proof. As V does not grow, :math:`\hat P` stays in a compact set of
-    positive definite matrices: masses above zero, centres of mass inside, and an estimated mass matrix that can be
-    inverted. On a clock of T, :math:`\hat P` becomes :math:`A \hat P A^\top`,
-    :math:`A = 1 - \tfrac12 c T \hat P Q`: however long the step, no eigenvalue falls below zero.
+    The law can therefore replace the gradient law in every proof. V does not increase, so :math:`\hat P` stays in a
+    compact set of positive definite matrices: the masses are positive and the estimated mass matrix is invertible. On
+    a clock with period T, :math:`\hat P` becomes :math:`A \hat P A^\top`,
+    :math:`A = 1 - \tfrac12 c T \hat P Q`: no eigenvalue becomes negative, for any T.
 
-    With `floor` the metric stays that of the nominal body :math:`P_0`: :math:`\hat P` moves by :math:`-c P_0 Q P_0`, a
-    gradient's law of a constant gain, and is projected onto :math:`\hat P \ge \mathrm{floor}\, P_0`. What is stored is
-    half of :math:`\mathrm{tr}(P_0^{-1} (\hat P - P) P_0^{-1} (\hat P - P)) / c`, of the same rate. In that metric the
-    nearest body has a closed form, to which a sample returns; it raises nothing where the true body is in the set.
+    With `floor` the metric is that of the nominal body :math:`P_0`: the rate of :math:`\hat P` is :math:`-c P_0 Q P_0`,
+    a gradient law with constant gain, and :math:`\hat P` is projected onto :math:`\hat P \ge \mathrm{floor}\, P_0`. The
+    storage is half of :math:`\mathrm{tr}(P_0^{-1} (\hat P - P) P_0^{-1} (\hat P - P)) / c`, with the same rate. In
+    that metric the projection has a closed form. It does not increase the storage if the true body is in the set.
 
     Parameters
     ----------
     c : scalar, 1/J, > 0
-        Adaptation gain of the bodies: in proportion to what they are, heavy ones move more.
+        Adaptation gain of the inertial parameters, relative to their size: estimates of heavy links change more.
     Gamma : scalar, > 0
-        Adaptation gain of friction, and of all else that is no body's.
+        Adaptation gain of friction and of all other parameters that are not inertial.
     floor : scalar, > 0
-        The least share of its nominal body that an estimated one may be, 1 at most: then a projection keeps it a body.
-        Left out, the law does so by itself.
+        Lower bound of an estimated pseudo-inertia as a fraction of the nominal one, at most 1; a projection enforces
+        it. Without it the adaptation law itself keeps the estimates consistent.
 
     Notes
     -----
-    Not for: a regressor whose `gravity` stands apart, of which the weights would move as no body's; a robot without a
-    nominal model. Near the edge of the set estimates move slowly, where the gradient would pass it: a fit by bodies
-    that there cannot be may be the faster one. With a `floor` they move as fast there as anywhere, and along the edge.
+    Not for: a regressor with separate parameters of `gravity`, which would be adapted as non-inertial ones; a robot
+    without a nominal model. Near the boundary of the set the estimates change slowly, so that a gradient law, which
+    may leave the set, can converge faster. With `floor` they change at the same rate near the boundary and along it.
 
     References
     ----------
@@ -95,7 +95,7 @@ class ConsistentCompensator(AbstractBlock):
         return Equations(outputs, {"a_d_hat": rate}, second={"a_d_hat": second})
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, Any]:
-        """The nominal model's bodies."""
+        """The inertial parameters of the nominal model."""
         return {"a_d_hat": u.a_d_nominal}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:

@@ -28,7 +28,7 @@ from dmframe.block import (
 
 @final
 class DirectAdaptation(AdaptingBlock):
-    r"""Adaptive computed torque: the tracking error, seen through the estimated mass matrix, drives the estimates.
+    r"""Adaptive computed torque: the tracking error, times the inverse estimated mass matrix, drives the estimates.
 
     .. math::
 
@@ -47,13 +47,13 @@ class DirectAdaptation(AdaptingBlock):
     Gamma : (p, p), positive definite, or its diagonal
         Adaptation gain.
     a_d_hat_box : [lower, upper]
-        Interval onto which the estimate is projected, to keep M-hat invertible.
+        Interval onto which the estimate is projected, so that M-hat stays invertible.
 
     Notes
     -----
-    Not for: a robot without a nominal model, at which the estimates start: M-hat is singular at zero.
+    Not for: a robot without a nominal model, which gives the initial estimates: M-hat is singular at zero.
 
-    `direct` says that the tracking error drives the adaptation: 1.
+    The output `direct` is 1: the tracking error drives the adaptation.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""Disturbance observer of a velocity servo: the baseline that needs no model."""
+"""Disturbance observer for a velocity servo: a baseline without a model."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from dmframe.block import (
 
 @final
 class DisturbanceObserver(AbstractBlock):
-    r"""Adds to the command what the joints fell short of it in the last sample that is over.
+    r"""Adds to the command the velocity error of the joints over the previous sample (time delay control).
 
     .. math::
 
@@ -34,30 +34,32 @@ class DisturbanceObserver(AbstractBlock):
         \dot q_c  &= \mathrm{clip}(\dot q_r + \mathrm{lag}, u_{max})               \tag{2} \\
         q_{start} &= q, \quad q_{before}^+ = q                           \tag{3}
 
-    It is the regression of `sampled_inverse` with one column, the constant 1, and no memory: what the commands and the
-    joints' average velocities differ by is taken for a disturbance that stays as it is for a sample. It knows neither
-    servo nor robot, and learns nothing. :math:`u_{applied}`, the first of `queue`, is the command that acted.
+    It is the regression of `sampled_inverse` with one column, the constant 1, and no memory: the difference between
+    the command and the average joint velocity is treated as a disturbance that is constant over the next sample. It
+    uses no model of servo or robot and estimates no parameters. :math:`u_{applied}`, the first element of `queue`, is
+    the command that acted.
 
-    A command acts `delay` samples later. The robot is then taken to be where the commands until then lead it, the
-    disturbance staying as it is, so that :math:`q_{start}` gains :math:`T (u - \mathrm{lag})` for each of them.
+    A command acts `delay` samples later. The start of that sample is predicted from the commands until then with a
+    constant disturbance: :math:`q_{start}` increases by :math:`T (u - \mathrm{lag})` for each of them.
 
     Parameters
     ----------
     delay : 0, 1 or 2
-        Whole samples from a command to its effect. It must be right: told none where there is one, it diverges.
+        Whole samples from a command to its effect. It must be correct: if it is 0 and the delay is one sample, the loop
+        diverges.
     u_max : diagonal (n,), rad/s, > 0
-        The largest command.
+        Largest command.
     supervised : true or false
-        Another block, such as `sampled_supervisor`, decides what is sent, dq_sent: it is what acts and is observed.
+        Another block, such as `sampled_supervisor`, determines the command that is sent, dq_sent, which is then used as
+        the applied command.
     echoed : true or false
-        The robot reports the target of its servo: wire q_echo to it. What the target has moved by, over T, is
-        then u_applied.
+        The robot reports the target of its servo: wire q_echo to it. u_applied is then the change of the target over T.
     time_stamps : true or false
-        The time at which positions were measured is known, and stands in (1) in place of T.
+        The measurement times of the positions are known; their difference replaces T in (1).
 
     Notes
     -----
-    Not for: a delay that is unknown, or a robot whose accelerations change much within a sample.
+    Not for: an unknown delay, or a robot whose accelerations change much within a sample.
 
     References
     ----------
@@ -91,11 +93,11 @@ class DisturbanceObserver(AbstractBlock):
     time_stamps: bool = False
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
-        """D commands act now or wait."""
+        """D: the number of commands in the queue."""
         return {"d": self.delay + 1}
 
     def needs(self, port: str) -> bool:
-        """What is sent, where another block decides it; the target, where the robot reports it."""
+        """The sent command if another block determines it; the target if the robot reports it."""
         return {"dq_sent": self.supervised, "q_echo": self.echoed}.get(port, False)
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:

@@ -33,9 +33,9 @@ class DynamicCompensator(AdaptingBlock):
         \tau_{dc}      &= Y_d \hat a_d + \tau_{known} + \tau_{task}          \tag{1} \\
         \dot{\hat a}_d &= -\Gamma (Y_d^\top \sigma + Y_f^\top e_f)   \tag{2}
 
-    :math:`\tau_{known}` is what a regressor knows of the torque without estimates, such as `payload_regressor`. The
-    term in :math:`e_f` makes it composite, with a `filtered_regressor` in the graph, and is zero without. With
-    :math:`\tilde a_d = \hat a_d - a_d`, it is lossless from :math:`\sigma` to :math:`-Y_d \tilde a_d`:
+    :math:`\tau_{known}` is the part of the torque that needs no estimates, for example from `payload_regressor`. The
+    term in :math:`e_f` is that of composite adaptation with a `filtered_regressor` in the graph, and zero otherwise.
+    With :math:`\tilde a_d = \hat a_d - a_d`, the block is lossless from :math:`\sigma` to :math:`-Y_d \tilde a_d`:
 
     .. math::
 
@@ -45,10 +45,10 @@ class DynamicCompensator(AdaptingBlock):
     Parameters
     ----------
     Gamma : (p, p), positive definite, or its diagonal
-        Adaptation gain. Larger adapts faster, passes more velocity noise, and lowers the sampling period up to which
-        the loop is stable.
+        Adaptation gain. A larger gain adapts faster, passes more velocity noise, and reduces the largest stable
+        sampling period.
     a_d_hat : (p,)
-        The estimate at the start; left out, the robot's nominal model if `regressor` hands it out, else zero.
+        Initial estimate; by default the nominal model if `regressor` outputs it, else zero.
 
     Notes
     -----

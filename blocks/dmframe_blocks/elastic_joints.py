@@ -1,4 +1,4 @@
-"""Joints that twist between motor and link."""
+"""Joint elasticity between motor and link."""
 
 from __future__ import annotations
 
@@ -22,30 +22,30 @@ from dmframe.block import (
 
 @final
 class ElasticJoints(AbstractBlock):
-    r"""Puts a spring between each motor and its link, and the motor's inertia before it.
+    r"""Adds a spring between each motor and its link, and the inertia of the motor.
 
     .. math::
 
         \mathrm{inertia}\, \ddot \theta &= K u - K u_{link}   \tag{1} \\
         u_{link} &= K^{-1} (\mathrm{stiffness}\, (\theta - q) + \mathrm{damping}\, (\dot \theta - \dot q))   \tag{2}
 
-    The arm is driven by the springs. A servo reads its motors in most robots: wire `servo.q` to `theta` and
-    `servo.dq` to `dtheta`; without these wires it reads the links, as one with a second encoder does. At the start the
-    springs hold the robot against gravity.
+    The springs drive the arm. In most robots the servo measures the motors: wire `servo.q` to `theta` and `servo.dq`
+    to `dtheta`. Without these wires it measures the links, like a servo with a second encoder. Initially the springs
+    hold the robot against gravity.
 
     Parameters
     ----------
     stiffness : diagonal (n,), N m/rad, > 0
-        Of the gears, seen from the joint.
+        Stiffness of the gears, referred to the joint.
     damping : diagonal (n,), N m s/rad, >= 0
-        Of the gears.
+        Damping of the gears.
     inertia : diagonal (n,), kg m^2, > 0
-        Of motor and gear, seen from the joint: the rotor's times the square of the ratio.
+        Inertia of motor and gear, referred to the joint: that of the rotor times the square of the gear ratio.
 
     Notes
     -----
-    The friction of `manipulator` stays with the links. Not for: backlash, or a motor that the links turn by their own
-    motion in space, which the model leaves out.
+    The friction of `manipulator` acts on the links. Not for: backlash, or the inertial coupling between rotors and the
+    motion of the links, which the model neglects.
 
     References
     ----------
@@ -80,5 +80,5 @@ class ElasticJoints(AbstractBlock):
         )
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
-        """At rest, the springs wound up by gravity."""
+        """At rest, with the springs deflected by gravity."""
         return {"theta": u.q + truth.g / p.stiffness, "dtheta": 0 * u.dq}

@@ -1,4 +1,4 @@
-"""A robot's encoders, as its maker hands out what they measure."""
+"""Encoder quantisation and velocities from differences."""
 
 from __future__ import annotations
 
@@ -28,49 +28,50 @@ from dmframe.block import (
 
 @final
 class Encoder(AbstractBlock):
-    r"""Rounds the joint angles to whole steps, with noise; velocities are differences of what it reads.
+    r"""Quantises the joint angles, with optional noise, and computes velocities from differences of the readings.
 
     .. math::
 
         q_m          &= \mathrm{step} \operatorname{floor}(q / \mathrm{step} + 1/2), \quad x_m = f(q_m)   \tag{1} \\
         \dot q_m     &= (q_m - q_{old}) / T, \quad q_{old}^+ = q_m   \tag{2}
 
-    With `noise`, what is rounded is :math:`q + \mathrm{noise}\, \eta`. The differences are those from one sample to the
-    next; with a `time_constant` they are filtered, with :math:`c = \exp(-T / \mathrm{time\_constant})` and
-    :math:`v_{old}` the result of one sample ago:
+    With `noise`, :math:`q + \mathrm{noise}\, \eta` is rounded. The differences are taken over one sample. With a
+    `time_constant` they are filtered, with :math:`c = \exp(-T / \mathrm{time\_constant})` and :math:`v_{old}` the
+    result of the previous sample:
 
     .. math::
 
         \dot q_m = c\, v_{old} + (1 - c) (q_m - q_{old}) / T   \tag{3}
 
-    A maker's own electronics take differences faster than a controller samples, over a `window`. What is read that long
-    before is the rounded :math:`2 \zeta - q`, Pade's first approximation of it:
+    The electronics of a robot may take differences over a shorter time than a controller's sample, the `window`. The
+    reading at the beginning of the window is the rounded :math:`2 \zeta - q`, the first-order Pade approximation of
+    the delayed angle:
 
     .. math::
 
         \dot q_m = (q_m - \mathrm{step} \operatorname{floor}((2 \zeta - q) / \mathrm{step} + 1/2)) / \mathrm{window},
         \quad \dot \zeta = 2 (q - \zeta) / \mathrm{window}   \tag{4}
 
-    The tool's position is the maker's own, from the encoders through the true lengths. The servo and all figures keep
-    the arm's true pose, which no controller can read any more.
+    The tool position is computed from the readings with the true kinematics. The servo and all figures use the true
+    pose, which controllers cannot read.
 
     Parameters
     ----------
     step : diagonal (n,), rad, > 0
-        One step of the encoder; of 17 bits a turn, 47.94 urad.
+        Resolution of the encoder; with 17 bits per turn 47.94 urad.
     noise : diagonal (n,), rad, >= 0
-        Standard deviation of what is added to each reading, drawn anew at each sample.
+        Standard deviation of the noise added to each reading, drawn at each sample.
     window : scalar, s, > 0
-        Time over which the maker takes the differences; without it, a sample.
+        Time over which the differences are taken; by default a sample.
     time_constant : scalar, s, > 0
-        Of the filter of differences over a sample; without it they are not filtered.
+        Time constant of the filter for differences over a sample; by default they are not filtered.
     tool_from : encoders or sensor
-        Where the tool's position comes from: the encoders, or a sensor of its own that is perfect.
+        Source of the tool position: the encoders, or a separate ideal sensor.
 
     Notes
     -----
-    A difference over a time is late by half of it. Under a jitter of the samples T stays the nominal period, as for a
-    maker who does not measure it. Not for: the ripple of an encoder within a turn, its offset, or backlash.
+    A difference over a window has a delay of half the window. With sampling jitter, T is the nominal period, as in a
+    robot that does not measure it. Not for: encoder ripple within a turn, encoder offset, or backlash.
 
     References
     ----------
@@ -107,7 +108,7 @@ class Encoder(AbstractBlock):
     @model_validator(mode="after")
     def _one_way(self) -> Encoder:
         if self.window is not None and self.time_constant is not None:
-            raise ValueError("expected a window or a time_constant, found both; the filter is of differences a sample")
+            raise ValueError("expected a window or a time_constant, found both; the filter is for differences over T")
         return self
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -128,7 +129,7 @@ class Encoder(AbstractBlock):
         return Equations({**outputs, "dq_m": velocity}, next={"q_old": read, "v_old": velocity})
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
-        """At rest, where it has been."""
+        """At rest, with equal earlier readings."""
         return {"q_old": self._read(u.q, u.eta, p), "v_old": 0 * u.q, "zeta": u.q}
 
     def _read(self, q: Any, eta: Any, p: Signals) -> Any:

@@ -1,4 +1,4 @@
-"""Extended state observer of a velocity servo: active disturbance rejection at the outer loop, a baseline."""
+"""Extended state observer for a velocity servo: active disturbance rejection in the outer loop, a baseline."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dmframe.block import SX, AbstractBlock, Access, Diagonal, Equations, Input,
 
 @final
 class ExtendedStateObserver(AbstractBlock):
-    r"""Takes the servo for an integrator of the command, and all else for a disturbance that it observes.
+    r"""Models the servo as an integrator of the command with an unknown disturbance, which it observes and cancels.
 
     .. math::
 
@@ -19,34 +19,35 @@ class ExtendedStateObserver(AbstractBlock):
             \dot{\hat d} = \omega_o^2 (q - \hat q)   \tag{2}
 
     with :math:`\omega_o = \mathrm{bandwidth}`, products element by element. If :math:`\dot q = \dot q_c + d` with a
-    constant d, both errors decay with the double pole :math:`-\omega_o`. A servo is no integrator: it lags, and the
-    bandwidth has to stay below what it follows. It knows no model, and learns nothing; nothing is proved of it.
+    constant d, both errors decay with the double pole :math:`-\omega_o`. A real servo lags, so the bandwidth has to
+    stay below that of the servo. The block uses no model and estimates no parameters; it has no proof.
 
-    Behind `safe_reference` it keeps the joints' limits as a control barrier function does. Of all commands with
-    :math:`-a h_{low} \le \dot q_c + \hat d \le a h_{up}` that one is nearest to :math:`\dot q_{wish} - \hat d`
-    which is :math:`-\hat d` plus the wish between :math:`-a h_{low}` and :math:`a h_{up}`; a is `approach`, h the
-    room before either limit. Since d is whatever makes up :math:`\dot q`, its error is that of following the
-    reference, :math:`d - \hat d = \dot q - \dot q_r`. So :math:`\dot h \ge -a h - |d - \hat d|`, and
+    In series with `safe_reference` it enforces the joint limits like a control barrier function. Among all commands
+    with :math:`-a h_{low} \le \dot q_c + \hat d \le a h_{up}` the one nearest to :math:`\dot q_{wish} - \hat d` is
+    :math:`-\hat d` plus the wish clipped to :math:`-a h_{low}` and :math:`a h_{up}`; a is `approach`, h the distance
+    to either limit. Since d is defined by :math:`\dot q`, its error is the velocity tracking error,
+    :math:`d - \hat d = \dot q - \dot q_r`. Therefore :math:`\dot h \ge -a h - |d - \hat d|`, and
     :math:`h(t) \ge e^{-a t} h(0) - \max |d - \hat d| / a`.
 
-    *Assumed*, not proved: :math:`|\dot d| \le D`. Then :math:`|d - \hat d| \le 2 D / \omega_o`, and the room is
-    :math:`h \ge -2 D / (a\, \omega_o)`, up to what fades with :math:`e^{-a t}` and :math:`e^{-\omega_o t}`; no
-    smaller figures hold for all such d. A margin of so much keeps the limits. D is an assumption since d holds what the
-    servo makes of the observer's own command.
+    *Assumption*, not proved: :math:`|\dot d| \le D`. Then :math:`|d - \hat d| \le 2 D / \omega_o`, and the distance is
+    :math:`h \ge -2 D / (a\, \omega_o)`, up to terms that decay with :math:`e^{-a t}` and :math:`e^{-\omega_o t}`. These
+    bounds are tight. A margin of this size keeps the limits. The bound D has to be assumed since d depends on the
+    servo's response to the observer's own command.
 
     Parameters
     ----------
     bandwidth : diagonal (n,), 1/s, > 0
-        Larger takes away more of the disturbance, passes more noise, and sees more of the servo's own lag as one.
+        A larger bandwidth rejects more of the disturbance and passes more noise. It also treats more of the servo's lag
+        as a disturbance.
 
     Notes
     -----
-    `disturbance_observer` is the same idea with a memory of one sample: time delay control.
+    `disturbance_observer` is the corresponding law with a memory of one sample: time delay control.
 
     References
     ----------
-    [Gao2003]_ for the observer and its one bandwidth; [Zhang2025]_ for its place in the outer loop, and for the barrier
-    function beside it.
+    [Gao2003]_ for the observer and its single bandwidth; [Zhang2025]_ for its use in the outer loop, with a barrier
+    function.
     """
 
     inputs = (Input("q", "n", "rad"), Input("dq_r", "n", "rad/s"))
@@ -54,8 +55,8 @@ class ExtendedStateObserver(AbstractBlock):
     states = (State("q_hat", "n", "rad"), State("d_hat", "n", "rad/s"))
 
     unproved: ClassVar[str] = (
-        "its disturbance holds what the servo makes of the command, and how fast that changes can only be assumed; if "
-        "by no more than D, joints behind a safe_reference pass what that keeps by at most 2 D/(approach bandwidth)"
+        "its disturbance depends on the servo's response to the command, whose rate can only be assumed; if the rate "
+        "is at most D, joints behind a safe_reference exceed its limits by at most 2 D/(approach bandwidth)"
     )
 
     bandwidth: Diagonal = Positive("n", "1/s")
@@ -72,5 +73,5 @@ class ExtendedStateObserver(AbstractBlock):
         )
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
-        """At the measured pose, with no disturbance."""
+        """The measured pose, and zero disturbance."""
         return {"q_hat": u.q}

@@ -26,7 +26,7 @@ from dmframe.block import (
 
 @final
 class FilteredAdaptation(AdaptingBlock):
-    r"""Fits the dynamics to what the servo's command did, without accelerations: indirect adaptation, filtered.
+    r"""Indirect adaptation by a filtered prediction error of the servo's command, without accelerations.
 
     .. math::
 
@@ -44,11 +44,11 @@ class FilteredAdaptation(AdaptingBlock):
     Gamma : (p, p), positive definite, or its diagonal
         Adaptation gain.
     a_d_hat : (p,)
-        The estimate at the start; left out, the robot's nominal model if `regressor` hands it out, else zero.
+        Initial estimate; by default the nominal model if `regressor` outputs it, else zero.
 
     Notes
     -----
-    `direct` says that the error of a prediction drives the adaptation, not that of the tracking: 0.
+    The output `direct` is 0: a prediction error drives the adaptation, not the tracking error.
 
     References
     ----------
@@ -69,7 +69,7 @@ class FilteredAdaptation(AdaptingBlock):
     a_d_hat: Diagonal | None = Real("p", default=None)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """What (1) moves."""
+        """The estimate, whose rate is (1)."""
         return Equations(outputs={"a_d_hat": x.a_d_hat})
 
     def direction(self, u: Signals, x: Signals, p: Signals, e_f: SX) -> Mapping[str, SX]:

@@ -1,4 +1,4 @@
-"""The prediction error of a filtered model, without accelerations."""
+"""Prediction error of a filtered dynamic model, without accelerations."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ from dmframe.robot.parameters import DynamicParameters, Friction, Part
 
 @final
 class FilteredRegressor(AbstractBlock):
-    r"""Compares the command that a PI servo got with the one that the estimates would have needed for this motion.
+    r"""Compares the filtered command of a PI servo with the command predicted by the estimates for the same motion.
 
-    Both sides of the dynamics, divided by the servo's stiffness, pass a filter of first order, of the rate
-    :math:`\mathrm{bandwidth}`. The acceleration goes by parts: with :math:`Y_m a_d = M \dot q`, and
-    :math:`C^\top \dot q = \partial(\tfrac12 \dot q^\top M \dot q)/\partial q`, the motion asks for the torque
+    Both sides of the dynamics, divided by the servo's velocity gain, pass a first-order filter with the rate
+    :math:`\mathrm{bandwidth}`. The acceleration is removed by parts: with :math:`Y_m a_d = M \dot q`, and
+    :math:`C^\top \dot q = \partial(\tfrac12 \dot q^\top M \dot q)/\partial q`, the motion requires the torque
     :math:`\tfrac{d}{dt}(Y_m a_d) - C^\top \dot q + B \dot q + D \phi(\dot q) + g = \tfrac{d}{dt}(Y_m a_d) + Y_r a_d`.
     Filtered, its regressor is :math:`Y_f = \mathrm{bandwidth}\, Y_m + Y_z` with
     :math:`\dot Y_z = \mathrm{bandwidth} (Y_r - Y_f)`, and with :math:`W = \mathrm{weight}`:
@@ -49,7 +49,7 @@ class FilteredRegressor(AbstractBlock):
         e &= w\, Y_f \hat a_d + w_I q_f + \hat b - v_f, \quad e_f = W e                  \tag{2} \\
         \dot{\hat b} &= -\Gamma_b e_f                                                       \tag{3}
 
-    products element by element. No torque is measured, and nothing is divided by an estimate: with
+    products element by element. No torque is measured, and there is no division by an estimate: with
     :math:`K_\star = K K_P`, the constant offset of the servo's integrator :math:`b = K_I (i - q + q_c) / K_P`, and the
     errors :math:`\tilde a_d = \hat a_d - a_d`, :math:`\tilde w = w - 1/K_\star`, :math:`\tilde w_I = w_I - K_I/K_P` and
     :math:`\tilde b = \hat b - b`,
@@ -59,8 +59,8 @@ class FilteredRegressor(AbstractBlock):
         K_\star e &= Y_f \tilde a_d + K_\star (\tilde w Y_f \hat a_d + \tilde w_I q_f + \tilde b) + h \tag{4} \\
         h &= Y_f a_d + K K_I q_f - K_\star v_f + K_\star b                                                  \tag{5}
 
-    h, of :math:`\dot h = -\mathrm{bandwidth}\, h`, is what the filters forget of their start; it is zero here, where
-    they start at rest. With a_d_hat, w and w_I adapted by e_f and the regressors of (4):
+    h, with :math:`\dot h = -\mathrm{bandwidth}\, h`, is the decaying effect of the filters' initial state; it is zero
+    if they start at rest, as here. With a_d_hat, w and w_I adapted by e_f and the regressors of (4):
 
     .. math::
 
@@ -72,23 +72,23 @@ class FilteredRegressor(AbstractBlock):
     Parameters
     ----------
     bandwidth : scalar, 1/s, > 0
-        Larger forgets faster and passes more noise.
+        A larger bandwidth forgets faster and passes more noise.
     weight : diagonal (n,), > 0
-        How much the prediction error counts beside the other errors of a composite adaptation.
+        Weight of the prediction error relative to the tracking error in composite adaptation.
     friction : list of viscous, coulomb
-        As of the `regressor` with which it shares a_d.
+        Same as in the `regressor` with which it shares a_d.
     bias : true or false
-        As of that regressor: a_d takes up the offset of the servo's integrator.
+        Same as in that regressor: a_d includes the offset of the servo's integrator.
     Gamma_b : diagonal (n,), 1/s, > 0
-        Without the bias, the gain with which the offset is estimated here.
+        Without `bias`, the gain with which the offset is estimated here.
 
     Notes
     -----
-    Not for: a PID servo, whose command has one more ratio.
+    Not for: a PID servo, whose command has one more gain ratio.
 
     References
     ----------
-    [SlotineLi1991]_ section 9.2 for the filter by parts; [WangTAC2020]_ eqs. (49)-(58) for what it stands in for.
+    [SlotineLi1991]_ section 9.2 for the filter by parts; [WangTAC2020]_ eqs. (49)-(58) for the unfiltered law.
     """
 
     uses_robot = True
@@ -128,14 +128,14 @@ class FilteredRegressor(AbstractBlock):
     Gamma_b: Diagonal | None = Positive("n", "1/s", default=None)
 
     def elements(self, robot: Any) -> Mapping[str, Sequence[Element]]:
-        """p: as of the regressor."""
+        """p: as in the regressor."""
         return {"p": self._parameters(robot).elements}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) to (3)."""
         if self.bias == ("Gamma_b" in p):
             raise ValueFault(
-                "filtered_regressor: expected either bias: true or a Gamma_b, to take up the offset of the servo's "
+                "filtered_regressor: expected either bias: true or a Gamma_b, to estimate the offset of the servo's "
                 f"integrator; found {'both' if self.bias else 'neither'}"
             )
         Y_f = self._filtered(u, x, p)
@@ -151,7 +151,7 @@ class FilteredRegressor(AbstractBlock):
         )
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
-        """The filters hold nothing yet."""
+        """Filters at zero."""
         return {"Y_z": -p.bandwidth * self._momentum(u, p)}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
@@ -191,7 +191,7 @@ class FilteredRegressor(AbstractBlock):
         return named("Y_m", ca.horzcat(self._inertial(u, p), others) if others.numel() else self._inertial(u, p))
 
     def _inertial(self, u: Signals, p: Signals) -> SX:
-        """Its columns for the inertial parameters."""
+        """The columns of Y_m for the inertial parameters."""
         return named("Y_p", ca.densify(p.robot.momentum_regressor(u.q, u.dq)))
 
     def _rest(self, u: Signals, p: Signals) -> SX:

@@ -1,4 +1,4 @@
-"""Reference for reaching a point in the task space through a passive filter."""
+"""Reference for regulation to a point in the task space through a passive filter."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class FilteredRegulation(AbstractBlock):
         \tau_{task}  &= -\alpha \hat J^\top \Delta x                      \tag{2} \\
         e_k          &= \Delta x = x - x_d                                \tag{3}
 
-    It adds up with the servo level with weight 1, :math:`x_d` standing still:
+    Its storage is added to that of the servo level with weight 1; :math:`x_d` is constant:
 
     .. math::
 
@@ -43,12 +43,12 @@ class FilteredRegulation(AbstractBlock):
     K_2 : diagonal (n,), rad^2/(m^2 s), > 0
         Gain from the filtered error to the reference velocity.
     alpha : scalar, N/m, > 0
-        Stiffness of the task feedback that goes through the servo as a torque.
+        Stiffness of the task feedback, which acts as a torque through the servo.
 
     Notes
     -----
-    Not for: a goal that moves; see `observed_tracking`. A `pid_inverse` behind it ties the position, not the velocity:
-    its energy balance needs :math:`\dot q_{ref} = -K_2 y`.
+    Not for: a moving goal; see `observed_tracking`. Use it with ``tie: position`` of `pid_inverse`: its energy balance
+    requires :math:`\dot q_{ref} = -K_2 y`.
 
     `task_weight` is the weight of the task level in V.
 

@@ -1,4 +1,4 @@
-"""A force sensor at the tool, with noise and an offset."""
+"""Force sensor at the tool, with noise and offset."""
 
 from __future__ import annotations
 
@@ -9,26 +9,25 @@ from dmframe.block import AbstractBlock, Access, Diagonal, Equations, Input, Non
 
 @final
 class ForceSensor(AbstractBlock):
-    r"""Hands out the force on the tool with an offset, and with noise that each sample draws anew.
+    r"""Outputs the force on the tool with an offset, and with noise drawn at each sample.
 
     .. math::
 
         f_m = f_{ext} + \mathrm{offset} + \mathrm{noise}\, \eta   \tag{1}
 
-    Controllers then read :math:`f_m` in place of :math:`f_{ext}`, without any wire. A real sensor also feels the weight
-    of what hangs on it, which is taken away before; what is left of that stands in the offset.
+    Controllers then read :math:`f_m` instead of :math:`f_{ext}`, without a wire. A real sensor also measures the weight
+    of the tool; the model assumes that this is compensated, and the offset represents the remaining error.
 
     Parameters
     ----------
     offset : diagonal (m,), N
-        What the sensor shows without a force.
+        Reading without a force.
     noise : diagonal (m,), N, >= 0
         Standard deviation of the noise.
 
     Notes
     -----
-    With a noise the block runs on a clock alone. Nothing is proved of it: what the sensor shows too much, nobody
-    cancels.
+    With noise the block runs on a clock only. It has no proof, since the measurement error is not compensated.
 
     References
     ----------

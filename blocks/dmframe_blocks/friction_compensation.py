@@ -1,4 +1,4 @@
-"""A maker's compensation of Coulomb friction."""
+"""Manufacturer's compensation of Coulomb friction."""
 
 from __future__ import annotations
 
@@ -22,26 +22,27 @@ from dmframe.block import (
 
 @final
 class FrictionCompensation(AbstractBlock):
-    r"""Adds to the servo's voltage the torque that the maker takes the joints' Coulomb friction for.
+    r"""Adds the manufacturer's compensation of Coulomb friction to the servo's voltage.
 
     .. math::
 
         u_{comp} = u + K^{-1} \mathrm{coulomb}\, \tanh(\dot q / \mathrm{velocity})   \tag{1}
 
-    The maker's :math:`\dot q` is the true one. The outer loop is not told. (`manipulator` has the same for gravity and
-    viscous friction.)
+    The manufacturer's :math:`\dot q` is the true one. The outer loop has no information about the compensation.
+    `manipulator` has the same option for gravity and viscous friction.
 
     Parameters
     ----------
     coulomb : diagonal (n,), N m, >= 0
-        What the maker takes it for; more than the joints have, and they are pushed along: the loop may hunt.
+        Compensated friction torque. If it exceeds that of the joints, the net friction is negative, and limit cycles
+        (hunting) may occur.
     velocity : scalar, rad/s, > 0
-        Where the compensation reaches tanh(1) of it. Well above the robot's `friction_velocity`, as makers do against
-        chatter, it leaves friction at slow motion.
+        Velocity at which the compensation is tanh(1) of this torque. Manufacturers choose it well above the robot's
+        `friction_velocity` to avoid chatter; friction then remains at low speed.
 
     Notes
     -----
-    Not for: a maker who compensates along the commanded velocity.
+    Not for: compensation along the commanded velocity.
 
     References
     ----------

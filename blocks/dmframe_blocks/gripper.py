@@ -1,4 +1,4 @@
-"""What a gripper tells of its loads: when another one is there, and what is expected of it."""
+"""Gripper signals: instants of load changes, and the expected loads."""
 
 from __future__ import annotations
 
@@ -13,26 +13,27 @@ from dmframe_blocks._loads import check_bodies, check_times, now_held
 
 @final
 class Gripper(AbstractBlock):
-    """Tells at known instants that the tool holds another load than before.
+    """Signals at known instants that the load at the tool has changed.
 
-    `odd` is 0 until the first of them, then 1, then 0, and so on: a signal that every gripper has, open or closed, for
-    a `reset_compensator`. The load itself is that of a `payload`, of which nobody is told; a gripper may be late.
+    `odd` is 0 before the first instant, then 1, then 0, and so on, like the open/closed signal of a gripper; it is read
+    by a `reset_compensator`. The load itself is that of a `payload`, which controllers cannot read. The instants may be
+    later than the changes of the load.
 
     Parameters
     ----------
     at : list, s
-        When another load is there, increasing.
+        Increasing instants of load changes.
     mass : list, kg
-        What is expected to be there then, if anything is, beside what the controller holds for true before it learns:
-        a part by its drawing, 0 for none. Before the first instant, none.
+        Expected masses after each instant, if known, for example from a drawing; 0 for no load. They are added to the
+        prior of the controller. Before the first instant no load is expected.
     center : one row a body, (3,), m
-        As of a `payload`.
+        As in `payload`.
     inertia : one row a body, (6,), kg m^2
-        As of a `payload`.
+        As in `payload`.
 
     Notes
     -----
-    It steps: a proof is one of the time between two of its instants. What is expected may be wrong.
+    The output is piecewise constant: a proof holds between two instants. The expected loads may be wrong.
     """
 
     side = Side.SOURCE
@@ -58,7 +59,7 @@ class Gripper(AbstractBlock):
         return self
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """1 more at each instant, and 1 less at the next."""
+        """A step up at each odd instant, and a step down at each even one."""
         odd: Any = 0
         for k, at in enumerate(ca.vertsplit(p.at)):
             odd += (-1) ** k * (u.t >= at)

@@ -1,4 +1,4 @@
-"""Reference for bringing the tool to a point of a camera's image, by a camera that nobody has calibrated."""
+"""Reference for image-based regulation with an uncalibrated camera."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from dmframe_blocks._image import image_regressor
 
 @final
 class ImageRegulation(AbstractBlock):
-    r"""Joint reference from the filtered error in the image, with a passive feedback as a torque.
+    r"""Joint reference from the filtered image error, with a passive feedback as a torque.
 
     .. math::
 
@@ -34,7 +34,7 @@ class ImageRegulation(AbstractBlock):
         \dot q_r &= -K_2 y                                                          \tag{3} \\
         \tau_{task} &= -\alpha J_{\chi}^\top e_{\chi}                                 \tag{4}
 
-    The goal stands still. What is stored is weighed with the depth, which nobody measures:
+    The goal is constant. The storage function is weighted with the depth, which is not measured:
 
     .. math::
 
@@ -42,26 +42,26 @@ class ImageRegulation(AbstractBlock):
         \dot S &= -\alpha\, y^\top K_2 y + \alpha\, y^\top K_2 J_{\chi}^\top e_{\chi}
                   + \alpha\, e_{\chi}^\top Y_c a_c    \tag{6}
 
-    The image moves with :math:`(N - \chi\, \mathrm{ahead}^\top) \dot x` over the depth, and the depth with
-    :math:`\mathrm{ahead}^\top \dot x`, so that half of :math:`\mathrm{depth}\, |e_{\chi}|^2` grows by
-    :math:`e_{\chi}^\top Y_c a_c`, with Y_c times a_c being
-    :math:`(N - (\chi - \tfrac12 e_{\chi})\, \mathrm{ahead}^\top) \dot x`. That the depth stays above zero is
-    assumed: of a tool behind the camera S would not be positive.
+    The image velocity is :math:`(N - \chi\, \mathrm{ahead}^\top) \dot x` over the depth, and the rate of the depth is
+    :math:`\mathrm{ahead}^\top \dot x`. The rate of half of :math:`\mathrm{depth}\, |e_{\chi}|^2` is therefore
+    :math:`e_{\chi}^\top Y_c a_c`, where Y_c times a_c is
+    :math:`(N - (\chi - \tfrac12 e_{\chi})\, \mathrm{ahead}^\top) \dot x`. The proof assumes that the depth stays
+    positive; S would not be positive for a tool behind the camera.
 
-    Neither the depth nor a velocity of the image stands in (1) to (4), nor in what is derived of them.
+    Neither (1) to (4) nor their derivatives contain the depth or the image velocity.
 
     Parameters
     ----------
     K_1 : diagonal (n,), 1/s, > 0
-        Bandwidth of the filter. Larger follows the error more closely and passes more noise.
+        Bandwidth of the filter. A larger bandwidth follows the error more closely and passes more noise.
     K_2 : diagonal (n,), rad^2/(m s), > 0
         Gain from the filtered error to the reference velocity.
     alpha : scalar, N, > 0
-        Stiffness of the feedback that goes through the servo as a torque.
+        Stiffness of the feedback, which acts as a torque through the servo.
 
     Notes
     -----
-    Not for: a goal that moves. A `pid_inverse` behind it ties the position, not the velocity: its energy balance needs
+    Not for: a moving goal. Use it with ``tie: position`` of `pid_inverse`: its energy balance requires
     :math:`\dot q_{ref} = -K_2 y`.
 
     `task_weight` is the weight of the task level in V.

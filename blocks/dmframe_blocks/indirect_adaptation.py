@@ -28,7 +28,7 @@ from dmframe.block import (
 
 @final
 class IndirectAdaptation(AdaptingBlock):
-    r"""Fits the dynamics to what the torque did, whatever the torque law.
+    r"""Indirect adaptation: fits the dynamics to the applied torque, for any torque law.
 
     .. math::
 
@@ -47,14 +47,14 @@ class IndirectAdaptation(AdaptingBlock):
     Gamma : (p, p), positive definite, or its diagonal
         Adaptation gain.
     a_d_hat : (p,)
-        The estimate at the start; left out, the robot's nominal model if `regressor` hands it out, else zero.
+        Initial estimate; by default the nominal model if `regressor` outputs it, else zero.
 
     Notes
     -----
-    Not for: a robot whose accelerations are not measured; estimates that start at zero under `certainty_equivalence`,
-    where the torque, and so the error, would stay at zero.
+    Not for: a robot whose accelerations are not measured; zero initial estimates with `certainty_equivalence`, for
+    which the torque, and with it the error, would stay zero.
 
-    `direct` says that the error of the torque drives the adaptation, not that of the tracking: 0.
+    The output `direct` is 0: the prediction error of the torque drives the adaptation, not the tracking error.
 
     References
     ----------
@@ -80,7 +80,7 @@ class IndirectAdaptation(AdaptingBlock):
         return Equations(outputs={"a_d_hat": x.a_d_hat, "epsilon": self.driven(self.error(u, x, p), p)})
 
     def error(self, u: Signals, x: Signals, p: Signals) -> SX:
-        """(1), before a dead zone, inside which everything that reads epsilon stands still."""
+        """(1), before a dead zone; inside the dead zone all blocks that read epsilon stop adapting."""
         return u.Y_d @ x.a_d_hat - u.tau_d
 
     def direction(self, u: Signals, x: Signals, p: Signals, epsilon: SX) -> Mapping[str, SX]:
@@ -98,7 +98,7 @@ class IndirectAdaptation(AdaptingBlock):
         )
 
     def _spent(self, error: SX, p: Signals) -> Square | Lemma:
-        """The error times what it has beyond its dead zone."""
+        """The product of the error before and after its dead zone."""
         if "dead_zone" not in p:
             return Square(error)
         return Lemma(p.dead_zone, error, ca.DM.zeros(error.shape[0]), p.dead_zone, "beyond")

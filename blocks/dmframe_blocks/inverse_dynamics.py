@@ -1,4 +1,4 @@
-"""The torque that a known robot needs."""
+"""Inverse dynamics of a known robot."""
 
 from __future__ import annotations
 
@@ -22,31 +22,31 @@ from dmframe.block import (
 
 @final
 class InverseDynamics(AbstractBlock):
-    r"""Inverse dynamics along the reference acceleration, with the links as the robot's file gives them.
+    r"""Inverse dynamics along the reference acceleration, with the inertial parameters of the robot's file.
 
     .. math::
 
         \tau_c = M(q) \ddot q_{ref} + C(q, \dot q) \dot q_{ref} + g(q)   \tag{1}
 
-    and with a model that is wrong
+    and with a model error
 
     .. math::
 
         \tau_c = (1 + \mathrm{off}) (M(q) \ddot q_{ref} + C(q, \dot q) \dot q_{ref} + g(q))   \tag{2}
 
-    Nothing is estimated and nothing stored. It knows the links, and no friction.
+    The block has no estimates and no storage. It models the links without friction.
 
     Parameters
     ----------
     off : scalar
-        By what share all masses and inertias of the model are wrong: -0.2 makes it a fifth too light. Left out, the
-        model fits. It is there to show what a wrong model costs: of (2) the proof is refuted.
+        Relative error of all masses and inertias of the model: with -0.2 the model is a fifth too light. By default the
+        model is exact. The option demonstrates the effect of a model error: with (2) the proof is refuted.
 
     Notes
     -----
-    Not for: a robot whose load or friction is unknown; see `dynamic_compensator` and `certainty_equivalence`.
+    Not for: a robot with an unknown load or friction; see `dynamic_compensator` and `certainty_equivalence`.
 
-    `direct` says that V holds the tracking error: 1.
+    The output `direct` is 1: V contains the tracking error.
 
     References
     ----------
@@ -79,7 +79,7 @@ class InverseDynamics(AbstractBlock):
         return Certificate(truth={"direct": 1})
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
-        """(1) leaves friction out and counts gravity in full, so the plant must too."""
+        """(1) contains no friction and all of gravity, so the plant must be the same."""
         lacking = (
             ("the plant has no viscous friction", truth.B),
             ("the plant has no Coulomb friction", truth.D),

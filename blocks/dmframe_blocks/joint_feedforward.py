@@ -1,4 +1,4 @@
-"""Reference of the joints that follows the path's velocity and does not look at the error."""
+"""Joint reference velocity without feedback of the tracking error."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ from dmframe.block import AbstractBlock, Certificate, Equations, Input, Output, 
 
 @final
 class JointFeedforward(AbstractBlock):
-    r"""The path's own velocity as the joint reference, so that the inverse's :math:`q_r` is the path itself.
+    r"""Uses the desired velocity as the joint reference, so that :math:`q_r` of the inverse is the path itself.
 
     .. math::
 
         \dot q_r = \dot q_d   \tag{1}
 
-    and :math:`q_r = q_d` if the robot starts on its path, since an inverse's :math:`q_r` starts at :math:`q(0)`.
+    and :math:`q_r = q_d` if the robot starts on its path, since :math:`q_r` of an inverse starts at :math:`q(0)`.
 
-    It stores nothing and consumes nothing: V is the servo level's alone, and what V says of :math:`q - q_r` is all that
-    is known of the error. Over a PI servo V holds :math:`q - q_r` (up to the constant with which the servo's integrator
-    starts) and dissipates :math:`\sigma` alone: the velocity error goes to zero, the position error is bounded
-    and stops anywhere. Over a PID servo with a tied velocity V dissipates :math:`q - q_r` too, which then goes to zero.
+    The block has no storage and no cross term: V is that of the servo level, so conclusions about :math:`q - q_r` are
+    all that is proved about the error. With a PI servo V contains :math:`q - q_r` (up to the constant initial value of
+    the servo's integrator) and dissipates :math:`\sigma` only. The velocity error then converges to zero; the position
+    error is bounded but need not converge to zero. With a PID servo and ``tie: velocity`` V dissipates
+    :math:`q - q_r` too, which then converges to zero.
 
     Parameters
     ----------
@@ -28,7 +29,7 @@ class JointFeedforward(AbstractBlock):
 
     Notes
     -----
-    Not for: work. It is here to show what is lost without the term in the error; see `joint_tracking`.
+    Not for: practical use. It demonstrates the loss of accuracy without feedback of the error; see `joint_tracking`.
 
     References
     ----------
@@ -46,5 +47,5 @@ class JointFeedforward(AbstractBlock):
         return Equations(outputs={"dq_r": u.dq_d})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """Of (1) nothing is stored: the error q - q_d stands in no term of its own."""
+        """No storage: the error q - q_d has no separate term in V."""
         return Certificate()

@@ -1,4 +1,4 @@
-"""Where a robot's joints end."""
+"""Mechanical end stops of the joints."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from dmframe.block import (
 
 @final
 class JointStops(AbstractBlock):
-    r"""Tells where a joint is beyond its range and, with a stiffness, pushes it back.
+    r"""Reports if a joint is beyond its range and, with a stiffness, pushes it back.
 
     .. math::
 
@@ -37,22 +37,23 @@ class JointStops(AbstractBlock):
         u_{stop} = u - K^{-1} (\mathrm{stiffness}\, \mathrm{beyond}
             + \mathrm{damping}\, \max(\mathrm{beyond}, -\mathrm{beyond})\, \dot q)   \tag{2}
 
-    The range is that of the robot's URDF, unless `lower` and `upper` say another.
-    A damping that grows with the depth makes a contact begin and end without a jump. Without a stiffness nothing
-    pushes: the run tells, and the robot goes on.
+    The range is that of the robot's URDF, unless `lower` and `upper` are given. The damping is proportional to the
+    depth, so that the force is continuous at contact. Without a stiffness the stop exerts no force: a run only
+    reports the violation.
 
     Parameters
     ----------
     lower, upper : list (n,), rad
-        The range; without them, that of the robot's URDF, where it states one.
+        The range; by default that of the robot's URDF, if it has one.
     stiffness : diagonal (n,), N m/rad, > 0
-        Of the stop. A stiff one asks for short steps: 1e4 N m/rad on a light link rings at 1 kHz.
+        Stiffness of the stop. A stiff stop requires short integration steps: 1e4 N m/rad on a light link oscillates at
+        1 kHz.
     damping : diagonal (n,), N m s/rad^2, >= 0
-        Of the stop.
+        Damping of the stop per depth.
 
     Notes
     -----
-    Not for: a maker who stops the robot before it gets there.
+    Not for: a robot that stops before it reaches its range.
 
     References
     ----------
@@ -93,5 +94,5 @@ class JointStops(AbstractBlock):
         return Equations({"beyond": beyond, "u_stop": u.u - push / u.K})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
-        """Nothing is stored where nothing pushes; of a stop that does, nothing is proved."""
+        """No storage without a stiffness; no certificate with one."""
         return None if "stiffness" in p else Certificate()

@@ -1,4 +1,4 @@
-"""Reference for tracking at the joints."""
+"""Reference for tracking in joint space."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from dmframe.block import (
 
 @final
 class JointTracking(AbstractBlock):
-    r"""Joint reference that leads the joints onto their path.
+    r"""Joint reference velocity for tracking a joint path.
 
     .. math::
 
         \dot q_r &= \dot q_d - \bar\alpha (q - q_d)   \tag{1}
 
-    With :math:`\Delta q = q - q_d` and :math:`s = \dot q - \dot q_r` it is a cascade on the servo level, of which it
-    consumes :math:`|s|^2 / \bar\alpha`:
+    With :math:`\Delta q = q - q_d` and :math:`s = \dot q - \dot q_r` it forms a cascade with the servo level. Its cross
+    term is :math:`|s|^2 / \bar\alpha`:
 
     .. math::
 
@@ -40,7 +40,7 @@ class JointTracking(AbstractBlock):
     Parameters
     ----------
     alpha_bar : scalar, 1/s, > 0
-        Rate at which the error is asked to decay. Larger is faster and asks more of the servo and the sampling period.
+        Desired decay rate of the error. A larger rate requires a faster servo and a shorter sampling period.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""The baseline that everybody uses today: command the reference velocity."""
+"""The usual baseline: the reference velocity is the command."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from dmframe.block import AbstractBlock, Access, Equations, Input, Output, Signa
 
 @final
 class KinematicCommand(AbstractBlock):
-    r"""Trusts the servo to follow at once.
+    r"""Commands the reference velocity directly, assuming that the servo tracks it without error.
 
     .. math::
 
         \dot q_c = \dot q_r   \tag{1}
 
-    It has no certificate: that the servo follows is what it assumes.
+    It has no certificate, since it assumes that the servo tracks the command.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ class KinematicCommand(AbstractBlock):
 
     Notes
     -----
-    Not for: a servo whose lag matters. It is here to be compared with.
+    Not for: a servo whose lag is relevant. It is a baseline for comparisons.
 
     References
     ----------

@@ -18,7 +18,7 @@ class Kinematics(AbstractBlock):
 
     with :math:`J(q)` the derivative of :math:`f(q)`, the tool's position.
 
-    The task velocity is computed, never measured; derived references such as the reference acceleration use it.
+    The task velocity is computed, not measured. Derivatives of references, such as the reference acceleration, use it.
 
     Parameters
     ----------

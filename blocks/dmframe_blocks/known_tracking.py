@@ -1,4 +1,4 @@
-"""Reference for tracking in the task space, kinematics known."""
+"""Reference for tracking in the task space with known kinematics."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from dmframe.block import (
 
 @final
 class KnownTracking(AbstractBlock):
-    r"""Joint reference that leads the tool onto its path.
+    r"""Joint reference velocity for tracking a tool path.
 
     .. math::
 
         \dot q_r &= \hat J^+ \dot x_d - \gamma \hat J^\top (x - x_d) + (I - \hat J^+ \hat J)\, \dot q_{null}, \quad
                     \hat J^+ = \hat J^\top (\hat J \hat J^\top)^{-1}           \tag{1}
 
-    A redundant robot may move by :math:`\dot q_{null}` as far as its tool does not notice,
-    :math:`\hat J (I - \hat J^+ \hat J) = 0`: see `null_space_posture`. Nobody needs to drive it.
+    :math:`\dot q_{null}` moves a redundant robot without moving its tool, since
+    :math:`\hat J (I - \hat J^+ \hat J) = 0`: see `null_space_posture`. The input is optional.
 
-    With :math:`\Delta x = x - x_d`, :math:`b = \hat J^\top \Delta x` and :math:`s = \dot q - \dot q_r` it is a cascade
-    on the servo level, of which it consumes :math:`|s|^2 / \gamma`:
+    With :math:`\Delta x = x - x_d`, :math:`b = \hat J^\top \Delta x` and :math:`s = \dot q - \dot q_r` it forms a
+    cascade with the servo level. Its cross term is :math:`|s|^2 / \gamma`:
 
     .. math::
 
@@ -44,11 +44,11 @@ class KnownTracking(AbstractBlock):
     Parameters
     ----------
     gamma : scalar, rad^2/(m^2 s), > 0
-        Task gain. Larger closes the error faster and asks more of the servo and of the sampling period.
+        Task gain. A larger gain reduces the error faster; it requires a faster servo and a shorter sampling period.
 
     Notes
     -----
-    Not for: a singular Jacobian, or kinematics that are uncertain.
+    Not for: a singular Jacobian, or uncertain kinematics.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""A rigid serial manipulator whose tool takes up a load, and puts it down again."""
+"""Rigid serial manipulator with a load at the tool that changes in steps."""
 
 from __future__ import annotations
 
@@ -36,43 +36,45 @@ from dmframe_blocks.manipulator import Manipulator
 
 @final
 class LoadedManipulator(AbstractBlock):
-    r"""The robot, with a load at its tool that changes in steps.
+    r"""Robot dynamics with a load at the tool that changes in steps.
 
     .. math::
 
         M(q, a) \ddot q + C(q, \dot q, a) \dot q + B \dot q + D\, \phi(\dot q) + g = K u + \tau_{ext}   \tag{1}
 
-    and :math:`x = f(q)`, where a are the inertial parameters with the load that is there now: the ten of a `payload`,
-    :math:`a_{load}`, and point masses. Nobody is told of it: the maker's servo goes on compensating its share of the
-    gravity of the robot alone, and controllers adapt, or do not. :math:`\tau_{ext}` is what the environment does.
+    and :math:`x = f(q)`, where a are the inertial parameters with the present load: the ten parameters of a `payload`,
+    :math:`a_{load}`, and point masses. Servo and controllers have no information about the load: the manufacturer's
+    servo compensates a fraction of the gravity of the robot alone, and controllers may adapt. :math:`\tau_{ext}` is
+    the torque of the environment.
 
-    What the tool holds, `a_held`, is a part of the last link to a `regressor`, whose true a_d has it in there, and the
-    whole of the links to a `payload_regressor`. Both jump where the load does.
+    The true a_d of a `regressor` contains the load, `a_held`, in the parameters of the last link. The true a_d of a
+    `payload_regressor` is the load itself. Both are discontinuous when the load changes.
 
-    Between two steps of a `payload` it stores, loses and takes up what `manipulator` does, with the mass matrix of the
-    loaded robot; at each step V jumps.
+    Between two steps of a `payload` the certificate is that of `manipulator` with the mass matrix of the loaded robot.
+    At each step V is discontinuous.
 
     Parameters
     ----------
     payload : list, kg
-        Point masses at the tool, one after another, of which nothing is proved; the block `payload` has bodies.
+        Successive point masses at the tool, without a proof; use the block `payload` for bodies.
     payload_at : list, s
-        When each of them is there, increasing; before the first there is none. With ``payload: [2, 0]`` and
-        ``payload_at: [10, 20]``, 2 kg from 10 s to 20 s.
+        Increasing start times of the masses; there is no mass before the first. With ``payload: [2, 0]`` and
+        ``payload_at: [10, 20]`` the load is 2 kg from 10 s to 20 s.
     viscous : diagonal (n,), N m s/rad, >= 0
-        Viscous friction of the joints' own.
+        Viscous friction of the joints.
     coulomb : diagonal (n,), N m, >= 0
         Coulomb friction, D.
     K : diagonal (n,), N m/V, > 0
-        Torque a volt.
+        Motor constant: torque per volt.
     maker_gravity : scalar, >= 0
-        Share of the robot's own gravity that the maker's servo compensates.
+        Fraction of the robot's own gravity that the manufacturer's servo compensates.
     maker_viscous : diagonal (n,), N m s/rad, >= 0
-        Viscous friction that the maker's servo compensates.
+        Viscous friction that the manufacturer's servo compensates.
 
     Notes
     -----
-    The velocity goes on as it is where the load changes, as if it had moved along before. Not for: a load that swings.
+    The velocity is continuous when the load changes, as if the load had moved with the tool before. Not for: a load
+    that swings.
 
     References
     ----------
@@ -131,7 +133,7 @@ class LoadedManipulator(AbstractBlock):
         )
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
-        """As of `manipulator`, the load constant; of a point mass, whose steps are no signal, nothing."""
+        """That of `manipulator` with a constant load; none for point masses, whose steps are not a signal."""
         if "payload" in p:
             return None
         robot, (_, a) = p.robot, self._loaded(u, p)
@@ -163,7 +165,7 @@ class LoadedManipulator(AbstractBlock):
 
 @operation
 def at_time(t: Any, values: Any, times: Any) -> Any:
-    """The last of the values whose time has come, 0 before the first."""
+    """The last value whose time has come, 0 before the first."""
     now = 0
     for k in range(values.numel()):
         now = now + (values[k] - (values[k - 1] if k else 0)) * (t >= times[k])

@@ -1,4 +1,4 @@
-"""A rigid serial manipulator with motor constants and joint friction."""
+"""Rigid serial manipulator with motor constants and joint friction."""
 
 from __future__ import annotations
 
@@ -29,17 +29,18 @@ from dmframe.block import (
 
 @final
 class Manipulator(AbstractBlock):
-    r"""The robot: rigid links, motors that turn voltage into torque, friction at the joints.
+    r"""Robot dynamics: rigid links, motors with a constant torque per volt, joint friction.
 
     .. math::
 
         M(q) \ddot q + C(q, \dot q) \dot q + B \dot q + D\, \phi(\dot q) + g = K u + \tau_{ext}, \quad x = f(q) \tag{1}
 
-    :math:`\tau_{ext}` is what the environment does at the joints: see `wall`. Nobody needs to drive it.
+    :math:`\tau_{ext}` is the torque of the environment: see `wall`. The input is optional.
 
-    A maker's servo may already compensate a share `maker_gravity` of gravity :math:`g_{full}(q)`, and `maker_viscous`
-    of the joints' own viscous friction; the outer loop is not told. What is left for it is :math:`g = (1 -
-    \mathrm{maker\_gravity})\, g_{full}(q)` and :math:`B = \mathrm{viscous} - \mathrm{maker\_viscous}`.
+    A manufacturer's servo may already compensate a fraction `maker_gravity` of gravity :math:`g_{full}(q)`, and
+    `maker_viscous` of the joints' viscous friction; the outer loop has no information about it. The remaining terms
+    are :math:`g = (1 - \mathrm{maker\_gravity})\, g_{full}(q)` and
+    :math:`B = \mathrm{viscous} - \mathrm{maker\_viscous}`.
 
     :math:`\phi(v) = \tanh(v / v_0)` smooths the sign of Coulomb friction; :math:`v_0`, the robot's `friction_velocity`,
     is the same in plant and regressor. With :math:`\sigma = \dot q - \dot q_{ref}`, and the torque along the reference
@@ -52,26 +53,26 @@ class Manipulator(AbstractBlock):
         \dot S &= \sigma^\top (K u + \tau_{ext} - B \sigma - \tau_r)
                   - (\dot q - \dot q_{ref})^\top D (\phi(\dot q) - \phi(\dot q_{ref}))   \tag{3}
 
-    The last term of (3) is not positive, since the friction does not decrease with velocity.
+    The last term of (3) is not positive, since friction is non-decreasing in velocity.
 
     Parameters
     ----------
     viscous : diagonal (n,), N m s/rad, >= 0
-        Viscous friction of the joints' own.
+        Viscous friction of the joints.
     coulomb : diagonal (n,), N m, >= 0
         Coulomb friction, D.
     K : diagonal (n,), N m/V, > 0
-        Torque a volt.
+        Motor constant: torque per volt.
     maker_gravity : scalar, >= 0
-        Share of gravity that the maker's servo compensates; 1 is all of it.
+        Fraction of gravity that the manufacturer's servo compensates; 1 is all of it.
     maker_viscous : diagonal (n,), N m s/rad, >= 0
-        Viscous friction that the maker's servo compensates; more than the joints have, and the arm is left with
-        negative friction.
+        Viscous friction that the manufacturer's servo compensates; if it exceeds `viscous`, the net friction is
+        negative.
 
     Notes
     -----
-    `momentum` is that of the joints, by which the inverses bound their commands. The tool holds nothing, `a_held`,
-    whatever a `payload` says.
+    The true value `momentum` is that of the joints; proofs of the inverses use it to bound their commands. The load
+    `a_held` is zero: a `payload` has no effect on this block.
 
     References
     ----------
@@ -132,7 +133,7 @@ class Manipulator(AbstractBlock):
         )
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """(2) and (3); without a sliding variable, as in the torque-based framework, nothing is stored here."""
+        """(2) and (3); no storage without a sliding variable, as in the torque-based framework."""
         robot = p.robot
         true = {"momentum": robot.mass_matrix(x.q) @ x.dq, "a_held": ca.DM.zeros(10)}
         if "sigma" not in truth:

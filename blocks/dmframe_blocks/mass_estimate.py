@@ -1,4 +1,4 @@
-"""The mass matrix of the estimated parameters."""
+"""Estimated mass matrix."""
 
 from __future__ import annotations
 

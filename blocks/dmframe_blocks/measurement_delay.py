@@ -1,4 +1,4 @@
-"""The way of a measurement from the robot to the controller: late."""
+"""Delay of measurements between robot and controller."""
 
 from __future__ import annotations
 
@@ -15,25 +15,26 @@ _MEASURED = ("q", "dq", "x")
 
 @final
 class MeasurementDelay(AbstractBlock):
-    r"""Hands out what was measured some samples ago: the joints, the tool and, of a servo, its target position.
+    r"""Delays the measured signals of joints and tool, and the target position of a servo, by some samples.
 
-    Of each measured signal the last five are kept, the newest first. With d `samples` controllers read :math:`s_d`,
-    what was measured d samples ago; with a further `share` :math:`(1 - share) s_d + share\, s_{d+1}`.
+    A delay line stores the last five values of each measured signal, the newest first. With d `samples` controllers
+    read :math:`s_d`, the value measured d samples ago; with an additional `share`
+    :math:`(1 - share) s_d + share\, s_{d+1}`.
 
-    Before the start the robot has stood still.
+    Before the start the robot was at rest.
 
     Parameters
     ----------
     samples : 0 to 4
         Whole samples of delay.
     share : scalar, >= 0
-        Of a further sample, below 1. What was measured between samples is not kept: a straight line is put between.
+        Additional fraction of a sample, below 1. Values between samples are interpolated linearly.
     target : sent or none
-        Whether the servo's target position is measured too, and comes late; none for a robot without one.
+        Whether the servo's target position is measured and delayed too; none for a robot without it.
 
     Notes
     -----
-    Not for: accelerations, which no maker hands out and which `accelerometer` reads at once.
+    Not for: accelerations, which `accelerometer` measures without delay.
 
     References
     ----------
@@ -73,13 +74,13 @@ class MeasurementDelay(AbstractBlock):
 
     @classmethod
     def fitting(cls, signals: Collection[str]) -> Mapping[str, Any] | None:
-        """With the target position of a servo, where there is one."""
+        """With the target position of a servo if there is one."""
         if super().fitting(signals) is None:
             return None
         return {} if "q_c" in signals else {"target": "none"}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """Columns of the lines, the newest measurement before them."""
+        """Columns of the delay lines, preceded by the newest measurement."""
         outputs, after = dict[str, Any](), dict[str, Any]()
         for name in self._measured:
             line = ca.horzcat(getattr(u, name), getattr(x, f"{name}_line"))
@@ -90,7 +91,7 @@ class MeasurementDelay(AbstractBlock):
         return Equations(outputs, next=after)
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
-        """As if the robot had always stood there."""
+        """Delay lines filled with the initial pose, at rest."""
         rest = {"q": u.q, "dq": 0 * u.dq, "x": u.x, "q_c": truth.q}
         return {f"{name}_line": ca.repmat(rest[name], 1, 5) for name in self._measured}
 

@@ -23,26 +23,26 @@ from dmframe.block import (
 
 @final
 class NullSpacePosture(AbstractBlock):
-    r"""Asks for a joint velocity towards a posture; the generator keeps the part that the tool does not notice.
+    r"""Joint velocity towards a posture; the generator uses its null-space part, which does not move the tool.
 
     .. math::
 
         \dot q_{null} = -K_{null} (q - q_0)   \tag{1}
 
-    The generator adds :math:`(I - \hat J^+ \hat J) \dot q_{null}` to its reference velocity. With a scalar
-    K_null that goes down the slope of :math:`\tfrac12 |q - q_0|^2` along the self-motion. The tool's proof does not
+    The generator adds :math:`(I - \hat J^+ \hat J) \dot q_{null}` to its reference velocity. With a scalar K_null this
+    is gradient descent of :math:`\tfrac12 |q - q_0|^2` along the self-motion. The proof of the tool's motion does not
     depend on it.
 
     Parameters
     ----------
     K_null : diagonal (n,), 1/s, > 0
-        Posture gain. Larger returns faster to the posture, and asks more of the servo.
+        Posture gain. A larger gain returns faster to the posture and requires a faster servo.
     q_0 : (n,), rad
         The posture.
 
     Notes
     -----
-    Not for: a robot with as many joints as task coordinates; it has no self-motion, and this has no effect.
+    Not for: a robot with as many joints as task coordinates, which has no self-motion; the block then has no effect.
 
     References
     ----------
@@ -61,9 +61,9 @@ class NullSpacePosture(AbstractBlock):
         return Equations(outputs={"dq_null": -p.K_null * (u.q - p.q_0)})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """Nothing is stored: V does not see the self-motion."""
+        """No storage: V does not contain the self-motion."""
         return Certificate()
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
-        """V bounds the task, not a redundant robot's joints."""
-        return (Assumption(sentence("the joints stay bounded along the self-motion, which {V} does not weigh")),)
+        """V bounds the task error, not the joints of a redundant robot."""
+        return (Assumption(sentence("the joints stay bounded along the self-motion, which {V} does not contain")),)

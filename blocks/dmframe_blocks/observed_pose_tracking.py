@@ -1,4 +1,4 @@
-"""Reference for tracking with the tool's position and orientation, lengths uncertain."""
+"""Reference for tracking position and orientation of the tool with uncertain lengths."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from dmframe_blocks._quaternions import LESS_THAN_HALF_A_TURN, apart, left, righ
 
 @final
 class ObservedPoseTracking(AbstractBlock):
-    r"""Joint reference for position and orientation, from the observed instead of the measured position.
+    r"""Joint reference velocity for position and orientation, with the observed instead of the measured position.
 
-    Only the rows of the position are uncertain: no length is in an orientation, so that R and the lower rows of
-    :math:`J_{pose}` are known, and its upper ones are :math:`\hat J`, as the observer has it. With E and G of
+    Only the position rows are uncertain. An orientation does not depend on lengths, so R and the lower rows of
+    :math:`J_{pose}` are known; the upper rows are :math:`\hat J`, as in the observer. With E and G of
     :math:`p_d` as in `pose_tracking`,
 
     .. math::
@@ -47,7 +47,7 @@ class ObservedPoseTracking(AbstractBlock):
     :math:`e_R` the vector of :math:`R R_d^\top - R_d R^\top`.
 
     With :math:`a = \hat J^\top \Delta x_o`, :math:`b = J_{pose}^\top (\Delta x, \mathrm{lever}\, e_R)` and
-    :math:`s = \dot q - \dot q_r` it is a cascade on the servo level, as `observed_tracking`:
+    :math:`s = \dot q - \dot q_r` it forms a cascade with the servo level, like `observed_tracking`:
 
     .. math::
 
@@ -59,11 +59,11 @@ class ObservedPoseTracking(AbstractBlock):
     Parameters
     ----------
     gamma : scalar, rad^2/(m^2 s), > 0
-        Task gain; the proof asks for less than 9/4 of the observer's beta.
+        Task gain; the proof requires gamma < 9/4 beta, with beta of the observer.
 
     Notes
     -----
-    Almost global, as `pose_tracking`. `task_weight` is the weight of the task level in V.
+    Convergence is almost global, as in `pose_tracking`. `task_weight` is the weight of the task level in V.
 
     References
     ----------
@@ -130,7 +130,7 @@ class ObservedPoseTracking(AbstractBlock):
         )
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
-        """The observer must be fast enough for the task; half a turn from its orientation the tool feels no error."""
+        """The observer must be fast enough for the task, and the orientation error less than half a turn."""
         fast_enough = Inequality("beta > 4 gamma/9", truth.beta - 4 * p.gamma / 9, "eqs. (26), (31)")
         return fast_enough, LESS_THAN_HALF_A_TURN
 

@@ -27,7 +27,7 @@ from dmframe.block import (
 
 @final
 class ObservedTracking(AbstractBlock):
-    r"""Joint reference from the observed instead of the measured position; a goal at rest makes it regulation.
+    r"""Joint reference velocity from the observed instead of the measured position; regulation for a constant goal.
 
     .. math::
 
@@ -35,11 +35,11 @@ class ObservedTracking(AbstractBlock):
         \hat J^+ = \hat J^\top (\hat J \hat J^\top)^{-1}                                   \tag{1} \\
         e_k &= \Delta x - \Delta x_o, \quad \Delta x = x - x_d, \quad \Delta x_o = x_o - x         \tag{2}
 
-    A redundant robot may move by :math:`\dot q_{null}` as far as the observer does not notice: see
-    `null_space_posture`. Nobody needs to drive it.
+    :math:`\dot q_{null}` moves a redundant robot in the null space of :math:`\hat J`: see `null_space_posture`. The
+    input is optional.
 
-    With :math:`a = \hat J^\top \Delta x_o`, :math:`b = \hat J^\top \Delta x`, :math:`s = \dot q - \dot q_r` it is a
-    cascade on the servo level:
+    With :math:`a = \hat J^\top \Delta x_o`, :math:`b = \hat J^\top \Delta x`, :math:`s = \dot q - \dot q_r` it forms a
+    cascade with the servo level:
 
     .. math::
 
@@ -51,7 +51,7 @@ class ObservedTracking(AbstractBlock):
     Parameters
     ----------
     gamma : scalar, rad^2/(m^2 s), > 0
-        Task gain; the proof asks for less than 9/4 of the observer's beta.
+        Task gain; the proof requires gamma < 9/4 beta, with beta of the observer.
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""First-order filter of the task feedback, passive between task and joints."""
+"""First-order filter of the task feedback, passive from task error to joints."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from dmframe.block import (
 
 @final
 class PassiveFilter(AbstractBlock):
-    r"""Filters the transposed-Jacobian feedback, so that no reference needs a task velocity.
+    r"""Filters the transposed-Jacobian feedback, so that no reference requires a task velocity.
 
     .. math::
 
@@ -38,7 +38,7 @@ class PassiveFilter(AbstractBlock):
     Parameters
     ----------
     K_1 : diagonal (n,), 1/s, > 0
-        Bandwidth of the filter. Larger follows the error more closely and passes more noise.
+        Bandwidth of the filter. A larger bandwidth follows the error more closely and passes more noise.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""A path's own time: it goes on more slowly where commands near their limit."""
+"""Path time that slows down when commands approach their limit (discrete time)."""
 
 from __future__ import annotations
 
@@ -25,33 +25,33 @@ from dmframe.block import (
 
 @final
 class PathPace(AbstractBlock):
-    r"""Keeps the time at which a path is followed, so that the path waits for joints that can go no faster.
+    r"""Computes the time along a path, which slows down when joint commands approach their limit.
 
-    A path reads it where its time is wired to it, `path.t: pace.t_path`. From one sample to the next it goes on by
-    rates[0] T; with `near` the largest |dq_c|/(share u_max) of the joints and r the newest rate, the next one is
+    A path uses it as its time with the wire `path.t: pace.t_path`. Each sample increases the path time by rates[0] T.
+    With `near` the largest |dq_c|/(share u_max) of the joints and r the newest rate, the next rate is
 
         r/near where near > 1,    else r + (T/recovery)(1 - r)
 
-    A command is, near enough, in proportion to the rate, so that the first brings it back to its share of the limit in
-    one sample. Of a controller whose commands act `delay` samples later, rates are decided as long before: t_path_1,
-    t_path_2 and t_path_3, what t_path will be, then hold what it is told.
+    A command is approximately proportional to the rate, so the first case returns it to its share of the limit in one
+    sample. If commands act `delay` samples later, rates are fixed the same number of samples in advance, so that the
+    outputs t_path_1, t_path_2 and t_path_3, the future values of t_path, are known.
 
     Parameters
     ----------
     delay : 0, 1 or 2
-        Whole samples from a command to its effect, as the task law has it.
+        Whole samples from a command to its effect, as in the task law.
     u_max : diagonal (n,), rad/s, > 0
-        The largest command.
+        Largest command.
     share : scalar, > 0
-        Of that limit: where the path begins to wait. Below one, or commands are cut off first.
+        Fraction of the limit at which the path begins to slow down. It should be below one, so that commands do not
+        saturate first.
     recovery : scalar, s, > 0
-        In which 1 - 1/e of what the path is too slow is made up for.
+        Time constant with which the rate returns to 1.
 
     Notes
     -----
-    It shapes the path in time alone: the way stays as it is. Not for: commands that near their limit for another cause
-    than the path, such as an unstable loop, where waiting does not help; or laws in continuous time, for which t_path
-    jumps.
+    It changes the timing of the path only, not its geometry. Not for: commands that are large for another reason than
+    the path, such as an unstable loop; or continuous-time laws, for which t_path is discontinuous.
 
     References
     ----------
@@ -77,15 +77,15 @@ class PathPace(AbstractBlock):
     recovery: Scalar = Positive("", "s", default=2.0)
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
-        """D rates are decided."""
+        """D: the number of rates fixed in advance."""
         return {"d": self.delay + 1}
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, Any]:
-        """The path begins at its time 0, at its own speed."""
+        """Path time 0 and rate 1."""
         return {"rates": ca.DM.ones(self.delay + 1)}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """The time now and later, and the next rate."""
+        """The present and future path times, and the next rate."""
         rates, times = ca.vertsplit(x.rates), [x.path_time]
         for k in range(3):
             times.append(times[-1] + u.T * rates[min(k, self.delay)])
@@ -109,5 +109,5 @@ class PathPace(AbstractBlock):
 
 @operation
 def largest(values: Any) -> Any:
-    """The largest of some numbers."""
+    """The largest of several numbers."""
     return ca.mmax(values)

@@ -1,4 +1,4 @@
-"""A path's own time in continuous time: it goes on more slowly where the tool is behind, or joints would be fast."""
+"""Path time that slows down for large tool errors or reference velocities (continuous time)."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from dmframe.block import (
 
 @final
 class PathWait(AbstractBlock):
-    r"""Keeps the time at which a path is followed, so that the path waits for a tool that is behind.
+    r"""Computes the time along a path, which slows down when the tool is far from the path.
 
-    A path reads it where its time is wired to it, `path.t: pace.t_path`. Its rate, the pace, is led towards a wish
-    between 0 and 1, that is a quarter where the tool is as far from its path as `reach`, or a joint's reference
-    velocity as large as `u_max`:
+    A path uses it as its time with the wire `path.t: pace.t_path`. Its rate, the pace, is a filtered wish between 0 and
+    1. The wish is about a quarter if the tool's distance from the path is `reach`, or if the reference velocity of a
+    joint is `u_max`:
 
     .. math::
 
@@ -37,22 +37,22 @@ class PathWait(AbstractBlock):
         \dot{\mathrm{pace}} = (\mathrm{wish} - \mathrm{pace}) / \mathrm{recovery}   \tag{1} \\
         \mathrm{wish} &= 1 - \tanh(|x - x_d|^2 / \mathrm{reach}^2 + |\dot q_r / u_{max}|^2)   \tag{2}
 
-    The velocity and the acceleration along the path follow by the chain rule from the pace and its rate, so that no
-    proof of a law in continuous time changes: what it is proved to follow is the path as it is then run through. The
-    pace stays between 0 and 1, as it starts at 1.
+    Velocity and acceleration along the path follow from the pace and its rate by the chain rule. Proofs of
+    continuous-time laws remain valid: they hold for the path with its modified timing. The pace stays between 0 and 1,
+    since it starts at 1.
 
     Parameters
     ----------
     reach : scalar, m, > 0
-        Error of the tool at which the path goes at a quarter of its speed.
+        Tool error at which the path has a quarter of its speed.
     u_max : diagonal (n,), rad/s, > 0
-        Reference velocity of a joint at which it does too.
+        Reference velocity of a joint at which the path has a quarter of its speed.
     recovery : scalar, s, > 0
-        Time constant of the pace. Shorter waits sooner, and asks for more acceleration.
+        Time constant of the pace. A shorter one reacts faster and requires more acceleration.
 
     Notes
     -----
-    It shapes the path in time alone: the way stays as it is. Not for: a law that looks ahead over samples; see
+    It changes the timing of the path only, not its geometry. Not for: a law that looks ahead over samples; see
     `path_pace`.
 
     References
@@ -73,7 +73,7 @@ class PathWait(AbstractBlock):
     recovery: Scalar = Positive("", "s", default=1.0)
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, Any]:
-        """The path begins at its time 0, at its own speed."""
+        """Path time 0 and pace 1."""
         return {"pace": ca.DM(1)}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -86,5 +86,5 @@ class PathWait(AbstractBlock):
         )
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """Nothing is stored; (1) drives the pace, and its wish is bounded."""
+        """No storage; the pace is bounded by the stable linear subsystem (1), whose wish is bounded."""
         return Certificate(driven=(Driven(vectors=(x.pace,), rates=((-1 / p.recovery,),), bounded=(x.pace,)),))

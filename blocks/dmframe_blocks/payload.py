@@ -1,4 +1,4 @@
-"""A load at the tool that changes in steps: ten inertial parameters."""
+"""Load at the tool that changes in steps: ten inertial parameters."""
 
 from __future__ import annotations
 
@@ -12,26 +12,27 @@ from dmframe_blocks._loads import check_bodies, now_held
 
 @final
 class Payload(AbstractBlock):
-    r"""What the tool holds: bodies, one after another, each rigid and fixed to the last link.
+    r"""A sequence of rigid bodies held by the tool, each fixed to the last link.
 
-    A body of mass m whose centre is at r, and whose inertia about its centre is I, has the ten parameters m, m r and
-    I + m (|r|^2 1 - r r') about the last joint's origin, in the axes of its frame; r is the tool's offset and `center`.
-    They add to the last link's own. `loaded_manipulator` reads them by name, without a wire, and no controller does.
+    A body with mass m, centre at r, and inertia I about its centre has the ten parameters m, m r and
+    I + m (|r|^2 1 - r r') about the last joint's origin, in the axes of its frame; r is the sum of the tool's offset
+    and `center`. They are added to those of the last link. `loaded_manipulator` reads them by name, without a wire;
+    controllers cannot read them.
 
     Parameters
     ----------
     mass : list, kg
-        One body after another; 0 puts the load down.
+        Masses of the successive bodies; 0 for no load.
     at : list, s
-        When each of them is there, increasing; before the first there is none.
+        Increasing start times of the bodies; there is no load before the first.
     center : one row a body, (3,), m
-        Centre of mass, from the tool's point, in the axes of the last joint's frame. Left out, it is at the tool.
+        Centre of mass relative to the tool point, in the axes of the last joint's frame; by default the tool point.
     inertia : one row a body, (6,), kg m^2
-        Of the body about its centre: xx, xy, yy, xz, yz, zz. Left out, it is a point.
+        Inertia about the centre: xx, xy, yy, xz, yz, zz; by default a point mass.
 
     Notes
     -----
-    A proof is one of the time between two steps; V is another after each. Not for: a load that swings.
+    A proof holds between two steps; V is discontinuous at each step. Not for: a load that swings.
 
     References
     ----------
@@ -54,5 +55,5 @@ class Payload(AbstractBlock):
         return self
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """One after another."""
+        """The parameters of the present body."""
         return Equations({"a_load": now_held(u.t, p)})

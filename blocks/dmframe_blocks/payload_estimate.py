@@ -1,4 +1,4 @@
-"""What is held, in kilograms and metres."""
+"""Estimated mass and centre of the load."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from dmframe.block import AbstractBlock, Certificate, Equations, Input, Output, 
 
 @final
 class PayloadEstimate(AbstractBlock):
-    r"""The mass of a load and its centre, of its estimated parameters.
+    r"""Computes mass and centre of a load from its estimated parameters.
 
-    Of the parameters of a `payload_regressor`, the mass is the first, and the centre the next three over the mass, less
-    the tool's offset. Below the mass `least` nobody can say where the centre is, and it is given as zero. A run tells
-    the means over its last eighth, and how much of them was felt.
+    The mass is the first estimate of a `payload_regressor`; the centre is the next three divided by the mass, minus the
+    tool's offset. For masses below `least` the centre cannot be determined, and the output is zero. A run reports the
+    means over its last eighth, and how well the estimates were excited.
 
     Parameters
     ----------
     least : scalar, kg, > 0
-        The least mass that counts as a load.
+        Smallest mass that counts as a load.
 
     References
     ----------
@@ -47,11 +47,11 @@ class PayloadEstimate(AbstractBlock):
 
 @operation
 def mass(a: Any) -> Any:
-    """The first of a load's parameters."""
+    """The mass, the first of a load's parameters."""
     return a[0]
 
 
 @operation
 def center(a: Any, a_k: Any, least: Any) -> Any:
-    """First moments over the mass, from the tool; zero where there is too little mass to say."""
+    """First moments divided by the mass, relative to the tool; zero if the mass is too small."""
     return ca.if_else(a[0] > least, a[1:4] / ca.fmax(a[0], least) - a_k[-3:], ca.SX.zeros(3))

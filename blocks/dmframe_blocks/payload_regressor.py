@@ -1,4 +1,4 @@
-"""The regressor of a load at the tool, the links known."""
+"""Regressor of a load at the tool of a known robot."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ _UNITS = {"m": "kg", "mc": "kg m", "I": "kg m^2"}
 
 @final
 class PayloadRegressor(AbstractBlock):
-    r"""The torque of a known robot with an unknown load: what is known of it, and the matrix of what is not.
+    r"""Torque of a known robot with an unknown load: the known part, and the regressor of the unknown part.
 
     .. math::
 
         \tau_{known} = M(q) \ddot q_{ref} + C(q, \dot q) \dot q_{ref} + g(q)   \tag{1}
 
-    :math:`Y_d a_d` is what the load and friction add: :math:`a_d` holds the load's ten inertial parameters about the
-    last joint's origin, in its frame (mass, first moments, inertia); then what `gravity` says, and B and D, as
-    `friction` says. The load's columns are those of the last link, with all of its gravity: no maker's servo
-    compensates a load that it does not know.
+    :math:`Y_d a_d` is the torque of load and friction. :math:`a_d` contains the load's ten inertial parameters about
+    the last joint's origin, in its frame (mass, first moments, inertia), then the parameter of `gravity`, and B and D
+    according to `friction`. The load's columns are those of the last link, with complete gravity: the manufacturer's
+    servo does not compensate an unknown load.
 
     Parameters
     ----------
     gravity : known or share
-        Whether the servo leaves all of the links' own gravity to the controller, which knows it; or compensates an
-        unknown share, so that what is left is estimated: one parameter, g_share.
+        With known, the controller compensates the complete gravity of the links. With share, the servo compensates an
+        unknown fraction, and the remaining fraction is estimated as one parameter, g_share.
     friction : list of viscous, coulomb
-        Friction that is estimated along with the load; each kind that the plant has is needed.
+        Friction that is estimated together with the load; it must include each kind that the plant has.
 
     Notes
     -----
-    Only the product of w and the torque acts. It is the known part that tells the load apart from w: give w a box where
-    that part is small, as with a servo that compensates gravity. Not for: links that are not known; `regressor` has
-    columns for all.
+    The command depends on the product of w and the torque, so load and w can be distinguished only by the known part.
+    Give w a box if that part is small, for example with a servo that compensates gravity. Not for: unknown links; use
+    `regressor`, which has columns for all parameters.
 
     References
     ----------
@@ -66,7 +66,7 @@ class PayloadRegressor(AbstractBlock):
     friction: tuple[Friction, ...] = ("viscous",)
 
     def elements(self, robot: Any) -> Mapping[str, Sequence[Element]]:
-        """p: the load's ten parameters, the share of gravity, friction."""
+        """p: the load's ten parameters, the fraction of gravity, friction."""
         load = [Element(f"{name}_load", _UNITS[name.partition("_")[0]]) for name in INERTIAL]
         share = [Element("g_share")] if self.gravity == "share" else []
         friction = DynamicParameters(robot, self.friction).elements[len(INERTIAL) * robot.n :]
@@ -84,7 +84,7 @@ class PayloadRegressor(AbstractBlock):
         return Equations({"Y_d": ca.densify(ca.horzcat(*columns)), "tau_known": known})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """Nothing is stored; the true a_d, with what the plant says that its tool holds, else what a source does."""
+        """No storage; the true a_d, with the load from the plant, else from a source."""
         source = next((name for name in ("a_held", "a_load") if name in truth), "")
         true = [getattr(truth, source) if source else ca.DM.zeros(len(INERTIAL))]
         true += [truth.g_share] if self.gravity == "share" else []
@@ -93,5 +93,5 @@ class PayloadRegressor(AbstractBlock):
         return Certificate(truth={"a_d": ca.vertcat(*true)})
 
     def conditions(self, p: Signals, truth: Signals) -> tuple[Condition, ...]:
-        """Whatever friction the plant has, the regressor has a column for it."""
+        """The regressor has a column for each kind of friction of the plant."""
         return columns_for(self.friction, truth)

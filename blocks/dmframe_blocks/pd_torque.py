@@ -1,4 +1,4 @@
-"""Proportional and derivative feedback on a robot whose joints take torques."""
+"""PD feedback for a torque-controlled robot."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ from dmframe.block import (
 
 @final
 class PdTorque(AbstractBlock):
-    r"""A spring and a damper between the joints and their path.
+    r"""PD feedback: a spring and a damper between the joints and their path.
 
     .. math::
 
         \dot q_{ref} = \dot q_d, \quad \sigma = \dot q - \dot q_{ref}, \quad
         \tau_c = \tau_{dc} - K_e (q - q_d) - K_\sigma \sigma   \tag{1}
 
-    What it stores is the energy of the spring:
+    The storage function is the energy of the spring:
 
     .. math::
 
         S      &= \tfrac12 |q - q_d|^2_{K_e}   \tag{2} \\
         \dot S &= -\sigma^\top (K_\sigma + B) \sigma - \sigma^\top (K u - \tau_{dc} - B \sigma)   \tag{3}
 
-    Without a compensation :math:`\tau_{dc}` nothing supplies the torque that the motion needs along the reference. None
-    is needed at a goal that rests where gravity does not reach: there a spring and a damper are proved. Elsewhere the
-    supplies do not cancel, and `verify` refutes. V dissipates the velocity error alone: at a goal that rests the
-    position error goes to zero too, by LaSalle's principle, which `verify` does not carry out; on a moving path, with
-    a compensation that adapts, it need not.
+    Without a compensation :math:`\tau_{dc}` the torque along the reference is missing. It is zero for a constant goal
+    without gravity: `verify` proves PD feedback in this case. Otherwise the supply rates do not cancel, and `verify`
+    refutes the graph. V dissipates the velocity error only. For a constant goal the position error converges to zero
+    too, by LaSalle's principle, which `verify` does not apply. On a moving path with adaptive compensation it need not
+    converge.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class PdTorque(AbstractBlock):
 
     Notes
     -----
-    Not for: exact tracking; the spring gives a torque only where there is an error.
+    Not for: exact tracking; the spring torque is non-zero only with a position error.
 
     References
     ----------

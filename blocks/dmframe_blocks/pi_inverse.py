@@ -34,7 +34,7 @@ from dmframe.block import (
 
 @final
 class PiInverse(AdaptingBlock):
-    r"""Turns a reference velocity and a torque into the velocity command of a PI servo that nobody can open.
+    r"""Computes the velocity command of a closed PI servo from a reference velocity and a torque.
 
     .. math::
 
@@ -43,9 +43,9 @@ class PiInverse(AdaptingBlock):
         \dot w   &= -\Lambda (\tau_{dc} \sigma + \tau_f e_f)                                        \tag{2} \\
         \dot w_I &= \Lambda_I ((q_c - q_r) \sigma - q_f e_f)                                       \tag{3}
 
-    products element by element; the terms in :math:`e_f` are those of a composite adaptation, with a
-    `filtered_regressor`, and zero without. :math:`\tilde w = w - 1/K_\star` and :math:`\tilde w_I = w_I - K_I/K_P` are
-    the estimates minus their true values, with :math:`K_\star = K K_P`. With the servo's integrator i and
+    products element by element. The terms in :math:`e_f` are those of composite adaptation with a `filtered_regressor`,
+    and zero otherwise. :math:`\tilde w = w - 1/K_\star` and :math:`\tilde w_I = w_I - K_I/K_P` are the estimates minus
+    their true values, with :math:`K_\star = K K_P`. With the servo's integrator i and
     :math:`e = i + q_c - q_r`, so that :math:`\dot e = \sigma`:
 
     .. math::
@@ -55,20 +55,20 @@ class PiInverse(AdaptingBlock):
         \dot S &= -\sigma^\top (K_\star + B) \sigma - \sigma^\top (K u - \tau_{dc} - B \sigma)
                   - e_f^\top K_\star (\tilde w \tau_f + \tilde w_I q_f)                            \tag{5}
 
-    S does not weigh the command. With the momentum :math:`M \dot q`, the true gains drive
-    :math:`z_1 = q_c - q_r - M \dot q / K_\star`, and what is left beside :math:`z_1` is bounded, so
-    :math:`q_c - q_r` is too: :math:`\dot z_1 = -(K_I / K_P)\, z_1 + r`.
+    S does not contain the command. With the momentum :math:`M \dot q`, :math:`z_1 = q_c - q_r - M \dot q / K_\star` is
+    a stable linear subsystem with the true gains, :math:`\dot z_1 = -(K_I / K_P)\, z_1 + r`. Its input r and the
+    momentum are bounded, so :math:`q_c - q_r` is bounded.
 
     Parameters
     ----------
     Lambda : diagonal (n,), > 0
-        Adaptation gain of the scale w. Larger learns the servo's stiffness faster and passes more velocity noise.
+        Adaptation gain of the scale w. A larger gain adapts to the servo faster and passes more velocity noise.
     Lambda_I : diagonal (n,), > 0
         Adaptation gain of the ratio w_I.
     w, w_I : (n,), rad/(N m s), 1/s
-        The estimates at the start.
+        Initial estimates.
     w_box, w_I_box : [lower, upper]
-        Intervals onto which the estimates are projected; a known range only helps.
+        Intervals onto which the estimates are projected; correct intervals do not affect the proof.
 
     Notes
     -----
@@ -139,11 +139,11 @@ class PiInverse(AdaptingBlock):
         }
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
-        """The reference starts at the measured pose."""
+        """The reference position starts at the measured pose."""
         return {"q_r": u.q}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """(4) and (5), and what drives the command."""
+        """(4) and (5), and the stable linear subsystem of the command."""
         K_star = named("K_star", truth.K * truth.K_P)
         sigma = named("sigma", u.dq - u.dq_r)
         e, h = truth.i + u.q_c - x.q_r, u.q_c - x.q_r
@@ -166,7 +166,7 @@ class PiInverse(AdaptingBlock):
         )
 
     def _otherwise(self, p: Signals) -> tuple[Condition, ...]:
-        """(1) itself is stable while w_I stays above zero, which a box guarantees."""
+        """(1) is stable if w_I stays positive, which a box guarantees."""
         if "w_I_box" in p:
             return (Inequality("w_I_box: lower end > 0", p.w_I_box[:, 0], "Theorem 1, K_I-hat uniformly positive"),)
         text = sentence("{w_I} stays uniformly above zero (give w_I_box to make sure of it)")

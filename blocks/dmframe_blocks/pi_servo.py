@@ -1,4 +1,4 @@
-"""The maker's PI velocity servo."""
+"""Manufacturer's PI velocity servo."""
 
 from __future__ import annotations
 
@@ -23,22 +23,21 @@ from dmframe.block import (
 
 @final
 class PiServo(AbstractBlock):
-    r"""PI servo of the joint velocities, closed: nothing of it can be read or changed.
+    r"""Closed PI servo for joint velocities: it can be neither read nor changed.
 
     .. math::
 
         \dot i &= \dot q - \dot q_c                                \tag{1} \\
         u      &= -K_P (\dot q - \dot q_c) - K_I (i - q_{step})    \tag{2}
 
-    The servo integrates the velocity command by itself, :math:`q_c = q(0) + \int \dot q_c`, and reports the result;
-    makers call it the target position. :math:`q_{step}` is zero unless positions are commanded: see
-    `position_interface`. At the start the integrator holds the robot against gravity:
-    :math:`i(0) = -g(q)/(K K_I)`.
+    The servo integrates the velocity command, :math:`q_c = q(0) + \int \dot q_c`, and reports the result, usually
+    called the target position. :math:`q_{step}` is zero unless positions are commanded: see `position_interface`.
+    Initially the integrator holds the robot against gravity: :math:`i(0) = -g(q)/(K K_I)`.
 
     Parameters
     ----------
     K_P : diagonal (n,), V s/rad, > 0
-        Stiffness against velocity errors.
+        Gain on the velocity error.
     K_I : diagonal (n,), V/rad, > 0
         Integral gain.
 
@@ -76,9 +75,9 @@ class PiServo(AbstractBlock):
         )
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
-        """At rest, holding gravity."""
+        """At rest, with the integrator balancing gravity."""
         return {"q_c": u.q, "i": -truth.g / (truth.K * p.K_I)}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """Its energy stands with the block that inverts it; the command that it takes, with what came between."""
+        """No storage: that of the servo is in the block that inverts it. The truth is the command as it arrives."""
         return Certificate(truth={"dq_s": u.dq_c})

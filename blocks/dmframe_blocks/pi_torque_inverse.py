@@ -1,4 +1,4 @@
-"""Realises a torque through a PI velocity servo."""
+"""Adaptive realisation of a torque through a PI velocity servo."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from dmframe.block import (
 
 @final
 class PiTorqueInverse(AdaptingBlock):
-    r"""Turns a torque into the velocity command of a PI servo that nobody can open.
+    r"""Computes the velocity command of a closed PI servo from a torque.
 
     .. math::
 
@@ -42,8 +42,8 @@ class PiTorqueInverse(AdaptingBlock):
 
     products element by element; :math:`\epsilon` drives the adaptation, or :math:`e_f` of a `filtered_regressor`.
     Estimates minus true values: :math:`\tilde w = w - 1/K_\star`, :math:`\tilde w_I = w_I - K_I/K_P`, with
-    :math:`K_\star = K K_P`. The servo's integrator starts anywhere; its constant offset :math:`i - (q - q_c)` acts as
-    the torque :math:`-K K_I (i - q + q_c)`, which the regressor's bias column takes up.
+    :math:`K_\star = K K_P`. The initial value of the servo's integrator is arbitrary; its constant offset
+    :math:`i - (q - q_c)` acts as the torque :math:`-K K_I (i - q + q_c)`, for which the regressor has the bias column.
 
     .. math::
 
@@ -56,9 +56,9 @@ class PiTorqueInverse(AdaptingBlock):
     Lambda, Lambda_I : diagonal (n,), > 0
         Adaptation gains of w and w_I.
     w, w_I : (n,), rad/(N m s), 1/s
-        The estimates at the start.
+        Initial estimates.
     w_box, w_I_box : [lower, upper]
-        Intervals onto which the estimates are projected; a lower end of w_I_box above zero keeps the command stable.
+        Intervals onto which the estimates are projected; a positive lower bound of w_I_box keeps the command stable.
 
     Notes
     -----
@@ -129,7 +129,7 @@ class PiTorqueInverse(AdaptingBlock):
         )
 
     def _otherwise(self, p: Signals) -> tuple[Condition, ...]:
-        """The distance from q to q_c in (1) decays while w_I stays above zero, which a box guarantees."""
+        """The error q - q_c in (1) is stable if w_I stays positive, which a box guarantees."""
         if "w_I_box" in p:
             return (Inequality("w_I_box: lower end > 0", p.w_I_box[:, 0], "Section IV, K_I-hat uniformly positive"),)
         text = sentence("{w_I} stays uniformly above zero (give w_I_box to make sure of it)")

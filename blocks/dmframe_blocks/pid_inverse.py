@@ -36,7 +36,7 @@ from dmframe.block import (
 
 @final
 class PidInverse(AdaptingBlock):
-    r"""Turns a reference velocity and a torque into the velocity command of a PID servo that nobody can open.
+    r"""Computes the velocity command of a closed PID servo from a reference velocity and a torque.
 
     With :math:`e = q - q_r` and :math:`\dot z = q_c - q_r`, products element by element:
 
@@ -48,11 +48,12 @@ class PidInverse(AdaptingBlock):
         \dot w_P &= \Lambda_P (q_c - q_r) \sigma                          \tag{4} \\
         \dot w_I &= \Lambda_I z \sigma                                    \tag{5}
 
-    So the velocity reference is tied to the robot, eq. (32): what Section V runs, and what a cascade such as
-    `known_tracking` asks for, which then consumes :math:`|s|^2, s = \dot q - \dot q_r`. With ``tie: position`` the
-    reference position is tied instead, eq. (34), under a name of its own: :math:`\dot q_{ref} = \dot q_r` and
-    :math:`\dot q_{tie} = \dot q_r + K_c (q - q_{tie})` stands for :math:`q_r` everywhere. A passive filter
-    needs that one.
+    With ``tie: velocity``, the default, K_c feeds the position error back to the reference velocity, eq. (32). Section
+    V uses this form. A cascade such as `known_tracking`, with a cross term in :math:`|s|^2, s = \dot q - \dot q_r`,
+    requires it. With ``tie: position`` the feedback acts on the reference position instead, eq. (34), which then has
+    another name: :math:`\dot q_{ref} = \dot q_r`, and :math:`q_{tie}` with
+    :math:`\dot q_{tie} = \dot q_r + K_c (q - q_{tie})` replaces :math:`q_r` everywhere. A passive filter requires this
+    form.
 
     True values: :math:`1/K_\star`, :math:`K_P/K_D`, :math:`K_I/K_D`, with :math:`K_\star = K K_D`. With the servo's
     integrator i, :math:`E = i + z`, :math:`s = \sigma - K_c e` and
@@ -67,23 +68,25 @@ class PidInverse(AdaptingBlock):
         \dot S &= -s^\top (K_\star + B) s - e^\top K \bar M K_c e
              - \sigma^\top (K u - \tau_{dc} - B \sigma)                   \tag{7}
 
-    S does not weigh the command. With :math:`z_2 = q_c - q_r - M \dot q / K_\star`, the true gains drive
+    S does not contain the command. With :math:`z_2 = q_c - q_r - M \dot q / K_\star`,
 
-    :math:`\dot z = z_2 + r_1` and :math:`\dot z_2 = -(K_I / K_D)\, z - (K_P / K_D)\, z_2 + r_2`,
-    and what is left, r, is bounded; so are :math:`z` and :math:`q_c - q_r`, whatever w_P and w_I do.
+    :math:`\dot z = z_2 + r_1` and :math:`\dot z_2 = -(K_I / K_D)\, z - (K_P / K_D)\, z_2 + r_2`
+    is a stable linear subsystem with the true gains. Its inputs r are bounded; so are :math:`z` and
+    :math:`q_c - q_r`, for any w_P and w_I.
 
     Parameters
     ----------
     K_c : diagonal (n,), 1/s, > 0
-        Ties the reference to the measured pose. It must make M-bar positive, or zero; larger is safer and noisier.
+        Gain of the position feedback to the reference. M-bar must be positive or zero. A larger gain increases the
+        margin and passes more noise.
     tie : velocity or position
-        What is tied: the reference velocity, eq. (32), or the reference position, eq. (34).
+        Whether K_c acts on the reference velocity, eq. (32), or on the reference position, eq. (34).
     Lambda : diagonal (n,), > 0
-        Adaptation gain of the scale w. Larger learns the servo's stiffness faster and passes more velocity noise.
+        Adaptation gain of the scale w. A larger gain adapts to the servo faster and passes more velocity noise.
     Lambda_P, Lambda_I : diagonal (n,), > 0
         Adaptation gains of the ratios w_P and w_I.
     w, w_P, w_I : (n,), rad/(N m s), 1/s, 1/s^2
-        The estimates at the start.
+        Initial estimates.
 
     Notes
     -----
@@ -158,11 +161,11 @@ class PidInverse(AdaptingBlock):
         return {"w": -u.tau_dc * sigma, "w_P": (u.q_c - q_r) * sigma, "w_I": x.z * sigma}
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
-        """The reference starts at the measured pose."""
+        """The reference position starts at the measured pose."""
         return {"q_r" if self.tie == "velocity" else "q_tie": u.q}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """(6) and (7), and what drives the command."""
+        """(6) and (7), and the stable linear subsystem of the command."""
         K, K_D, K_P, K_I, B = truth.K, truth.K_D, truth.K_P, truth.K_I, truth.B
         K_star, M_bar = named("K_star", K * K_D), self._M_bar(p, truth)
         _, q_r, dq_ref = self._reference(u, x, p)
@@ -192,7 +195,7 @@ class PidInverse(AdaptingBlock):
         )
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
-        """M-bar is not negative; a cascade on a tied position asks for more, which its payment shows."""
+        """M-bar is non-negative; with ``tie: position`` a cascade has a stricter small-gain condition."""
         return (Inequality("M_bar >= 0", self._M_bar(p, truth), "Theorem 4 and Remark 5", strict=False),)
 
     def _reference(self, u: Signals, x: Signals, p: Signals) -> tuple[str, SX, SX]:
@@ -202,14 +205,13 @@ class PidInverse(AdaptingBlock):
         return "q_tie", x.q_tie, u.dq_r
 
     def _otherwise(self, p: Signals) -> tuple[Condition, ...]:
-        """(2) itself is stable while w_P and w_I move in boxes that keep it so."""
+        """(2) is stable if w_P and w_I move in suitable boxes."""
         equation = Written("z'' + w_P z' + w_I z = 0", "z̈ + w_P ż + w_I z = 0", r"\ddot z + w_P \dot z + w_I z = 0")
         moving = sentence("{equation} stays exponentially stable", equation=equation)
         if "w_P_box" in p and "w_I_box" in p:
             return (CommonLyapunov(moving, p.w_P_box, p.w_I_box, "eq. (43)"),)
-        return (
-            Assumption(sentence("{moving} (give w_P_box and w_I_box to have it checked)", moving=moving), "eq. (43)"),
-        )
+        text = sentence("{moving} (give w_P_box and w_I_box to have it checked)", moving=moving)
+        return (Assumption(text, "eq. (43)"),)
 
     def _M_bar(self, p: Signals, truth: Signals) -> SX:
         return named("M_bar", (truth.K_D + truth.B / truth.K) * p.K_c + truth.K_P - truth.K_I / p.K_c)

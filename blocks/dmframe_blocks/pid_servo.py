@@ -1,4 +1,4 @@
-"""The maker's PID position servo."""
+"""Manufacturer's PID position servo."""
 
 from __future__ import annotations
 
@@ -23,17 +23,16 @@ from dmframe.block import (
 
 @final
 class PidServo(AbstractBlock):
-    r"""PID servo of the joint positions, closed: nothing of it can be read or changed.
+    r"""Closed PID servo for joint positions: it can be neither read nor changed.
 
     .. math::
 
         \dot i &= q - q_c - q_{step}                                               \tag{1} \\
         u      &= -K_D (\dot q - \dot q_c) - K_P (q - q_c - q_{step}) - K_I i     \tag{2}
 
-    The servo integrates the velocity command by itself, :math:`q_c = q(0) + \int \dot q_c`, and reports the result;
-    makers call it the target position. :math:`q_{step}` is zero unless positions are commanded: see
-    `position_interface`. At the start the integrator holds the robot against gravity:
-    :math:`i(0) = -g(q)/(K K_I)`.
+    The servo integrates the velocity command, :math:`q_c = q(0) + \int \dot q_c`, and reports the result, usually
+    called the target position. :math:`q_{step}` is zero unless positions are commanded: see `position_interface`.
+    Initially the integrator holds the robot against gravity: :math:`i(0) = -g(q)/(K K_I)`.
 
     Parameters
     ----------
@@ -80,9 +79,9 @@ class PidServo(AbstractBlock):
         )
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
-        """At rest, holding gravity."""
+        """At rest, with the integrator balancing gravity."""
         return {"q_c": u.q, "i": -truth.g / (truth.K * p.K_I)}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """Its energy stands with the block that inverts it; the command that it takes, with what came between."""
+        """No storage: that of the servo is in the block that inverts it. The truth is the command as it arrives."""
         return Certificate(truth={"dq_s": u.dq_c})

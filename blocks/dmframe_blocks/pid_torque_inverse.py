@@ -1,4 +1,4 @@
-"""Realises a torque through a PID position servo."""
+"""Adaptive realisation of a torque through a PID position servo."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from dmframe.block import (
 
 @final
 class PidTorqueInverse(AdaptingBlock):
-    r"""Turns a torque into the command of a PID servo that nobody can open.
+    r"""Computes the velocity command of a closed PID servo from a torque.
 
     With :math:`z = \int (q_c - q)`, products element by element; :math:`\epsilon` drives the adaptation:
 
@@ -46,9 +46,9 @@ class PidTorqueInverse(AdaptingBlock):
         \dot w_I &= \Lambda_I z\, \epsilon                       \tag{4}
 
     Estimates minus true values: :math:`\tilde w = w - 1/K_\star`, :math:`\tilde w_P = w_P - K_P/K_D`,
-    :math:`\tilde w_I = w_I - K_I/K_D`, with :math:`K_\star = K K_D`. The servo's
-    integrator starts anywhere; its constant offset i + z acts as the torque :math:`-K K_I (i + z)`, which the
-    regressor's bias column takes up.
+    :math:`\tilde w_I = w_I - K_I/K_D`, with :math:`K_\star = K K_D`. The initial value of the servo's integrator is
+    arbitrary; its constant offset i + z acts as the torque :math:`-K K_I (i + z)`, for which the regressor has the bias
+    column.
 
     .. math::
 
@@ -61,7 +61,7 @@ class PidTorqueInverse(AdaptingBlock):
     Lambda, Lambda_P, Lambda_I : diagonal (n,), > 0
         Adaptation gains of w, w_P and w_I.
     w, w_P, w_I : (n,), rad/(N m s), 1/s, 1/s^2
-        The estimates at the start.
+        Initial estimates.
 
     Notes
     -----
@@ -126,11 +126,10 @@ class PidTorqueInverse(AdaptingBlock):
         )
 
     def _otherwise(self, p: Signals) -> tuple[Condition, ...]:
-        """The distance from q to q_c in (1) decays while w_P and w_I move in boxes that keep it so."""
+        """The error q - q_c in (1) is stable if w_P and w_I move in suitable boxes."""
         equation = Written("z'' + w_P z' + w_I z = 0", "z̈ + w_P ż + w_I z = 0", r"\ddot z + w_P \dot z + w_I z = 0")
         moving = sentence("{equation} stays exponentially stable", equation=equation)
         if "w_P_box" in p and "w_I_box" in p:
             return (CommonLyapunov(moving, p.w_P_box, p.w_I_box, "eq. (43)"),)
-        return (
-            Assumption(sentence("{moving} (give w_P_box and w_I_box to have it checked)", moving=moving), "eq. (43)"),
-        )
+        text = sentence("{moving} (give w_P_box and w_I_box to have it checked)", moving=moving)
+        return (Assumption(text, "eq. (43)"),)

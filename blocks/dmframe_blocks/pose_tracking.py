@@ -1,4 +1,4 @@
-"""Reference for tracking with the tool's position and orientation, kinematics known."""
+"""Reference for tracking position and orientation of the tool with known kinematics."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from dmframe_blocks._quaternions import LESS_THAN_HALF_A_TURN, apart, left, righ
 
 @final
 class PoseTracking(AbstractBlock):
-    r"""Joint reference that leads the tool onto its path, and turns it as it should be.
+    r"""Joint reference velocity for tracking a path of tool positions and orientations.
 
-    The desired orientation comes as a quaternion :math:`p_d` of any length but zero. Of it are made the matrices E and
-    G, 3 x 4, with which :math:`R_d` is orthogonal identically:
+    The desired orientation is a quaternion :math:`p_d` of any length but zero. From it follow the 3 x 4 matrices E and
+    G, with which :math:`R_d` is identically orthogonal:
 
     .. math::
 
@@ -41,11 +41,11 @@ class PoseTracking(AbstractBlock):
         J_{pose}^+ = J_{pose}^\top (J_{pose} J_{pose}^\top)^{-1}                                   \tag{2}
 
     with :math:`v_d = (\dot x_d, \mathrm{lever}\, \omega_d)` and :math:`e = (x - x_d, \mathrm{lever}\, e_R)`.
-    :math:`e_R` is the vector of :math:`R R_d^\top - R_d R^\top`: the axis of the turn from :math:`R_d` to R, times
+    :math:`e_R` is the vector of :math:`R R_d^\top - R_d R^\top`: the axis of the rotation from :math:`R_d` to R, times
     twice the sine of its angle.
 
-    With :math:`b = J_{pose}^\top e` and :math:`s = \dot q - \dot q_r` it is a cascade on the servo level, of which it
-    consumes :math:`|s|^2 / \gamma`, as `known_tracking`:
+    With :math:`b = J_{pose}^\top e` and :math:`s = \dot q - \dot q_r` it forms a cascade with the servo level. Its
+    cross term is :math:`|s|^2 / \gamma`, as for `known_tracking`:
 
     .. math::
 
@@ -55,17 +55,17 @@ class PoseTracking(AbstractBlock):
     Parameters
     ----------
     gamma : scalar, rad^2/(m^2 s), > 0
-        Task gain. Larger closes the error faster and asks more of the servo and of the sampling period.
+        Task gain. A larger gain reduces the error faster; it requires a faster servo and a shorter sampling period.
 
     Notes
     -----
-    Almost global: with D for the output R_apart, 8 times the square of the sine of half the angle between R and
-    :math:`R_d`, :math:`|e_R|^2 = D (8 - D)/4`. So where :math:`e_R` goes to zero, the tool comes to its orientation, or
-    to half a turn from it, where D is 8. V holds half of :math:`\mathrm{lever}^2 D` and does not grow: from
-    :math:`V(0) < 4\, \mathrm{lever}^2` it never gets there. From beyond it may, but stays there by chance alone: D is
-    largest there, and the reference leads away from it.
+    Convergence is almost global. Let D be the output R_apart, 8 times the square of the sine of half the angle between
+    R and :math:`R_d`; then :math:`|e_R|^2 = D (8 - D)/4`. If :math:`e_R` converges to zero, the tool converges to its
+    desired orientation, or to half a turn from it, where D is 8. V contains half of :math:`\mathrm{lever}^2 D` and does
+    not increase, so the second case is excluded for :math:`V(0) < 4\, \mathrm{lever}^2`. For larger V(0) it is an
+    unstable equilibrium: D has its maximum there.
 
-    Not for: a singular Jacobian, or kinematics that are uncertain: `observed_pose_tracking`.
+    Not for: a singular Jacobian; uncertain kinematics, see `observed_pose_tracking`.
 
     References
     ----------
@@ -118,7 +118,7 @@ class PoseTracking(AbstractBlock):
         )
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
-        """Half a turn from its orientation the tool feels no error."""
+        """The orientation error is less than half a turn, where e_R vanishes too."""
         return (LESS_THAN_HALF_A_TURN,)
 
 

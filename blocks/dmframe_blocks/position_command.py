@@ -1,4 +1,4 @@
-"""Commands joint positions instead of velocities."""
+"""Joint position command from a velocity command."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from dmframe.block import AbstractBlock, Access, Certificate, Equations, Input, 
 
 @final
 class PositionCommand(AbstractBlock):
-    r"""Sends the integral of the velocity command, for a robot that takes joint positions.
+    r"""Sends the integral of the velocity command, for a robot with a joint position interface.
 
     .. math::
 
         q_t = q_c   \tag{1}
 
-    On a clock it is held from one sample to the next: the robot gets a staircase. `position_interface` is its
-    counterpart in the plant.
+    On a clock it is held between samples, so that the robot receives a staircase. `position_interface` is the
+    corresponding block of the plant.
 
     Parameters
     ----------
@@ -24,12 +24,12 @@ class PositionCommand(AbstractBlock):
 
     Notes
     -----
-    :math:`q_c(t_k)` is what the controller has commanded so far, the sum of its own held velocities times the period;
-    it needs no measurement, though here it is read from the servo, which is the same number.
+    :math:`q_c(t_k)` is the sum of the commanded velocities times the period, so it requires no measurement. Here it is
+    read from the servo, which computes the same number.
 
     References
     ----------
-    [WangTAC2020]_, the servos, which take :math:`\dot q_c` and its integral.
+    [WangTAC2020]_, the servos, whose inputs are :math:`\dot q_c` and its integral.
     """
 
     inputs = (Input("q_c", "n", "rad"),)

@@ -1,4 +1,4 @@
-"""A maker's interface for joint positions."""
+"""Joint position interface of a robot."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from dmframe.block import AbstractBlock, Certificate, Equations, Input, Output, 
 
 @final
 class PositionInterface(AbstractBlock):
-    r"""Hands the commanded position to the servo as it comes, as a staircase, without interpolation.
+    r"""Passes the commanded position to the servo as a staircase, without interpolation.
 
     .. math::
 
         q_{step} = q_t - q_c   \tag{1}
 
     with :math:`q_c` the integral of the velocity command, so that the servo's position error is :math:`q - q_t`. In
-    continuous time :math:`q_{step}` is zero, and what is proved is proved for both kinds of command. On a clock the
-    position lags by half a period on average; the velocity still comes along, as a feed-forward.
+    continuous time :math:`q_{step}` is zero, so that proofs hold for both kinds of command. On a clock the position
+    lags by half a period on average; the velocity command still acts as feed-forward.
 
     Parameters
     ----------
@@ -25,9 +25,9 @@ class PositionInterface(AbstractBlock):
 
     Notes
     -----
-    Not for: a maker who interpolates linearly from one commanded position to the next; that is the velocity command
-    with a delay of one period, or without one if the controller sends the position one period ahead. Nor for one who
-    takes positions and leaves the velocity error out; its servo is not that of eqs. (6), (7).
+    Not for: an interface that interpolates linearly between commanded positions; it is equivalent to the velocity
+    command with a delay of one period, or without delay if the controller sends the position one period ahead. Nor for
+    a servo without velocity feed-forward, which differs from eqs. (6), (7).
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""The dynamic regressor along the reference motion."""
+"""Dynamic regressor along the reference motion."""
 
 from __future__ import annotations
 
@@ -31,38 +31,40 @@ from dmframe_blocks._loads import with_held
 
 @final
 class Regressor(AbstractBlock):
-    r"""The matrix in which the robot's dynamics is linear in its dynamic parameters.
+    r"""Regressor matrix: the robot's dynamics are linear in the dynamic parameters.
 
     .. math::
 
         Y_d\, a_d = M(q, a_d) \ddot q_{ref} + C(q, \dot q, a_d) \dot q_{ref} + B \dot q_{ref}
                     + D\, \phi(\dot q_{ref}) + g(q, a_d)   \tag{1}
 
-    The estimates may start at the share `nominal` of the model's inertial parameters; the friction is unknown, and the
-    bias starts at the gravity that the servo holds at rest.
+    The initial estimates may be the fraction `nominal` of the model's inertial parameters, with zero friction; the bias
+    starts at the gravity torque that the servo holds at rest.
 
-    :math:`a_d` holds ten inertial parameters a link (mass, first moments, inertia about the joint frame), then the
-    elements of B and of D, as `friction` says; :math:`\phi(v) = \tanh(v / v_0)` smooths the sign in the plant too.
-    Masses and first moments count twice, once in motion and once in gravity, where `gravity` is apart; the start then
-    takes the servo to compensate nothing.
+    :math:`a_d` contains ten inertial parameters per link (mass, first moments, inertia about the joint frame), then the
+    elements of B and of D according to `friction`; :math:`\phi(v) = \tanh(v / v_0)` smooths the sign, in the plant too.
+    If `gravity` is apart, masses and first moments appear twice, for motion and for gravity; the initial estimates then
+    assume that the servo compensates no gravity.
 
     Parameters
     ----------
     friction : list of viscous, coulomb
-        Friction that the compensator estimates along with the inertial parameters. Left out, that of (5), viscous; each
-        kind that the plant has is needed, and one that it has not is learnt to be zero.
+        Friction that the compensator estimates with the inertial parameters; by default viscous, as in eq. (5).
+        It must include each kind that the plant has; an estimate of a kind that the plant does not have converges
+        towards zero under excitation.
     gravity : together or apart
-        Whether gravity is estimated by the masses that the motion has too, or apart from them, for a servo that may
-        already compensate some of it.
+        Whether gravity has the same parameters as the motion, or separate ones, for a servo that may already compensate
+        a part of gravity.
     bias : true or false
-        Estimate a constant torque a joint too, such as the offset of the servo's integrator.
+        Also estimate a constant torque per joint, such as the offset of the servo's integrator.
     nominal : scalar, >= 0
-        Let the estimates start at this share of the robot's own inertial parameters, as from a drawing that is wrong:
-        1 knows the links and not the friction. Left out, they start where the adaptation says, or at zero.
+        Initial estimates as a fraction of the robot's own inertial parameters, for example of an inaccurate drawing:
+        with 1 the links are known and the friction is not. By default the adaptation block determines them, else zero.
 
     Notes
     -----
-    The full set of parameters and an orthonormal base set move a gradient adaptation with a scalar gain alike.
+    With a scalar gain, a gradient adaptation gives the same torque for the full set of parameters and for an
+    orthonormal base set.
 
     References
     ----------
@@ -98,9 +100,9 @@ class Regressor(AbstractBlock):
         return {"p": self._parameters(robot).elements}
 
     def prior(self, robot: Any, others: Fraction) -> list[list[Fraction]]:
-        """Link by link the natural gain of the nominal inertia; `others`, squared, for each friction and bias.
+        """The natural gain of the nominal inertia for each link; `others`, squared, for each friction and bias.
 
-        The gravity's own masses and first moments, where it is apart, vary like those of the motion, and by themselves.
+        Separate masses and first moments of gravity have the same variance as those of the motion, independently.
         """
         links, rest = [natural_gain(row) for row in robot.inertia], [[[others * others]]] * robot.n
         given: dict[Part, list[list[list[Fraction]]]] = {
@@ -119,7 +121,7 @@ class Regressor(AbstractBlock):
         return rows
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1) and, if asked, the nominal parameters."""
+        """(1) and, with `nominal`, the nominal parameters."""
         robot, a_d = p.robot, self._parameters(p.robot.chain)
         columns: dict[Part, SX] = {
             "inertial": robot.regressor(u.q, u.dq, u.dq_ref, u.ddq_ref),
@@ -145,9 +147,9 @@ class Regressor(AbstractBlock):
         return Equations(outputs=outputs)
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """Nothing is stored; the true a_d, with what the plant's tool holds as a part of the last link.
+        """No storage; the true a_d, in which the load of the plant is a part of the last link.
 
-        A maker's servo knows the robot's own links alone: what it compensates of their gravity is taken from that.
+        The manufacturer's servo compensates gravity of the robot's own links only.
         """
         a_d, names = self._parameters(p.robot.chain), {"viscous": "B", "coulomb": "D", "bias": "tau_bias"}
         true: dict[Part, SX] = {part: getattr(truth, names[part]) for part in a_d.parts if part in names}
@@ -158,7 +160,7 @@ class Regressor(AbstractBlock):
         return Certificate(truth={"a_d": ca.vertcat(*a_d.in_order(true))})
 
     def conditions(self, p: Signals, truth: Signals) -> tuple[Condition, ...]:
-        """Whatever friction the plant has, the regressor has a column for it."""
+        """The regressor has a column for each kind of friction of the plant."""
         return columns_for(self.friction, truth)
 
     def _links(self, p: Signals, truth: Signals) -> SX:
@@ -171,7 +173,7 @@ class Regressor(AbstractBlock):
 
 @operation
 def heavy(a: SX) -> SX:
-    """Of a link's ten inertial parameters, or of their columns, the four that weigh: mass and first moments."""
+    """Mass and first moments of a link's ten inertial parameters, or their columns: the four that affect gravity."""
     size = a.shape[0] if a.is_column() else a.shape[1]
     places = [place for place in range(size) if place % len(INERTIAL) < WEIGHING]
     return a[places] if a.is_column() else a[:, places]

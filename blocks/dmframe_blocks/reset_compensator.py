@@ -1,4 +1,4 @@
-"""Gradient adaptation of dynamic parameters whose load's part starts again whenever another load is there."""
+"""Gradient adaptation of dynamic parameters with a reset of the load's parameters at each change of load."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from dmframe.block import (
     operation,
 )
 
-TEN = 10  # parameters of a load, which stand in front
+TEN = 10  # parameters of a load, which come first
 
 
 @final
 class ResetCompensator(AdaptingBlock):
-    r"""Compensates the dynamics, and begins anew with the load's parameters when it is told of another one.
+    r"""Adaptive dynamic compensation that resets the load's parameters when a signal indicates a new load.
 
-    A state in continuous time does not jump. So there are two sets of estimates of the load, one in use and one idle,
-    which change places when `odd` does. With :math:`c_{odd}` and :math:`s_{odd}` the cosine and the sine of a quarter
-    turn times `odd`, that is 1 and 0 or 0 and 1, for the ten first parameters, and 1 and 0 for all others; with
-    :math:`a_{before}` the prior and what is expected of a load; with :math:`\lambda = \mathrm{clearing}`; and products
+    A continuous state cannot jump. There are therefore two sets of estimates of the load, one in use and one idle,
+    which are exchanged when `odd` changes. For the first ten parameters :math:`c_{odd}` and :math:`s_{odd}` are the
+    cosine and the sine of a quarter turn times `odd`, that is 1 and 0 or 0 and 1; for all others 1 and 0.
+    :math:`a_{before}` is the prior plus the expected load, and :math:`\lambda = \mathrm{clearing}`. With products
     element by element:
 
     .. math::
@@ -48,33 +48,32 @@ class ResetCompensator(AdaptingBlock):
         \dot a_{even} &= -\Gamma c_{odd}\, (Y_d^\top \sigma) + \lambda s_{odd}\, \mathrm{idle}   \tag{3} \\
         \dot a_{odd} &= -\Gamma s_{odd}\, (Y_d^\top \sigma) - \lambda c_{odd}\, \mathrm{idle}   \tag{4}
 
-    The estimate moves by the plain gradient, and what is idle fades: when its turn comes, some time after, it begins at
-    the prior. With :math:`\tilde a_d = \hat a_d - a_d`, and because their squares make 1 whatever `odd` is,
+    The estimate in use follows the gradient law. The idle set decays, so that it starts near the prior when it is used
+    next. With :math:`\tilde a_d = \hat a_d - a_d`, and since the squares of cosine and sine add up to 1 for any `odd`,
 
     .. math::
 
         S &= \tfrac12 |\tilde a_d|^2_{\Gamma^{-1}} + \tfrac12 |\mathrm{idle}|^2_{\Gamma^{-1}}   \tag{5} \\
         \dot S &= -\sigma^\top Y_d \tilde a_d - \lambda |\mathrm{idle}|^2_{\Gamma^{-1}}   \tag{6}
 
-    Where `odd` steps, the two sets change places in S: of a load's parameters, half of :math:`|\tilde a_d|^2 +
-    |\mathrm{idle}|^2` before becomes that of the prior's error and of all that had been learnt, if the idle set had
-    faded.
+    When `odd` changes, the two sets are exchanged in S. If the idle set has decayed, half of :math:`|\tilde a_d|^2 +
+    |\mathrm{idle}|^2` of the load's parameters becomes the sum for the prior's error and for the previous estimate.
 
     Parameters
     ----------
     Gamma : diagonal (p,), > 0
         Adaptation gain.
     a_d_hat : (p,)
-        The estimate at the start, and that of the load after each reset, beside what is expected of it; zero if left
-        out.
+        Initial estimate, and the estimate of the load after each reset, to which the expected load is added; by default
+        zero.
     clearing : scalar, 1/s, >= 0
-        Rate at which the idle set fades. At 0 it is kept, and what was learnt of a load is there again when every other
-        one is the same, such as the empty gripper.
+        Decay rate of the idle set. With 0 it is kept, so that the estimate of a load is available again if every other
+        load is the same, such as the empty gripper.
 
     Notes
     -----
-    Of Gamma T and clearing T, T being the sampling period, the latter has to stay below one. Not for: two loads in a
-    shorter time than some 3/clearing.
+    clearing times the sampling period has to stay below one. Not for: loads that change within less than about
+    3/clearing.
 
     References
     ----------
@@ -128,7 +127,7 @@ class ResetCompensator(AdaptingBlock):
         return named("c_odd", cosines(u.odd, p.Gamma)), named("s_odd", sines(u.odd, p.Gamma))
 
     def _before(self, u: Signals, p: Signals) -> SX:
-        """What is held for true before anything is learnt."""
+        """The prior plus the expected load."""
         prior = p.a_d_hat if "a_d_hat" in p else ca.SX.zeros(p.Gamma.shape)
         return named("a_before", before(u.a_expected, prior))
 
@@ -140,17 +139,17 @@ class ResetCompensator(AdaptingBlock):
 
 @operation
 def cosines(odd: Any, every: Any) -> Any:
-    """Of a quarter turn times `odd` for what a load has, 1 for all else."""
+    """Cosine of a quarter turn times `odd` for the parameters of a load, 1 for all others."""
     return ca.vertcat(ca.repmat(ca.cos(ca.pi / 2 * odd), TEN, 1), ca.SX.ones(every.shape[0] - TEN))
 
 
 @operation
 def sines(odd: Any, every: Any) -> Any:
-    """Of a quarter turn times `odd` for what a load has, 0 for all else."""
+    """Sine of a quarter turn times `odd` for the parameters of a load, 0 for all others."""
     return ca.vertcat(ca.repmat(ca.sin(ca.pi / 2 * odd), TEN, 1), ca.SX.zeros(every.shape[0] - TEN))
 
 
 @operation
 def before(a_expected: Any, prior: Any) -> Any:
-    """The prior, and to its first ten what is expected."""
+    """The prior, with the expected load added to its first ten elements."""
     return prior + ca.vertcat(a_expected, ca.SX.zeros(prior.shape[0] - TEN))

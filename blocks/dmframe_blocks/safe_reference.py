@@ -1,4 +1,4 @@
-"""A reference velocity that leads no joint beyond its limits."""
+"""Reference velocity that respects joint limits."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from dmframe.block import (
 
 @final
 class SafeReference(AbstractBlock):
-    r"""Holds a reference velocity between what the joints' limits of position and velocity leave.
+    r"""Limits a reference velocity so that the joints respect their position and velocity limits.
 
     .. math::
 
@@ -40,49 +40,49 @@ class SafeReference(AbstractBlock):
                    + \mathrm{rounding} \sqrt{1 + ((\dot q_{wish} - v_{low}) / \mathrm{rounding})^2}
                    - \mathrm{rounding} \sqrt{1 + ((\dot q_{wish} - v_{up}) / \mathrm{rounding})^2})   \tag{4}
 
-    and with limits that a graph gives
+    and with limits from the graph
 
     .. math::
 
         r_{up}  &= \mathrm{approach} (\mathrm{upper} - \mathrm{margin} - q), \quad
         r_{low} = \mathrm{approach} (q - \mathrm{lower} - \mathrm{margin})   \tag{5}
 
-    (2) is smooth, and never above :math:`r_{up}` and :math:`v_{max}`; (3) likewise below. (4) lies between both,
-    whatever is wished, and is the wish where that is well between them. The limits :math:`q_{min}`, :math:`q_{max}` and
-    :math:`v_{max}` are those of the robot's URDF, unless `lower`, `upper` and `speed` say others.
+    (2) is smooth and never above :math:`r_{up}` and :math:`v_{max}`; (3) correspondingly below. (4) always lies between
+    both, and approximates the wish if that is well between them. The limits :math:`q_{min}`, :math:`q_{max}` and
+    :math:`v_{max}` are those of the robot's URDF, unless `lower`, `upper` and `speed` are given.
 
-    The servo level of the proof falls for any reference velocity whose derivative the controller knows: so it is the
-    reference that is limited, never the command. A joint's room shrinks no faster than approach times itself and the
-    error s of following the reference, on which V has no more than V(0) to spend: `verify` says by how much each joint
-    may pass the limits that the reference keeps, from where the loop starts and from the intervals of `uncertain`. A
-    `margin` of so much keeps the true limits.
+    The storage of the servo level decreases for any reference velocity with a known derivative. The block therefore
+    limits the reference, not the command. The distance of a joint from its limit decreases no faster than approach
+    times the distance plus the velocity tracking error s, whose square V dissipates; V(0) bounds its integral. `verify`
+    computes by how much each joint may exceed the limits of the reference, from the initial state and the intervals of
+    `uncertain`. A `margin` of this size keeps the true limits.
 
-    The limits go before the path: while one is active the tool waits or leaves its path, and nothing is proved of the
-    task. What the generator stores is no part of V.
+    The limits have precedence over the path: while one is active the tool waits or leaves its path, and there is no
+    proof for the task. The storage of the generator is not a part of V.
 
     Parameters
     ----------
     approach : diagonal (n,), 1/s, > 0
-        How fast a joint may use up its room: at the distance h from its limit no faster than approach times h.
+        Approach rate: at the distance h from its limit a joint's velocity towards it is at most approach times h.
     margin : diagonal (n,), rad, >= 0
-        By how much the reference stops before each limit.
+        Distance from each limit at which the reference stops.
     rounding : diagonal (n,), rad/s, > 0
-        Of the rounding where one bound takes over from another. Smaller is nearer to the sharp bounds, and asks for
+        Width of the smooth transition between bounds. A smaller width approximates the bounds more closely and requires
         more acceleration there.
     lower, upper : diagonal (n,), rad
-        Limits of the joints; without them, those of the robot's URDF.
+        Position limits of the joints; by default those of the robot's URDF.
     speed : diagonal (n,), rad/s, > 0
-        Limits of the velocities; likewise.
+        Velocity limits of the joints; by default those of the robot's URDF.
 
     Notes
     -----
-    Not for: a generator over an observer or adaptive kinematics, whose proof is one with theirs; limits of the task
-    space, torques or accelerations. The command is not limited: a disturbance that the
-    servo's inverse compensates comes on top of the reference. The tube is one of continuous time.
+    Not for: a generator with an observer or adaptive kinematics, whose proofs are coupled; limits of task space,
+    torques or accelerations. The command itself is not limited: the compensation of disturbances by the servo's inverse
+    is added to the reference. The bound holds in continuous time.
 
     References
     ----------
-    [Ames2019]_ for barriers; [WangTAC2020]_ Theorem 4 for what is spent on s.
+    [Ames2019]_ for barriers; [WangTAC2020]_ Theorem 4 for the dissipation of s.
     """
 
     uses_robot = True
@@ -117,11 +117,11 @@ class SafeReference(AbstractBlock):
         )
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """Nothing is stored; what is wished is not what is followed."""
+        """No storage; the wish is not the reference that is tracked."""
         return Certificate(barriers=(self._barrier(u, p),), filters=("dq_wish",))
 
     def conditions(self, p: Signals, truth: Signals) -> tuple[Condition, ...]:
-        """There is room between the limits."""
+        """The admissible range between the limits is not empty."""
         q_min, q_max, _ = self._limits(p)
         text = "the margins leave room between the limits"
         return (Inequality(text, q_max - q_min - 2 * p.margin, "there is a pose to be in"),)
@@ -139,5 +139,5 @@ class SafeReference(AbstractBlock):
 
 
 def root(x: Any) -> Any:
-    """The root of 1 + x^2."""
+    """The square root of 1 + x^2."""
     return ca.sqrt(1 + x**2)

@@ -1,4 +1,4 @@
-"""Adaptive inverse of a position servo, over one sample."""
+"""Adaptive inverse of a closed servo in discrete time."""
 
 from __future__ import annotations
 
@@ -42,114 +42,115 @@ from dmframe_blocks._loads import with_held
 from dmframe_blocks._sample_estimators import Estimator, Learning, Projection, least_squares, triangle
 
 _PREDICTING = 4
-"""Newton's steps with which the average velocity of a sample is predicted whose command is known."""
+"""Newton steps for predicting the average velocity of a sample with a known command."""
 
 
 @final
 class SampledInverse(AbstractBlock):
-    r"""Learns over samples how a closed servo answers, and commands what makes it move as asked.
+    r"""Identifies the discrete-time response of a closed servo and computes the command for a reference velocity.
 
-    Averaged over a sample from kT to (k+1)T with the command u held, servo and robot are linear in constants of each
-    joint, from measured positions alone. With v = (q(k+1) - q(k))/T, the middle pose m = q + T v/2, the servo's target
-    target, e = m - target - T u/2 and z the sum of T e over the samples before:
+    Averaged over a sample from kT to (k+1)T with constant command u, servo and robot satisfy an equation that is linear
+    in constant parameters of each joint and uses measured positions only. With v = (q(k+1) - q(k))/T, the middle pose
+    m = q + T v/2, the servo's target target, e = m - target - T u/2 and z the sum of T e over the earlier samples:
 
         y = u - v = psi' theta,    psi = (e, z + T e/2, 1, [Y_p(m, v) - Y_p before]/T - Y_c(m, v) + Y_g(m), v, phi(v))
 
-    theta = (K_P/K_D, K_I/K_D, offset, w a, w B, w D), w = 1/(K K_D). It is the inverse of `pid_inverse` with equality,
-    so theta follows by regression, whatever moved the robot; no plant stands in the loop of the adaptation. Of a PI
-    servo the row is (e, 1, ...), theta (K_I/K_P, offset, ...), w = 1/(K K_P).
+    theta = (K_P/K_D, K_I/K_D, offset, w a, w B, w D), w = 1/(K K_D). It is the inverse of `pid_inverse` as an identity
+    of measured data, so theta follows by regression from any motion; the adaptation does not depend on a feedback
+    through the plant. For a PI servo the row is (e, 1, ...), theta is (K_I/K_P, offset, ...), and w = 1/(K K_P).
 
-    *Rows.* With `filtered`, what both sides have been over the time tau is taken from them, except from the 1:
-    h = psi - L psi and g = y - L y, L y(k+1) = (1 - T/tau) L y(k) + T/tau y(k). So a target that is known but for a
-    constant is as good, and z may drift.
+    *Rows.* With `filtered`, both sides are high-pass filtered with the time constant tau, except for the 1:
+    h = psi - L psi and g = y - L y, L y(k+1) = (1 - T/tau) L y(k) + T/tau y(k). The target then needs to be known up to
+    a constant only, and z may drift.
 
-    *Estimate.* For the new row, the stored ones from new to old, and the new one once more,
+    *Estimate by projections.* For the new row, the stored rows from new to old, and the new row again,
 
         theta = theta + Gamma h (g - h' theta)/(nu + h' Gamma h)
 
-    then each element is put back into its box. With theta in the box the sum of the squared errors, weighed by the
-    inverse of Gamma, rises in no step by more than eta^2/(nu + h' Gamma h), eta being what averages of functions lose
-    against functions of averages, whatever the command, the period and the gain.
+    then each element is clipped to its box. If the true theta is in the box, the sum of the squared estimation errors,
+    weighted with the inverse of Gamma, increases by at most eta^2/(nu + h' Gamma h) per step, for any command, period
+    and gain. eta is the difference between averages of functions and functions of averages.
 
-    *Estimate by least squares.* Instead, of all rows so far: for the new one alone, with a matrix G for each joint,
+    *Estimate by least squares.* Alternatively, recursive least squares over all rows, with a matrix G for each joint:
 
         theta = theta + P h (g - h' theta)/(nu + h' P h),    P = (1/Gamma + G)^-1,    G = retention (G + h h'/nu)
 
-    The squared errors, weighed by 1/Gamma + G, rise by no more than eta^2/nu a sample. P is never above Gamma, so that
-    what no row shows is learnt no faster than with projections; what many rows have shown is hardly moved by one more.
-    A face of the box is met along the nearest line as P^-1 measures it; where that leads out of another face, G of
-    that joint starts again at zero.
+    The squared estimation errors, weighted with 1/Gamma + G, increase by at most eta^2/nu per sample. P is at most
+    Gamma, so directions without data have the same gain as with projections, and directions with much data change
+    little. The estimate is projected onto a violated face of the box in the norm of P^-1; if the result violates
+    another face, G of that joint is reset to zero.
 
-    *Command.* u makes the predicted error of the coming sample zero, if its average velocity is dq_r:
+    *Command.* u makes the predicted residual of the coming sample zero for the average velocity dq_r:
 
         u = (dq_r + psi(dq_r, u = 0)' theta + L (y - psi' theta))/(1 + k_P T/2 + k_I T^2/4)
 
-    its momentum changing from the last planned velocity to this one. Where w M/T is no safe slope, the momentum stays
-    out: the symmetric part of 1 + w M/T - (1/2 + margin) is to be positive definite, and |w M/T| at most 4.
+    with the change of momentum from the last planned velocity to this one. The change of momentum is omitted unless the
+    symmetric part of 1 + w M/T - (1/2 + margin) is positive definite and |w M/T| is at most 4.
 
-    *Delay.* A command acts `delay` samples later. The samples until then, whose commands are known, are predicted one
-    by one from the same relation; q_start is where the robot then is.
+    *Delay.* A command acts `delay` samples later. The samples until then, whose commands are known, are predicted in
+    sequence with the same equation; q_start is the predicted pose.
 
-    A joint whose command was clipped at u_max learns nothing from that sample. With `echoed`, u and target are what the
-    robot says that they were.
+    The estimate of a joint whose command was clipped at u_max is not updated with that sample. With `echoed`, u and
+    target are computed from the target that the robot reports.
 
     Parameters
     ----------
     servo : pid or pi
-        What the maker's servo is: PID of positions, or PI of velocities.
+        Kind of the manufacturer's servo: PID for positions, or PI for velocities.
     friction : list of viscous, coulomb
         Friction with a column for each joint.
     delay : 0, 1 or 2
-        Whole samples from a command to its effect. It must be right.
+        Whole samples from a command to its effect. It must be correct.
     estimator : projection or least_squares
-        How theta is learnt. Behind an encoder least squares wants `average` 2 or more, without which it drifts, and is
-        quieter then; it errs more, for seconds, when a load changes.
+        Estimator of theta. With a quantising encoder least squares needs `average` 2 or more, otherwise it drifts; it
+        is then less noisy than projections. After a change of load its errors are larger for some seconds.
     retention : scalar, > 0, <= 1
-        Of least squares: the share of G that is kept from sample to sample. At 0.98 some 50 samples count.
+        Least squares only: the fraction of G retained per sample. With 0.98 about 50 samples have weight.
     replay : number, > 0
-        How many samples are kept and learnt from again; least squares keeps none.
+        Number of stored samples that are used again at each sample; least squares stores none.
     average : number, > 0
-        How many samples in a row are learnt from as one, their mean: some 70 ms of an encoder with steps.
+        Number of consecutive samples whose mean is one row: about 70 ms with a quantising encoder.
     stride : number, > 0
-        Of how many samples one is stored: those that are replayed should be some 90 ms apart. Not of least squares.
+        Store every stride-th sample: stored samples should be about 90 ms apart. Projections only.
     filtered : true or false
-        Learn from changes within tau. Without it an error of the target, even constant, grows in z.
+        High-pass filter both sides with tau. Without it even a constant error of the target grows in z.
     tau : scalar, s, > 0
-        The time over which what is slow counts as a disturbance, and not as something to learn.
+        Time constant of the high-pass filter: slower changes are treated as disturbances and not identified.
     nu : scalar, rad^2/s^2, > 0
-        Below this share of h' Gamma h a row teaches little. Larger is quieter and slower.
+        Normalisation: a row with h' Gamma h well below nu has little effect. A larger nu is less noisy and slower.
     w_0 : diagonal (n,), rad/(N m s), > 0
-        A guess of 1/(K K_D), right to a factor of ten: by it the elements of theta count alike.
+        Approximate value of 1/(K K_D), within a factor of ten; it scales the elements of theta.
     k_P, k_I : (n,), 1/s, 1/s^2, > 0
-        Where these two elements start; all others start at zero. With a PI servo k_I, K_I/K_P, is in 1/s.
+        Initial values of these two elements; all others start at zero. For a PI servo k_I, K_I/K_P, is in 1/s.
     k_P_size, k_I_size : scalar, 1/s, 1/s^2, > 0
-        How far from their start these elements may well be: Gamma holds the squares.
+        Expected deviations of these elements from their initial values: Gamma contains the squares.
     offset_size, inertia_size, friction_size : scalar, N m, kg m^2, N m s/rad, > 0
-        The same of the offset, of w a, and of w B and w D, over w_0.
+        The same for the offset, for w a, and for w B and w D, divided by w_0.
     k_P_box, k_I_box, offset_box : interval, 1/s, 1/s^2, rad/s
-        Where these elements are known to be.
+        Known intervals of these elements.
     inertia_box, friction_box : interval, kg m^2, N m s/rad
-        The same of w a and w B, w D, over w_0.
+        The same for w a and for w B, w D, divided by w_0.
     u_max : diagonal (n,), rad/s, > 0
-        The largest command.
+        Largest command.
     margin : scalar, >= 0
-        Of the slope above 1/2.
+        Margin of the slope above 1/2 in the condition on w M/T.
     supervised : true or false
-        Another block, such as `sampled_supervisor`, decides what is sent, dq_sent: it is what acts and is learnt from.
+        Another block, such as `sampled_supervisor`, determines the command that is sent, dq_sent, which is then used as
+        the applied command.
     echoed : true or false
-        The robot reports the target of its servo: wire q_echo to it. What acted in a sample is then what the target has
-        moved by, whatever became of the commands on their way.
+        The robot reports the target of its servo: wire q_echo to it. The command applied in a sample is then computed
+        from the change of the target, also if commands were delayed or lost.
     time_stamps : true or false
-        The time at which positions were measured is known, so that a sample that is over was as long as it was; without
-        it, T. The coming sample is taken to last T either way.
+        The measurement times of the positions are known, and give the length of past samples; otherwise it is T. The
+        length of the coming sample is T in both cases.
 
     Notes
     -----
-    Not for: a servo that is not linear, elastic joints, or a delay that changes.
+    Not for: a nonlinear servo, elastic joints, or a variable delay.
 
     References
     ----------
-    [WangTAC2020]_, whose inverses of both servos it reads over a sample.
+    [WangTAC2020]_, for the inverses of both servos in continuous time.
     """
 
     uses_robot = True
@@ -250,17 +251,17 @@ class SampledInverse(AbstractBlock):
         return {"c": averaged_servo(robot, self.servo, frozenset(self.friction)).elements}
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
-        """W rows are stored, G numbers gathered, A rows averaged with a new one; d commands act now or wait."""
+        """W: stored rows; G: elements of the information matrices; A: rows averaged with a new one; d: queue length."""
         gathered = sum(map(triangle, averaged_servo(robot, self.servo, frozenset(self.friction)).parts))
         own = {"W": self.replay, "G": gathered, "A": self.average - 1, "d": self.delay + 1}
         return {**super().sizes(robot), **own}
 
     def needs(self, port: str) -> bool:
-        """What is sent, where another block decides it; the target, where the robot reports it."""
+        """The sent command if another block determines it; the target if the robot reports it."""
         return {"dq_sent": self.supervised, "q_echo": self.echoed}.get(port, False)
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
-        """At rest, as if nothing had been commanded in the sample before."""
+        """At rest, with a zero command in the previous sample."""
         averaged, still = self._averaged(p), 0 * u.q
         begins = {"q_before": u.q, "q_aim": u.q_echo if self.echoed else u.q, "m_before": u.q, "m_planned": u.q}
         if self.filtered:
@@ -270,7 +271,7 @@ class SampledInverse(AbstractBlock):
         return {**begins, "theta": averaged.kinds(p.k_P, p.k_I, 0, 0, 0)}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """What the last sample was, what is learnt from it, where the command will act, and the command."""
+        """The last sample, the update of the estimate, the predicted start of the command, and the command."""
         averaged, T = self._averaged(p), self._over(u, x)
         u_applied, v, psi, y, h, g = self._sample(u, x, p)
         row, goal, kept = self._meant(x, p, *self._lesson(x, p, u_applied, h, g))
@@ -315,7 +316,7 @@ class SampledInverse(AbstractBlock):
         )
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """What the estimate's error does from sample to sample, and what servo and robot obey in between."""
+        """Steps of the estimate from sample to sample, and the identity of servo and robot between samples."""
         averaged, robot = self._averaged(p), p.robot
         u_applied, _, _, _, h, g = self._sample(u, x, p)
         new, aim = self._lesson(x, p, u_applied, h, g)
@@ -345,11 +346,11 @@ class SampledInverse(AbstractBlock):
         )
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
-        """Whatever friction the plant has, the rows have a column for it."""
+        """The rows have a column for each kind of friction of the plant."""
         return columns_for(self.friction, truth)
 
     def _sample(self, u: Signals, x: Signals, p: Signals) -> tuple[SX, SX, SX, SX, SX, SX]:
-        """Of the sample that is over: command and average velocity, psi and y, and h and g, less what is slow."""
+        """The previous sample: command and average velocity, psi and y, and h and g, high-pass filtered."""
         T = self._over(u, x)
         u_applied = named("u_applied", (u.q_echo - x.q_aim) / T if self.echoed else x.queue[:, 0])
         v = named("v", (u.q - x.q_before) / T)
@@ -359,11 +360,11 @@ class SampledInverse(AbstractBlock):
         return u_applied, v, psi, y, h, g
 
     def _over(self, u: Signals, x: Signals) -> SX:
-        """How long the sample that is over was."""
+        """Length of the previous sample."""
         return named("T_over", u.t - x.t_before) if self.time_stamps else u.T
 
     def _lesson(self, x: Signals, p: Signals, u_applied: SX, h: SX, g: SX) -> tuple[SX, SX]:
-        """What is learnt from h and g: nothing where the command was clipped."""
+        """The row and output for the estimator: zero for joints whose command was clipped."""
         learns = named("learns", (x.count > 0) * (ca.fabs(u_applied) < p.u_max))
         return self._averaged(p).of_joint(learns) * h, learns * g
 
@@ -371,7 +372,7 @@ class SampledInverse(AbstractBlock):
         return averaged_servo(p.robot.chain, self.servo, frozenset(self.friction))
 
     def _psi(self, p: Signals, start: Start, v: SX, command: SX, T: SX, *, momentum: SX = 1) -> SX:
-        """The row of a sample with average velocity v under a command; `momentum` 0 leaves that's change out."""
+        """The row of a sample with average velocity v and a command; `momentum` 0 omits the change of momentum."""
         robot, m = p.robot, start.q + T * v / 2
         e = m - start.target - T * command / 2
         change = (robot.momentum_regressor(m, v) - robot.momentum_regressor(start.m_before, start.v_before)) / T
@@ -379,7 +380,7 @@ class SampledInverse(AbstractBlock):
         return self._averaged(p).row(e, start.z + T * e / 2, ca.DM.ones(robot.n), Y, v, robot.coulomb(v))
 
     def _meant(self, x: Signals, p: Signals, row: SX, goal: SX) -> tuple[SX, SX, dict[str, SX]]:
-        """The mean of a new row and those before it, of which there are few at first; and what is kept of them."""
+        """The mean of a new row and the previous ones, of which there are fewer at first; and the stored rows."""
         if self.average == 1:
             return row, goal, {}
         averaged, number = self._averaged(p), named("number", ca.fmax(1, ca.fmin(x.count, self.average)))
@@ -396,24 +397,24 @@ class SampledInverse(AbstractBlock):
         return Learning(self._gamma(p), p.nu, self._box(p), p.retention)
 
     def _gamma(self, p: Signals) -> SX:
-        """The squares of how far each element may be from its start."""
+        """The squares of the expected deviations of the elements."""
         kinds, w = self._averaged(p).kinds, p.w_0
         sizes = kinds(p.k_P_size, p.k_I_size, w * p.offset_size, w * p.inertia_size, w * p.friction_size)
         return sizes * sizes
 
     def _box(self, p: Signals) -> SX:
-        """The least and the greatest of each element."""
+        """Lower and upper bounds of the elements."""
         w = p.w_0
         return self._averaged(p).kinds(p.k_P_box, p.k_I_box, p.offset_box, w @ p.inertia_box, w @ p.friction_box)
 
     def _slope(self, p: Signals, theta: SX, q: SX, T: SX) -> SX:
-        """S = w M(q)/T as theta has it: how the answer rises with the velocity, by inertia."""
+        """S = w M(q)/T by the estimates: the slope of the prediction with respect to velocity due to inertia."""
         robot, units = p.robot, ca.horzsplit(ca.DM.eye(p.robot.n))
         momenta = ca.horzcat(*(robot.momentum_regressor(q, unit) for unit in units))
         return self._averaged(p).inertia(theta, momenta) / T
 
     def _predicted(self, k: int, x: Signals, p: Signals, theta: SX, start: Start, slow: SX, T: SX) -> tuple[Start, SX]:
-        """Where sample k from now starts, and what is slow then, after one whose command is known."""
+        """Predicted start and low-pass state of sample k from now, after a sample with a known command."""
         averaged, robot, command, v = self._averaged(p), p.robot, x.queue[:, k], x.plans[:, k]
         S = named(f"S_{k}", self._slope(p, theta, start.q, T))
         safe = named(f"safe_{k}", averaged.safe(S, p.margin))
@@ -433,7 +434,7 @@ class SampledInverse(AbstractBlock):
         return Start(named(f"q_{k}", start.q + T * v), target, z, middle, v), slow
 
     def _command(self, u: Signals, x: Signals, p: Signals, theta: SX, start: Start, slow: SX, safe: SX) -> SX:
-        """The command under which dq_r is what theta predicts, momentum from plan to plan, within its bounds."""
+        """The command for which theta predicts dq_r, with the momentum of planned velocities, clipped to its bounds."""
         averaged, planned = self._averaged(p), start._replace(m_before=x.m_planned, v_before=x.plans[:, -1])
         psi_c = named("psi_c", self._psi(p, planned, u.dq_r, 0 * u.dq_r, u.T, momentum=safe))
         wanted = u.dq_r + averaged.answer(psi_c, theta) + slow

@@ -1,4 +1,4 @@
-"""Which of three predictors of a position servo commands it: the one that has predicted best."""
+"""Supervisory switching between three predictors of a servo by their prediction errors."""
 
 from __future__ import annotations
 
@@ -29,75 +29,74 @@ from dmframe.block import (
 
 @final
 class SampledSupervisor(AbstractBlock):
-    r"""Sends the command of one of three predictors: none, the column of ones alone, or all columns.
+    r"""Sends the command of the best of three predictors: none, a constant disturbance, or the identified servo.
 
-    Each predicts what the joints fall short of a command over a sample, lag = u - v: none predicts zero, so that it
-    commands dq_r itself; `disturbance_observer` the last sample's; `sampled_inverse` what it has learnt. Where the
-    robot is when a command acts, none takes from its motion alone, q + delay T v: it stands in for predictors whose
-    delay may be wrong, so it asks nothing of the commands on their way. Their errors
-    in the sample that is over are
+    Each predicts the velocity error over a sample, lag = u - v. "None" predicts zero, so that its command is dq_r
+    itself; `disturbance_observer` predicts the lag of the last sample; `sampled_inverse` uses its estimates. "None"
+    predicts the pose at which a command acts from the motion only, q + delay T v, without the queued commands, since
+    it replaces predictors whose delay may be wrong. The errors in the previous sample are
 
         epsilon_0 = lag,    epsilon_1 = lag - lag_before,    epsilon_2 = epsilon
 
-    and E_i is the largest of their squared norms over the last `compared` samples. The best has the least E. It takes
-    over from the one in command, c, where
+    and E_i is the largest of their squared norms over the last `compared` samples. The best predictor has the smallest
+    E. It replaces the active one, c, if
 
         E_best < hysteresis E_c
 
-    *Trip.* While none is in command, scale = max(E_0, quiet^2) is kept; it stays as it is under another. Where the
-    squared norm of the error of the one in command has
+    *Trip.* While "none" is active, scale = max(E_0, quiet^2) is updated; otherwise it is constant. If the squared norm
+    of the error of the active predictor satisfies
 
         |epsilon_c|^2 > trip^2 scale
 
-    none takes over at once and stays for `dwell`, and then twice, four times, ... as long: a predictor that is wrong
-    only when it is in command, such as one with a wrong delay, errs ever more rarely. It begins so, too: none commands
-    for the first `dwell`.
+    "none" becomes active at once and remains so for `dwell`, after the next trips for two, four, ... times as long. A
+    predictor that is wrong only when it is active, such as one with a wrong delay, is therefore active ever more
+    rarely. "None" is also active for the first `dwell`.
 
-    *Demand.* A joint that does not move as it is told, such as one whose drive is at its limit, is left behind by the
-    servo's target, and the servo winds up. Over its velocity gain, it asks the drive in the mean of a sample for
+    *Demand.* If a joint does not follow its command, for example because its drive is at its limit, the servo's target
+    moves ahead of it, and the servo winds up. The mean torque over a sample, divided by the velocity gain, is
 
         demand = lag + k_P lead + k_I total
 
-    lead being the sum of T lag, by which the target is ahead, and total the sum of T lead, both in the middle of the
-    sample. With `demand_max` a command is cut off where demand would pass that if the joint went on as fast as it does;
-    `withheld` is what was cut off. The sums are forgotten, within `forget`, while the one in command foresees the joint
-    to within `quiet` and nothing is cut off: it then moves as it is told.
+    where lead, the sum of T lag, is the lead of the target, and total is the sum of T lead, both at the middle of the
+    sample. With `demand_max` a command is limited so that demand stays below it for a constant joint velocity;
+    `withheld` is the removed part. The sums decay with the time constant `forget` while the active predictor predicts
+    the joint to within `quiet` and no command is limited, that is while the joint follows its command.
 
-    All three learn from what is sent. What an estimate's error does from sample to sample does not ask how the command
-    came about, so that switching leaves the proof of `sampled_inverse` as it is. The task's error obeys the same bound
-    with the error of the one in command, which the trip keeps below `trip` times the square root of scale but for the
+    All three predictors are updated with the command that is sent. The bound on the estimation error holds for any
+    command, so switching does not affect the proof of `sampled_inverse`. The task error satisfies the same bound with
+    the error of the active predictor, which the trip keeps below `trip` times the square root of scale, except for the
     sample that trips.
 
     Parameters
     ----------
     delay : 0, 1 or 2
-        Whole samples from a command to its effect, as the predictors have it.
+        Whole samples from a command to its effect, as in the predictors.
     compared : number, > 1
-        Samples over which errors are compared.
+        Number of samples over which errors are compared.
     hysteresis : scalar, > 0
-        Below one: by how much the best must be better.
+        Factor below one by which the best error must be smaller than that of the active predictor.
     trip : scalar, > 0
-        How often as large as the lag an error may be.
+        Largest error of the active predictor relative to the lag.
     quiet : scalar, rad/s, > 0
-        An error smaller than `trip` times this does not trip, also where the robot has only stood still.
+        An error smaller than `trip` times this does not trip, also if the robot has been at rest before.
     dwell : scalar, s, > 0
-        How long none is in command at first; longer than those samples, so that what has tripped is not judged by its
-        fall.
+        Time for which "none" is active at first. It should be longer than the compared samples, so that the errors of
+        the trip itself are not compared.
     u_max : diagonal (n,), rad/s, > 0
-        The largest command.
+        Largest command.
     demand_max : diagonal (n,), rad/s, > 0
-        Some ten times the torque limit of the drive, over K K_D; a fifth of that and twice as much did as well. Without
-        it nothing is cut off.
+        About ten times the torque limit of the drive, divided by K K_D; a fifth of that and twice as much gave similar
+        results. By default commands are not limited.
     k_P, k_I : (n,), 1/s, 1/s^2, > 0
-        Guesses of K_P/K_D and K_I/K_D, as in `sampled_inverse`.
+        Approximate values of K_P/K_D and K_I/K_D, as in `sampled_inverse`.
     forget : scalar, s, > 0
-        Some twenty samples.
+        Decay time of the sums; about twenty samples.
 
     Notes
     -----
-    Not for: a robot that the kinematic command does not hold. That the error of the one in command is small is not
-    proved. A demand is counted from where the sums were last forgotten, and gravity that the servo held before is not
-    in it: so it stops a winding up, and does not keep a drive within its limit.
+    Not for: a robot that is unstable with the kinematic command. There is no proof that the error of the active
+    predictor is small. The demand is relative to the time at which the sums were last zero, and does not contain
+    gravity held by the servo before. It therefore prevents wind-up, but does not keep a drive within its limit.
 
     References
     ----------
@@ -126,7 +125,7 @@ class SampledSupervisor(AbstractBlock):
             "n",
             "rad/s",
             optional=True,
-            notice="a joint does not move as it is told, and its command is cut off",
+            notice="a joint does not follow its command, which is limited",
         ),
     )
     states = (
@@ -157,15 +156,15 @@ class SampledSupervisor(AbstractBlock):
     forget: Scalar = Positive("", "s", default=2.0)
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
-        """N samples are compared; d commands act now or wait."""
+        """N: number of compared samples; d: length of the queue of commands."""
         return {"N": self.compared, "d": self.delay + 1}
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, Any]:
-        """At rest, none in command."""
+        """At rest, with "none" active."""
         return {"q_before": u.q, "rest": p.dwell, "next_rest": 2 * p.dwell, "scale": p.quiet * p.quiet}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """The errors, who is in command, and what is sent."""
+        """The errors, the active predictor, and the command that is sent."""
         epsilons = ca.horzcat(u.lag, u.lag - x.lag_before, u.epsilon)
         squares = named("squares", ca.sum1(epsilons * epsilons).T)
         errors = named("errors_new", pushed(x.errors, squares))
@@ -212,29 +211,29 @@ class SampledSupervisor(AbstractBlock):
         )
 
     def _within(self, u: Signals, x: Signals, p: Signals, v: SX, wished: SX, used: SX) -> tuple[SX, dict[str, SX]]:
-        """The command with which demand stays within bounds, if the joints go on at v; and the sums."""
+        """The command with which demand stays within bounds for constant joint velocities v; and the sums."""
         foreseen = ca.logic_and(ca.fabs(used) <= p.quiet, x.cut < 1)
         keep = named("keep", ca.if_else(foreseen, ca.fmax(0, 1 - u.T / p.forget), 1))
         lead, total = keep * (x.lead + u.T * u.lag), keep * (x.total + u.T * (x.lead + u.T * u.lag / 2))
         after = {"lead": named("lead_new", lead), "total": named("total_new", total)}
         lead, total = after["lead"], after["total"]
-        for k in range(1, self.delay + 1):  # of the commands that act before this one
+        for k in range(1, self.delay + 1):  # for the commands that act before this one
             lag = x.sent[:, k] - v
             lead, total = lead + u.T * lag, total + u.T * (lead + u.T * lag / 2)
-        asked = named("asked", p.k_P * lead + p.k_I * (total + u.T * lead / 2))
+        restoring = named("restoring", p.k_P * lead + p.k_I * (total + u.T * lead / 2))
         per_lag = 1 + p.k_P * u.T / 2 + p.k_I * u.T * u.T / 4
-        low, high = v - (p.demand_max + asked) / per_lag, v + (p.demand_max - asked) / per_lag
+        low, high = v - (p.demand_max + restoring) / per_lag, v + (p.demand_max - restoring) / per_lag
         return clip(ca.fmin(ca.fmax(wished, low), high), p.u_max), after
 
 
 def _of(choice: Any, none: Any, column: Any, full: Any) -> Any:
-    """What belongs to the predictor of that number."""
+    """The value of the predictor with that number."""
     return ca.if_else(choice > 1, full, ca.if_else(choice > 0, column, none))
 
 
 @operation
 def pushed(errors: Any, newest: Any) -> Any:
-    """The errors with the newest before them, and without the oldest."""
+    """The errors with the newest first, without the oldest."""
     return ca.horzcat(newest, errors[:, :-1])
 
 

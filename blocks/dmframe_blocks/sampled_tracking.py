@@ -1,4 +1,4 @@
-"""Reference for tracking in the task space over one sample, kinematics known."""
+"""Discrete-time reference for tracking in the task space with known kinematics."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from dmframe.block import (
 
 @final
 class SampledTracking(AbstractBlock):
-    r"""Joint velocity whose average over a sample takes the tool to where its path will be.
+    r"""Average joint velocity over a sample that moves the tool to the next point of its path.
 
-    The sample to be commanded starts at the pose :math:`q_{start}`. The tool is to be at :math:`x_{goal}` at its end.
-    The error :math:`\Delta x = f(q_{start}) - x_d` is led back by the transpose of the Jacobian or, with Lambda, by its
-    inverse:
+    The commanded sample starts at the pose :math:`q_{start}` and should end with the tool at :math:`x_{goal}`. The
+    error :math:`\Delta x = f(q_{start}) - x_d` is fed back through the transpose of the Jacobian or, with Lambda,
+    through its inverse:
 
     .. math::
 
         x_{goal} &= x_{d,1} + \Delta x - T \gamma J(q_{start}) J(q_{start})^\top \Delta x   \tag{1} \\
         x_{goal} &= x_{d,1} + (1 - T \Lambda) \Delta x                                     \tag{2}
 
-    and the velocity that takes it there, :math:`f(q_{start} + T \dot q_r) = x_{goal}`, is found by two of Newton's
+    The velocity with :math:`f(q_{start} + T \dot q_r) = x_{goal}` is computed by two Newton
     steps, with :math:`q_0 = q_{start} + T \dot q_{null}` and :math:`q_1 = q_{start} + T v_1`:
 
     .. math::
@@ -46,30 +46,31 @@ class SampledTracking(AbstractBlock):
         \dot q_r &= v_1 + J(q_1)^\top (J(q_1) J(q_1)^\top + \mathrm{damping}^2 I)^{-1}
                     (x_{goal} - f(q_1)) / T   \tag{4}
 
-    So, where the robot moves as it is asked, the error falls from sample to sample by :math:`1 - T \gamma \sigma^2` in
-    the directions of the singular values, or by :math:`1 - T \Lambda`: the path's own motion leaves nothing to it.
+    If the robot moves with this average velocity, the error decreases from sample to sample by the factor
+    :math:`1 - T \gamma \sigma^2` in the directions of the singular values, or by :math:`1 - T \Lambda`. The motion of
+    the path causes no error.
 
-    A command that acts `delay` samples late is for the sample that starts so much later: give the same to whoever
-    predicts q_start. A redundant robot may move by dq_null as far as its tool does not notice.
+    A command that acts `delay` samples later is computed for the sample that starts then: set the same `delay` in the
+    block that predicts q_start. dq_null moves a redundant robot in the null space of its Jacobian.
 
     Parameters
     ----------
     gamma : scalar, rad^2/(m^2 s), > 0
-        Task gain of the error led back by J'. T gamma must stay below 2 over the largest squared singular value of J.
+        Task gain with feedback through J'. T gamma must be below 2 over the largest squared singular value of J.
     Lambda : scalar, 1/s, > 0
-        Task gain of the error led back by the inverse of J, in place of gamma. T Lambda must stay below 2.
+        Task gain with feedback through the inverse of J, instead of gamma. T Lambda must be below 2.
     damping : scalar, m/rad, >= 0
-        d: near a singular pose the joints stay slow, and the tool leaves its path.
+        Damping of the inverse: near a singular pose it limits the joint velocities, and the tool leaves its path.
     delay : 0, 1 or 2
         Whole samples from a command to its effect.
 
     Notes
     -----
-    Not for: kinematics that are uncertain, or a signal x_d whose future is unknown.
+    Not for: uncertain kinematics, or a signal x_d whose future is unknown.
 
     References
     ----------
-    [WangTAC2020]_, whose Section V gives the law in continuous time.
+    [WangTAC2020]_ Section V, for the law in continuous time.
     """
 
     uses_robot = True
@@ -103,14 +104,14 @@ class SampledTracking(AbstractBlock):
         return Equations(outputs={"dq_r": self._newton(u, p, x_goal, v_1)})
 
     def _newton(self, u: Signals, p: Signals, x_goal: SX, v: SX) -> SX:
-        """(3) and (4): a better average velocity than v for the sample that is to end at x_goal."""
+        """(3) and (4): one Newton step from the average velocity v for the sample that should end at x_goal."""
         q = u.q_start + u.T * v
         J = p.robot.jacobian(q)
         damped = J @ J.T + p.damping * p.damping * ca.DM.eye(p.robot.m)
         return v + J.T @ solve_spd(damped, (x_goal - p.robot.position(q)) / u.T)
 
     def _goal(self, u: Signals, p: Signals) -> SX:
-        """(1) or (2), counted from the sample on which the command acts."""
+        """(1) or (2), for the sample in which the command acts."""
         path = (u.x_d, u.x_d_1, u.x_d_2, u.x_d_3)
         x_err = p.robot.position(u.q_start) - path[self.delay]
         if "Lambda" in p:

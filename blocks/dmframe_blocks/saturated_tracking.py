@@ -1,4 +1,4 @@
-"""Reference for tracking in the task space whose feedback saturates, kinematics known."""
+"""Reference for tracking in the task space with saturated feedback and known kinematics."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ from dmframe.block import (
 
 @final
 class SaturatedTracking(AbstractBlock):
-    r"""Joint reference that leads the tool onto its path, and asks for no more the farther it is away.
+    r"""Joint reference velocity for tracking a tool path, with a feedback that is bounded for large errors.
 
     .. math::
 
         \dot q_r &= \hat J^+ \dot x_d - \gamma \hat J^\top \mathrm{pull} + (I - \hat J^+ \hat J)\, \dot q_{null}, \quad
                     \hat J^+ = \hat J^\top (\hat J \hat J^\top)^{-1}           \tag{1}
 
-    with :math:`\Delta x = x - x_d` and, for each coordinate, the force of a spring that gives way:
+    with :math:`\Delta x = x - x_d` and, for each coordinate, the force of a saturating spring:
 
     .. math::
 
         \mathrm{pull} &= \Delta x / \sqrt{1 + (\Delta x / \mathrm{width})^2}   \tag{2}
 
-    No element of it reaches its width, so that far away from the path the feedback asks for a velocity of at most
-    :math:`\gamma |\hat J| |\mathrm{width}|`, however far that is. With :math:`b = \hat J^\top \mathrm{pull}` and
-    :math:`s = \dot q - \dot q_r` it is a cascade on the servo level, of which it consumes :math:`|s|^2 / \gamma`. It
-    stores the energy of the springs, which grows beyond all bounds with the error:
+    Each element is smaller than its width, so that the feedback velocity is at most
+    :math:`\gamma |\hat J| |\mathrm{width}|` for any error. With :math:`b = \hat J^\top \mathrm{pull}` and
+    :math:`s = \dot q - \dot q_r` it forms a cascade with the servo level. Its cross term is :math:`|s|^2 / \gamma`.
+    The storage function is the energy of the springs, which is radially unbounded:
 
     .. math::
 
@@ -51,14 +51,14 @@ class SaturatedTracking(AbstractBlock):
     Parameters
     ----------
     gamma : scalar, rad^2/(m^2 s), > 0
-        Task gain near the path, as of `known_tracking`.
+        Task gain near the path, as in `known_tracking`.
     width : diagonal (m,), m, > 0
-        Error of a coordinate at which its force is down to 0.71 of the linear one; far away it is the width.
+        Error of a coordinate at which the force is 0.71 of the linear one. It is also the limit of the force.
 
     Notes
     -----
-    Not for: a limit that must not be passed, since the velocity along the path and that of the servo's inverse come on
-    top: see `safe_reference`.
+    Not for: strict velocity limits, since the velocity along the path and that of the servo's inverse are added: see
+    `safe_reference`.
 
     References
     ----------

@@ -15,22 +15,22 @@ GOALS: Final = ("x_d", "q_d", "chi_d")
 
 @final
 class Setpoint(AbstractBlock):
-    """A constant goal, in the task, at the joints or in the image of a camera; of a tool, with its orientation.
+    """Constant goal of the tool, of the joints, or in a camera image; for the tool optionally with an orientation.
 
     Parameters
     ----------
     x_d : (m,), m
-        The goal of the tool. Give this one, `q_d` or `chi_d`.
+        Goal of the tool. Set one of x_d, q_d and chi_d.
     q_d : (n,), rad
-        The goal of the joints.
+        Goal of the joints.
     orientation : (3,), rad
-        Of the tool in the base's frame, a rotation vector: axis times angle. Absent unless given.
+        Orientation of the tool in the base frame as a rotation vector, axis times angle; none by default.
     chi_d : (2,)
-        The goal of the tool in the image of a `camera`.
+        Goal of the tool in the image of a `camera`.
 
     Notes
     -----
-    Not for: a step while the robot moves; the reference would jump.
+    Not for: a step during motion, at which the reference would be discontinuous.
     """
 
     side = Side.SOURCE
@@ -54,6 +54,6 @@ class Setpoint(AbstractBlock):
         return self
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """The goal that is given."""
+        """The configured goal."""
         outputs = {name: getattr(p, name) for name in GOALS if name in p}
         return Equations(outputs=outputs | ({"p_d": quaternion(p.orientation)} if "orientation" in p else {}))

@@ -1,4 +1,4 @@
-"""Sinusoids, one an element."""
+"""Sinusoidal joint path."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dmframe.block import TIME, AbstractBlock, Diagonal, Equations, Output, Real
 
 @final
 class Sinusoid(AbstractBlock):
-    r"""Each joint swings about its middle.
+    r"""Sinusoidal motion of each joint.
 
     .. math::
 
@@ -23,13 +23,13 @@ class Sinusoid(AbstractBlock):
     Parameters
     ----------
     center : (n,), rad
-        The middle of the swing.
+        Centre of the oscillation.
     amplitude : (n,), rad
-        How far it swings to either side.
+        Amplitude of the oscillation.
     rate : (n,), rad/s
-        Angular frequency. Rates without a common measure excite more dynamic parameters.
+        Angular frequency. Incommensurate frequencies excite more dynamic parameters.
     phase : (n,), rad
-        Where in the swing the joint begins.
+        Initial phase.
     """
 
     side = Side.SOURCE

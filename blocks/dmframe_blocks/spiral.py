@@ -1,4 +1,4 @@
-"""A spiral on a ball, with the tool at right angles to it."""
+"""Spiral path on a sphere, with the tool perpendicular to the surface."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from dmframe_blocks._quaternions import quaternion, turned
 
 @final
 class Spiral(AbstractBlock):
-    r"""The tool goes round on a ball, from its top outwards and back, and stands at right angles to it all the while.
+    r"""Spiral tool path on a sphere, from its top outwards and back, with the tool perpendicular to the surface.
 
-    Leaning by an angle :math:`b` towards the direction at the angle a, it is at
+    With the inclination :math:`b` towards the direction at the angle a, the path is
 
     .. math::
 
@@ -22,25 +22,25 @@ class Spiral(AbstractBlock):
                    a = \mathrm{rate}\, t + \mathrm{phase}                                           \tag{1} \\
         x_d &= c + r\, (\sin(b) \sin(a),\, \sin(b) \cos(a),\, \cos(b))   \tag{2}
 
-    with :math:`c = \mathrm{center}` and :math:`r = \mathrm{radius}`. Its quaternion :math:`p_d` is that of the turn by
-    :math:`b` about the horizontal axis at right angles to that direction, times that of the orientation on top.
+    with :math:`c = \mathrm{center}` and :math:`r = \mathrm{radius}`. The quaternion :math:`p_d` is that of the rotation
+    by :math:`b` about the horizontal axis perpendicular to that direction, times that of the orientation on top.
 
     Parameters
     ----------
     center : (3,), m
-        The middle of the ball.
+        Centre of the sphere.
     radius : scalar, m
-        Of the ball.
+        Radius of the sphere.
     lean : scalar, rad
-        How far from the top it goes, seen from the middle.
+        Largest inclination from the top, seen from the centre.
     rate : scalar, rad/s
-        At which it goes round.
+        Angular rate around the vertical axis.
     breath : scalar, rad/s
-        At which it goes out and back; a whole way takes 2 pi over it.
+        Angular frequency of the motion out and back; one cycle takes 2 pi divided by it.
     phase : scalar, rad
-        In which direction it sets out.
+        Initial direction.
     orientation : (3,), rad
-        Of the tool in the base's frame, on the top: a rotation vector, axis times angle.
+        Orientation of the tool in the base frame at the top, as a rotation vector: axis times angle.
     """
 
     side = Side.SOURCE

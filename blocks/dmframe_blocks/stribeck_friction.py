@@ -1,4 +1,4 @@
-"""Friction that sticks, and that differs with the direction."""
+"""Stribeck and direction-dependent joint friction."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from dmframe.block import (
 
 @final
 class StribeckFriction(AbstractBlock):
-    r"""Takes from the motors' voltage what joints rub more at slow motion, and in one direction.
+    r"""Additional joint friction at low speed (Stribeck effect) and in one direction, as a motor voltage.
 
-    It comes on top of the friction of `manipulator`:
+    It is added to the friction of `manipulator`:
 
     .. math::
 
@@ -33,21 +33,21 @@ class StribeckFriction(AbstractBlock):
                       + \mathrm{uneven}\, \phi(\dot q)^2   \tag{1} \\
         u_{left}   &= u - K^{-1} \tau_{rub}   \tag{2}
 
-    with :math:`\phi(v) = \tanh(v / v_0)`, as the robot's own Coulomb friction has it. No regressor has a column for it.
+    with :math:`\phi(v) = \tanh(v / v_0)`, as in the robot's Coulomb friction. No regressor has a column for it.
 
     Parameters
     ----------
     sticking : diagonal (n,), N m, >= 0
-        How much larger friction is at the slowest motion than at fast motion: the Stribeck effect.
+        Difference between friction at very low and at high speed: the Stribeck effect.
     velocity : scalar, rad/s, > 0
-        Where a share of 1/e of it is left.
+        Velocity at which 1/e of this difference remains.
     uneven : diagonal (n,), N m
-        How much larger it is forwards than in the mean of both directions.
+        Difference between friction forwards and the mean of both directions.
 
     Notes
     -----
-    Not for: a joint that is held by friction at rest, since here none is left at velocity zero; or friction that
-    changes with the load, the pose or the temperature.
+    Not for: static friction that holds a joint at rest, since the model has no friction at zero velocity; or friction
+    that depends on load, pose or temperature.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""Observer of the task position, free of task velocities."""
+"""Observer of the task position without task velocity."""
 
 from __future__ import annotations
 
@@ -26,14 +26,15 @@ from dmframe.block import (
 
 @final
 class TaskObserver(AbstractBlock):
-    r"""Predicts the tool's position from the reference motion and corrects it by the measured one.
+    r"""Predicts the tool position from the reference motion and corrects it with the measured position.
 
     .. math::
 
         \dot x_o = \hat J \dot q_r - \beta \hat J \hat J^\top \Delta x_o, \quad \Delta x_o = x_o - x   \tag{1}
 
-    With :math:`a = \hat J^\top \Delta x_o` and :math:`s = \dot q - \dot q_r` it is a cascade, of which it consumes
-    :math:`|s|^2/\beta`; the part :math:`\tfrac34 \beta |a|^2` of its dissipation is handed to the reference generator:
+    With :math:`a = \hat J^\top \Delta x_o` and :math:`s = \dot q - \dot q_r` it forms a cascade with the servo level.
+    Its cross term is :math:`|s|^2/\beta`. The part :math:`\tfrac34 \beta |a|^2` of its dissipation is supplied to the
+    reference generator:
 
     .. math::
 
@@ -44,7 +45,7 @@ class TaskObserver(AbstractBlock):
     Parameters
     ----------
     beta : scalar, rad^2/(m^2 s), > 0
-        Observer gain; the proof asks for more than 4/9 of the generator's gamma.
+        Observer gain; the proof requires beta > 4/9 gamma, with gamma of the reference generator.
 
     References
     ----------

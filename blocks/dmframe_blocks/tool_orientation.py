@@ -1,4 +1,4 @@
-"""The tool's orientation, and the Jacobian of its whole pose."""
+"""Orientation of the tool, and the Jacobian of its pose."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from dmframe.block import AbstractBlock, Certificate, Equations, Input, Output, 
 
 @final
 class ToolOrientation(AbstractBlock):
-    r"""Adds the tool's orientation to a task of its position.
+    r"""Adds the tool's orientation to a position task.
 
     .. math::
 
         R &= R_{tool}(q)   \tag{1} \\
         J_{pose} &= \begin{bmatrix} \hat J \\ \mathrm{lever}\, J_{turn}(q) \end{bmatrix}   \tag{2}
 
-    with :math:`R_{tool}(q)` the tool's orientation, whose angular velocity in the base's axes is
-    :math:`\omega = J_{turn}(q) \dot q`. No length is in either, so that both are known exactly where lengths are
-    uncertain; the position's :math:`\hat J` may be that of adapted kinematics.
+    with :math:`R_{tool}(q)` the tool's orientation, whose angular velocity in the base frame is
+    :math:`\omega = J_{turn}(q) \dot q`. Neither depends on lengths, so both are known exactly even if lengths are
+    uncertain; :math:`\hat J` of the position may be that of adaptive kinematics.
 
     Parameters
     ----------
     lever : scalar, m/rad, > 0
-        How much a turn weighs beside a shift: an error of a small angle counts as one of the position of
-        sqrt(2) lever times that angle. Larger closes the error of the orientation faster.
+        Weight of orientation errors relative to position errors: a small angle is equivalent to a position error of
+        sqrt(2) lever times that angle. A larger value reduces the orientation error faster.
 
     Notes
     -----
-    Not for: a tool whose orientation on the last link is uncertain, or a wrist that comes near a singular pose.
+    Not for: a tool with an uncertain orientation on the last link, or a wrist near a singular pose.
 
     References
     ----------
@@ -49,7 +49,7 @@ class ToolOrientation(AbstractBlock):
     lever: Scalar = Positive("", "m/rad")
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
-        """The rows of a pose's Jacobian: those of the position, and three."""
+        """The number of rows of the pose Jacobian: those of the position, plus three."""
         return {"r": robot.m + 3}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:

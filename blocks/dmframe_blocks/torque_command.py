@@ -1,4 +1,4 @@
-"""Command of a robot whose joints take torques."""
+"""Command of a torque-controlled robot."""
 
 from __future__ import annotations
 
@@ -23,30 +23,30 @@ from dmframe.block import (
 
 @final
 class TorqueCommand(AbstractBlock):
-    r"""Adds a damping of the sliding variable to the dynamic compensation, as Slotine and Li do.
+    r"""Adds damping of the sliding variable to the dynamic compensation (Slotine and Li).
 
     .. math::
 
         \dot q_{ref} = \dot q_r, \quad \sigma = \dot q - \dot q_{ref}, \quad
         \tau_c = \tau_{dc} - K_\sigma \sigma   \tag{1}
 
-    There is no servo to invert, and nothing is stored:
+    There is no servo to invert, and no storage:
 
     .. math::
 
         S      &= 0   \tag{2} \\
         \dot S &= -\sigma^\top (K_\sigma + B) \sigma - \sigma^\top (K u - \tau_{dc} - B \sigma)   \tag{3}
 
-    which says that the torque arrives, :math:`K u = \tau_c`.
+    which holds if the torque is realised exactly, :math:`K u = \tau_c`.
 
     Parameters
     ----------
     K_sigma : diagonal (n,), N m s/rad, > 0
-        Damping of the sliding variable. Larger is stiffer and passes more velocity noise.
+        Damping of the sliding variable. A larger gain reduces the error and passes more velocity noise.
 
     Notes
     -----
-    Not for: a robot behind a closed servo, which takes no torques; see `pi_inverse` and `pid_inverse`.
+    Not for: a robot with a closed servo, which accepts no torques; see `pi_inverse` and `pid_inverse`.
 
     References
     ----------

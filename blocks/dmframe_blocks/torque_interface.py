@@ -1,4 +1,4 @@
-"""A maker's interface for joint torques."""
+"""Joint torque interface of a robot."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from dmframe.block import AbstractBlock, Certificate, Equations, Input, Output, 
 
 @final
 class TorqueInterface(AbstractBlock):
-    r"""Turns the commanded torque into the motors' voltage, at once and exactly: the architecture is open.
+    r"""Converts the commanded torque to motor voltage without error or delay: an open architecture.
 
     .. math::
 
         u = K^{-1} \tau_c   \tag{1}
 
-    Most industrial robots have none; it stands in the graphs that the closed servo is compared with.
+    Most industrial robots have no such interface. Graphs for comparison with a closed servo use it.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ class TorqueInterface(AbstractBlock):
 
     Notes
     -----
-    Not for: a drive whose current loop is slow, or whose torque ripples.
+    Not for: a drive with a slow current loop or torque ripple.
 
     References
     ----------

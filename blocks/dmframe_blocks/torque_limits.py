@@ -1,4 +1,4 @@
-"""The most that a robot's drives give."""
+"""Torque limits of the drives."""
 
 from __future__ import annotations
 
@@ -11,25 +11,24 @@ from dmframe.block import AbstractBlock, Diagonal, Equations, Input, Output, Pos
 
 @final
 class TorqueLimits(AbstractBlock):
-    r"""Cuts the voltage of each motor off where its torque is at its limit.
+    r"""Saturates the voltage of each motor at its torque limit.
 
     .. math::
 
         u_{lim}           &= K^{-1} \min(\max(K u, -\tau_{max}), \tau_{max})   \tag{1} \\
         \tau_{excess}     &= K (u - u_{lim})   \tag{2}
 
-    The limits :math:`\tau_{max}` are those of the robot's URDF, unless `torque` says others. It stands between servo
-    and arm. The servo does not know: its integrator goes on, and winds up. A run tells where
-    something was cut off.
+    The limits :math:`\tau_{max}` are those of the robot's URDF, unless `torque` is given. The block is between servo
+    and arm. The servo has no anti-windup: its integrator continues during saturation. A run reports saturation.
 
     Parameters
     ----------
     torque : diagonal (n,), N m, > 0
-        Limits at the joints; without it, those of the robot's URDF.
+        Torque limits of the joints; by default those of the robot's URDF.
 
     Notes
     -----
-    Not for: a limit that falls with the velocity, heat, or a servo that stops its integrator at the limit.
+    Not for: a limit that decreases with velocity, thermal limits, or a servo with anti-windup.
 
     References
     ----------
@@ -41,7 +40,7 @@ class TorqueLimits(AbstractBlock):
     inputs = (Input("u", "n", "V"), Input("K", "n", "N m/V"))
     outputs = (
         Output("u_lim", "n", "V", instead_of="u"),
-        Output("tau_excess", "n", "N m", notice="a motor's torque is beyond its limit, and cut off"),
+        Output("tau_excess", "n", "N m", notice="a motor's torque is beyond its limit, and is saturated"),
     )
 
     torque: Diagonal | None = Positive("n", "N m", default=None)

@@ -1,4 +1,4 @@
-"""The way of a command from the controller to the robot: late, at times later still, at times lost."""
+"""Delay, jitter and loss of commands between controller and robot."""
 
 from __future__ import annotations
 
@@ -19,38 +19,38 @@ _CARRIED: Mapping[str, tuple[str, ...]] = {
 
 @final
 class TransportDelay(AbstractBlock):
-    r"""Hands each command on some samples late, the same to all joints.
+    r"""Delays commands by some samples, the same for all joints.
 
-    Of the command the last five are kept, the newest first. With d `samples` it hands on :math:`c_d`, the command of d
-    samples ago; with a `share` s of a further one :math:`(1 - s) c_d + s c_{d+1}`; or, with a probability `late`,
-    :math:`c_{d+1}` instead of :math:`c_d`. With a probability `lost` nothing arrives, and the robot goes on with what
-    it was handed last.
+    A delay line stores the last five commands, the newest first. With d `samples` the output is :math:`c_d`, the
+    command of d samples ago; with an additional `share` s of a sample :math:`(1 - s) c_d + s c_{d+1}`; or, with a
+    probability `late`, :math:`c_{d+1}` instead of :math:`c_d`. With a probability `lost` no command arrives, and the
+    last received command remains active.
 
-    Before the first command arrives the robot is at rest where it is, and held against gravity.
+    Before the first command arrives the robot is held at rest against gravity.
 
     Parameters
     ----------
     carries : velocity, position or torque
-        What is commanded: `dq_c`, `dq_c` with `q_t`, or `tau_c`.
+        The kind of command: `dq_c`, `dq_c` with `q_t`, or `tau_c`.
     samples : 0 to 4
         Whole samples of delay.
     share : scalar, >= 0
-        Of a further sample, below 1. A command is held for a sample, so that the exact delay would change it within
-        one. The mean over the sample is handed on instead: its integral, the servo's q_c, is exact at each sample and,
-        between samples, off by at most a quarter of a sample times the change of the command.
+        Additional fraction of a sample, below 1. With an exact delay the held command would change within a sample. The
+        output is the mean over the sample instead. Its integral, the servo's q_c, is exact at each sampling instant;
+        between them its error is at most a quarter of a sample times the change of the command.
     late : scalar, >= 0
         Probability, at each sample, that the command is one sample later.
     lost : scalar, >= 0
-        Probability, at each sample, that nothing arrives.
+        Probability, at each sample, that no command arrives.
 
     Notes
     -----
-    A late command is one that has not come by the sample at which it is due; with a delay of d or d + 1 the robot then
-    has the command before it. Not for: delays that differ by more, or commands that overtake one another.
+    A late command has not arrived at the sample at which it is due; with a delay of d or d + 1 the robot then uses the
+    previous command. Not for: larger variations of the delay, or commands that overtake each other.
 
     References
     ----------
-    [AstromWittenmark1997]_ Section 3.2 for delays of a share of a sample.
+    [AstromWittenmark1997]_ Section 3.2 for delays of a fraction of a sample.
     """
 
     side = Side.PLANT
@@ -94,12 +94,12 @@ class TransportDelay(AbstractBlock):
 
     @classmethod
     def fitting(cls, signals: Collection[str]) -> Mapping[str, Any] | None:
-        """What is commanded there."""
+        """The kind of command in the graph."""
         found = {"q_t": "position", "dq_c": "velocity", "tau_c": "torque"}
         return next(({"carries": word} for name, word in found.items() if name in signals), None)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """Columns of the line, the newest command before them."""
+        """Columns of the delay line, preceded by the newest command."""
         outputs, after = dict[str, Any](), dict[str, Any]()
         for name in _CARRIED[self.carries]:
             line = ca.horzcat(getattr(u, name), getattr(x, f"{name}_line"))
@@ -116,7 +116,7 @@ class TransportDelay(AbstractBlock):
         return Equations(outputs, next=after)
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
-        """Nothing has been sent: the robot holds still."""
+        """A delay line of commands that hold the robot at rest."""
         found = dict[str, SX]()
         for name in _CARRIED[self.carries]:
             rest = 0 * u.dq_c if name == "dq_c" else truth.q if name == "q_t" else truth.g

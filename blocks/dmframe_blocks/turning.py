@@ -1,4 +1,4 @@
-"""An orientation that turns about a fixed axis."""
+"""Rotation of the tool about a fixed axis."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from dmframe_blocks._quaternions import about, quaternion, turned
 
 @final
 class Turning(AbstractBlock):
-    r"""The tool turns about an axis that is fixed in space, to and fro, round and round, or both.
+    r"""Desired orientation that rotates about an axis fixed in space, with an oscillation, a constant rate, or both.
 
-    Its angle is
+    The angle is
 
     .. math::
 
         a = \mathrm{spin}\, t + \mathrm{amplitude} \sin(\mathrm{rate}\, t + \mathrm{phase})   \tag{1}
 
-    and its quaternion :math:`p_d` that of the turn by a, times that of the orientation from which it turns.
+    and the quaternion :math:`p_d` is that of the rotation by a, times that of the initial orientation.
 
     Parameters
     ----------
     orientation : (3,), rad
-        Of the tool in the base's frame where the angle is 0, a rotation vector: axis times angle.
+        Orientation of the tool in the base frame for the angle 0, as a rotation vector: axis times angle.
     axis : (3,)
-        The axis, in the base's frame; of any length but zero.
+        Axis in the base frame, of any length but zero.
     amplitude : scalar, rad
-        How far it swings to either side.
+        Amplitude of the oscillation.
     rate : scalar, rad/s
-        Angular frequency of the swing.
+        Angular frequency of the oscillation.
     phase : scalar, rad
-        Where in the swing it begins.
+        Initial phase of the oscillation.
     spin : scalar, rad/s
-        At which it goes round beside the swing.
+        Constant angular rate in addition to the oscillation.
     """
 
     side = Side.SOURCE

@@ -1,4 +1,4 @@
-"""Velocity command with a small random part: what the delay of a robot is fitted from."""
+"""Velocity command with a small random excitation, for identification of the robot's delay."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ from dmframe.block import (
 
 @final
 class VelocityProbe(AbstractBlock):
-    r"""Adds to the reference velocity a small one whose sign is tossed for each joint at each sample.
+    r"""Adds to the reference velocity a small excitation with a random sign for each joint and sample.
 
         dq_c = dq_r + probe sign(toss) for the first `lasting` seconds, then dq_r
 
-    Smooth motion alone does not show how late the robot answers, since a delay looks like inertia. `dmframe delay` fits
-    it from a run with this block.
+    Smooth motion is not sufficient to identify the delay, which cannot be distinguished from inertia. `dmframe delay`
+    fits it from a run with this block.
 
     Parameters
     ----------
     probe : diagonal (n,), rad/s, > 0
-        Small against the motion, large against what the encoder's noise makes of velocities.
+        Amplitude: small compared with the motion, large compared with the velocity noise of the encoder.
     lasting : scalar, s, > 0
-        How long it goes on.
+        Duration of the excitation.
 
     Notes
     -----
-    Not for: a robot whose servo does not take a command of this size, such as one that stands in stiction.
+    Not for: a robot whose servo does not respond to a command of this size, for example due to stiction.
 
     References
     ----------
-    [Ljung1999]_, on signals that excite.
+    [Ljung1999]_, on exciting signals.
     """
 
     inputs = (
@@ -56,6 +56,6 @@ class VelocityProbe(AbstractBlock):
     lasting: Scalar = Positive("", "s", default=3.0)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """The reference velocity with the small one, while it lasts."""
+        """The reference velocity with the excitation for its duration."""
         added = (x.since < p.lasting) * p.probe * (2 * (u.toss > 0) - 1)
         return Equations(outputs={"dq_c": u.dq_r + added}, next={"since": x.since + u.T})

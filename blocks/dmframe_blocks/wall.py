@@ -1,4 +1,4 @@
-"""An elastic wall that pushes the tool back."""
+"""Contact of the tool with an elastic wall."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from dmframe_blocks._directions import check_direction
 
 @final
 class Wall(AbstractBlock):
-    r"""A flat wall with a spring and a damper in it; it pushes, and never pulls.
+    r"""Flat wall with spring and damper; its force is never adhesive.
 
     .. math::
 
@@ -40,26 +40,26 @@ class Wall(AbstractBlock):
             \tau_{ext} = J(q)^\top f_{ext}   \tag{2}
 
     with :math:`p = \mathrm{point}`, :math:`n = \mathrm{normal} / |\mathrm{normal}|`, :math:`k = \mathrm{stiffness}` and
-    :math:`d = \mathrm{damping}`. A damping that grows with the depth makes a contact begin and end without a jump. The
-    wall returns no more energy than its spring holds: along any motion, the power that it gives the tool is at most
-    minus the rate of half of k times the square of the depth.
+    :math:`d = \mathrm{damping}`. The damping is proportional to the depth, so that the force is continuous at contact.
+    The wall is passive: along any motion, its power on the tool is at most minus the rate of half of k times the square
+    of the depth.
 
-    The force on the tool is handed out, as by a perfect sensor at the wrist; `force_sensor` makes a real one of it.
+    The force on the tool is an output, like that of an ideal sensor at the wrist; `force_sensor` adds noise and offset.
 
     Parameters
     ----------
     point : (m,), m
-        Any point of the wall's face.
+        Any point of the surface.
     normal : (m,)
-        A direction out of the face, towards the robot, of any length.
+        Outward normal, towards the robot, of any length.
     stiffness : scalar, N/m, > 0
-        A stiff wall asks for short steps of the simulation, and for more damping of the controller.
+        Stiffness. A stiff wall requires short integration steps, and more damping in the controller.
     damping : scalar, N s/m^2, >= 0
-        Damping a metre of depth.
+        Damping per metre of depth.
 
     Notes
     -----
-    There is no friction along the face. Not for: edges, or links other than the tool that touch it.
+    There is no friction along the surface. Not for: edges, or contact of links other than the tool.
 
     References
     ----------
@@ -96,11 +96,11 @@ class Wall(AbstractBlock):
         return Equations({"tau_ext": J.T @ f, "f_ext": f, "depth": depth})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """What its spring holds does not stand in V: a controller that measures the force cancels it."""
+        """No storage: V does not contain the energy of the spring, since controllers cancel the measured force."""
         return Certificate()
 
 
 @operation
 def positive(value: SX) -> SX:
-    """What is above zero of a number."""
+    """The positive part of a number."""
     return ca.fmax(value, 0)

@@ -1,4 +1,4 @@
-"""A path through points, at rest in each."""
+"""Path through points, at rest in each."""
 
 from __future__ import annotations
 
@@ -26,28 +26,28 @@ from dmframe_blocks._quaternions import partly, quaternion, turned
 
 @final
 class Waypoints(AbstractBlock):
-    r"""Straight lines from point to point, each with the least jerk that starts and ends at rest.
+    r"""Straight segments between points, each a minimum-jerk motion from rest to rest.
 
-    Of each leg the share :math:`s(\tau) = 10 \tau^3 - 15 \tau^4 + 6 \tau^5` is behind, :math:`\tau` being the share of
-    its time that has passed: 0 before it begins, 1 after it ends.
+    The completed fraction of each segment is :math:`s(\tau) = 10 \tau^3 - 15 \tau^4 + 6 \tau^5`, with :math:`\tau` the
+    elapsed fraction of its time: 0 before it begins, 1 after it ends.
 
-    Twice continuously differentiable; it stays at the last point. With `orientations` the tool turns on each leg about
-    one axis, on the shortest way, and the same share of that turn is behind.
+    The path is twice continuously differentiable and stays at the last point. With `orientations` the tool rotates on
+    each segment about one axis along the shortest rotation, with the same completed fraction.
 
     Parameters
     ----------
     times : list, s
-        When each point is reached, increasing.
+        Increasing times at which the points are reached.
     x_d : one row a time, (m,), m
-        Points of the tool. Give these or `q_d`.
+        Points of the tool. Set x_d or q_d.
     q_d : one row a time, (n,), rad
         Points of the joints.
     orientations : one row a time, (3,), rad
-        Of the tool in the base's frame, rotation vectors: axis times angle. Absent unless given.
+        Orientations of the tool in the base frame as rotation vectors, axis times angle; none by default.
 
     References
     ----------
-    [Flash1985]_ for s; [Shoemake1985]_ for turns on the shortest way.
+    [Flash1985]_ for s; [Shoemake1985]_ for shortest rotations.
     """
 
     side = Side.SOURCE
@@ -77,7 +77,7 @@ class Waypoints(AbstractBlock):
         return self
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """A sum over the legs, and a product of their turns."""
+        """A sum over the segments, and a product of their rotations."""
         name = "x_d" if "x_d" in p else "q_d"
         points, times = ca.vertsplit(getattr(p, name)), ca.vertsplit(p.times)
         desired = points[0].T
@@ -94,6 +94,6 @@ class Waypoints(AbstractBlock):
 
 @operation
 def behind(t: Any, begins: Any, ends: Any) -> Any:
-    """The share of a leg that is behind: 10 s^3 - 15 s^4 + 6 s^5, s being the share of its time that has passed."""
+    """The completed fraction of a segment, 10 s^3 - 15 s^4 + 6 s^5, with s the elapsed fraction of its time."""
     tau = ca.fmin(ca.fmax((t - begins) / (ends - begins), 0), 1)
     return tau * tau * tau * (10 + tau * (6 * tau - 15))

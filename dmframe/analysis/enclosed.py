@@ -1,4 +1,4 @@
-r"""Interval enclosure of the sampled loop, linearised at an equilibrium.
+r"""Enclosure of the sampled loop in ball arithmetic, linearised at an equilibrium.
 
 The plant evolves between samples with held commands, so near the equilibrium, with H the integral of its transition,
 
@@ -18,10 +18,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Final, final
 
 import casadi as ca
 import numpy as np
+from flint import arb, arb_mat
 
 from dmframe.analysis.linear import Linear, at_speed
 from dmframe.analysis.moves import SplitMoves, kept_value, split_moves
@@ -29,8 +31,10 @@ from dmframe.analysis.rounding import unrounded
 from dmframe.analysis.set_point import counts, frozen
 from dmframe.certify.true_values import estimates_of
 from dmframe.diagram import ClosedLoop, Diagram
-from dmframe.exact.fixed import ONE, Fixed, UndecidedError, fixed_values
-from dmframe.exact.matrix import Matrix, held
+from dmframe.exact.ball_matrix import exactly, identity, middles, transition
+from dmframe.exact.balls import ONE, ZERO, UndecidedError, above, ball, below, enclosed, precise
+from dmframe.exact.ranges import ranges
+from dmframe.exact.rational import Interval
 from dmframe.exact.rows import Row, combined, dense, picked, product, sparse, stored_rows
 from dmframe.program import INPUT, Program, read
 
@@ -44,7 +48,7 @@ _STEPS: Final = 40
 _LONG: Final = 10**30
 """Range of sample counters, as a factor on their value at the set-point."""
 
-_NEAR: Final = ONE >> 200
+_NEAR: Final = arb((1, -200))
 """Tolerance of Newton's method."""
 
 
@@ -63,7 +67,7 @@ class Enclosure:
 
     L: Sequence[Row]
     R: Sequence[Row]
-    A: Matrix
+    A: arb_mat
     within: float
 
 
@@ -89,15 +93,15 @@ class EnclosedLoop:
         self.linear, self.loop = linear, unrounded(frozen(diagram)).loop
         if len(linear.states) > MOST_STATES:
             raise UndecidedError(f"it has {len(linear.states)} states, and with more than {MOST_STATES} none is tried")
-        self._p = [Fixed.around(float(value)) for value in (at_speed(self.loop) if moving else self.loop.p_values)]
+        self._p = [ball(float(value)) for value in (at_speed(self.loop) if moving else self.loop.p_values)]
         known = estimates_of(diagram)
         self._estimates = [label.partition("[")[0] in known for label in linear.states]
         self._rests = _inside(self.loop)
         counted = [counts(v) for v in self.loop.variables for _ in range(v.symbol.numel())]
         self._counts = [place for place, grows in enumerate(counted) if grows]
-        exactly = [Fixed.around(float(value)) for value in linear.point]
-        self._check_room([exactly, self._p, [Fixed.around(clock)]])  # before the check of projections
-        self.split = split or split_moves(self.loop, linear.point, self._p, Fixed.around(clock))
+        point = [ball(float(value)) for value in linear.point]
+        self._check_room([point, self._p, [ball(clock)]])  # before the check of projections
+        self.split = split or split_moves(self.loop, linear.point, self._p, ball(clock))
         programs = (self.split.y, self.split.L, self.split.R, self.split.guards)
         self._timed = any(node.code == INPUT and node.a == 2 for program in programs for node in program.nodes)
         self._once: Enclosure | None = None
@@ -113,10 +117,11 @@ class EnclosedLoop:
         """Number of invariant sums of states, taken as zero."""
         return len(self.split.kept)
 
-    def transition(self, period: float) -> Matrix:
+    @precise()
+    def transition(self, period: float) -> arb_mat:
         """Transition matrix over one period [s], in signals that vanish at the equilibrium, with a reduced memory."""
-        here, T = self.at(period), Fixed.around(period)
-        _, integral = held(here.A, T)
+        here, T = self.at(period), ball(period)
+        _, integral = transition(here.A, T)
         first, steps = self.linear.controller, list[Row]()
         rows = [not v.sampled for v in self.loop.stepped for _ in range(v.symbol.numel())]
         for row, flows in enumerate(rows):
@@ -125,8 +130,8 @@ class EnclosedLoop:
         steps += [combined(row, here.L) for row in flowing.values()]
         moved = product(here.R, steps)
         for place, entries in enumerate(moved):
-            one = entries.pop(place, Fixed(0, 0)) + Fixed(ONE, ONE)
-            if one.lower or one.upper:
+            one = entries.pop(place, ZERO) + ONE
+            if not one.is_zero():
                 entries[place] = one
         if self.moving > FEW:
             moved = without_store(moved)
@@ -148,98 +153,98 @@ class EnclosedLoop:
                 return self._enclosed(self.linear.point, period)
         return self._enclosed(self.linear.on(period).point, period)
 
+    @precise()
     def _enclosed(self, point: np.ndarray, period: float) -> Enclosure:
-        split, T = self.split, [Fixed.around(period)]
+        split, T = self.split, [ball(period)]
         count, size = split.count, len(point)
-        x = [Fixed.around(float(value)).middle for value in point]
+        x = [ball(float(value)).mid() for value in point]
 
-        def box(reach: int, places: Sequence[int]) -> list[list[Fixed]]:
-            ends = [Fixed(value, value) for value in x]
+        def box(reach: arb, places: Sequence[int]) -> list[list[arb]]:
+            ends = list(x)
             for place in places:
-                ends[place] = Fixed(x[place] - reach, x[place] + reach)
+                ends[place] = x[place] + reach
             for item in split.kept:
                 (own, _), *_ = item
                 ends[own] = -kept_value({term: factor for term, factor in item.items() if term[0] != own}, ends, T)
             return [ends, self._p, T]
 
-        def slopes(inputs: Sequence[Sequence[Fixed]]) -> list[Row]:
-            return stored_rows(split.R, fixed_values(split.R, inputs), count)
+        def slopes(inputs: Sequence[Sequence[arb]]) -> list[Row]:
+            return stored_rows(split.R, enclosed(split.R, inputs), count)
 
-        def signals(inputs: Sequence[Sequence[Fixed]], rows: Sequence[int]) -> Matrix:
-            (found,) = split.y.dense(fixed_values(split.y, inputs), Fixed(0, 0))
-            return Matrix.of([[found[row]] for row in rows], 1)
+        def signals(inputs: Sequence[Sequence[arb]], rows: Sequence[int]) -> arb_mat:
+            (found,) = split.y.dense(enclosed(split.y, inputs), ZERO)
+            return arb_mat(len(rows), 1, [found[row] for row in rows])
 
-        slope = slopes(box(0, ()))
+        slope = slopes(box(ZERO, ()))
         alone = self._alone(slope)
         for place in alone.values():  # the state is that signal, so it is zero
-            x[place] = 0
+            x[place] = ZERO
         rows = [row for row in range(count) if row not in alone]
         free = [place for place in range(size) if place not in set(alone.values())]
-        few = dense(picked([slope[row] for row in rows], free), len(free)).floats()
+        few = middles(dense(picked([slope[row] for row in rows], free), len(free)))
         chosen = _pivots(few, [self._estimates[place] for place in free])
         places = [free[k] for k in chosen]
         try:
-            C = Matrix.exactly(np.linalg.inv(few[:, chosen]))
+            C = exactly(np.linalg.inv(few[:, chosen]))
         except np.linalg.LinAlgError:
             raise UndecidedError("the signals that vanish at rest do not decide where it rests") from None
         for _ in range(_STEPS):
-            step = C @ signals(box(0, ()), rows)
-            for row, place in enumerate(places):
-                x[place] -= step.middle[row, 0]
-            if max((abs(value) for value in step.middle.ravel()), default=0) <= _NEAR:
+            steps = (C * signals(box(ZERO, ()), rows)).mid().entries()
+            for step, place in zip(steps, places, strict=True):
+                x[place] = (x[place] - step).mid()
+            if all(abs(step) <= _NEAR for step in steps):
                 break
-        error = C @ signals(box(0, ()), rows)
-        reach = 2 * max((int(value) for value in (np.abs(error.middle) + error.radius).ravel()), default=0) + _NEAR
+        error = C * signals(box(ZERO, ()), rows)
+        reach = arb(0, 2 * max((value.abs_upper() for value in error.entries()), default=ZERO) + _NEAR)
         inputs = box(reach, places)
         R = slopes(inputs)
         # Krawczyk's test: this box contains exactly one equilibrium with these estimates
         near = dense(product(sparse(C), picked([R[row] for row in rows], places)), len(places))
-        left = Matrix.identity(len(places)) - near
-        spread = ((np.abs(left.middle) + left.radius) @ np.full((len(places), 1), reach, dtype=object)) // ONE + 1
-        if np.any(np.abs(error.middle) + error.radius + spread >= reach):
+        moved = (identity(len(places)) - near) * arb_mat(len(places), 1, [reach] * len(places)) - error
+        if not (reach.is_finite() and all(reach.contains_interior(value) for value in moved.entries())):
             raise UndecidedError("that the loop has an equilibrium at this point is not proved")
-        still = signals(inputs, list(alone))
-        if np.any(still.middle) or np.any(still.radius):
+        if not all(value.is_zero() for value in signals(inputs, list(alone)).entries()):
             raise UndecidedError("a signal that seemed to be a single state is not one")
         self._check(inputs)
-        L = stored_rows(split.L, fixed_values(split.L, inputs), size)
-        (commands,) = split.held.dense(fixed_values(split.held, inputs), Fixed(0, 0))
+        L = stored_rows(split.L, enclosed(split.L, inputs), size)
+        (commands,) = split.held.dense(enclosed(split.held, inputs), ZERO)
         first = self.linear.controller
-        (found,) = split.slope.dense(fixed_values(split.slope, [inputs[0][first:], commands, self._p]), Fixed(0, 0))
+        (found,) = split.slope.dense(enclosed(split.slope, [inputs[0][first:], commands, self._p]), ZERO)
         flowing = size - first
-        A = Matrix.of([[found[i + flowing * j] for j in range(flowing)] for i in range(flowing)], flowing)
+        A = arb_mat(flowing, flowing, found).transpose()
         own = {term[0] for item in split.kept for term in list(item)[:1]}
-        moved = max(
-            (abs(float(Fixed(a, a)) - float(b)) for k, (a, b) in enumerate(zip(x, point, strict=True)) if k not in own),
-            default=0.0,
-        )
-        return Enclosure(L, R, A, moved + float(Fixed(reach, reach)))
+        away = [(a - float(b)).abs_upper() for k, (a, b) in enumerate(zip(x, point, strict=True)) if k not in own]
+        return Enclosure(L, R, A, above(max(away, default=ZERO) + reach))
 
     def _alone(self, slope: Sequence[Row]) -> dict[int, int]:
         """In a large loop: signals that are states, each with the state."""
         found = dict[int, int]()
         if self.moving > FEW:
             for row, entries in enumerate(slope):
-                ((place, value), *others) = entries.items() if entries else ((0, Fixed(0, 0)),)
-                if not others and value.lower == value.upper in (ONE, -ONE) and place not in found.values():
+                ((place, value), *others) = entries.items() if entries else ((0, ZERO),)
+                if not others and abs(value) == 1 and place not in found.values():
                     found[row] = place
         return found
 
-    def _check(self, inputs: Sequence[Sequence[Fixed]]) -> None:
+    def _check(self, inputs: Sequence[Sequence[arb]]) -> None:
         """No comparison turns out another way nearby, nor later; and no state is put back into its set."""
-        later = [list(column) for column in inputs]
-        for place in self._counts:
-            later[0][place] = Fixed(inputs[0][place].lower, inputs[0][place].upper * _LONG)
-        (turns,) = self.split.guards.stored(fixed_values(self.split.guards, later))
-        if any(value.lower <= 0 for value in turns):
+        if not self._counts:
+            (turns,) = self.split.guards.stored(enclosed(self.split.guards, inputs))
+            decided = all(turn > 0 for turn in turns)
+        else:  # balls have no wide range with a sharp end
+            later = [[Interval(Fraction(below(x)), Fraction(above(x))) for x in column] for column in inputs]
+            for place in self._counts:
+                later[0][place] = Interval(later[0][place].lower, later[0][place].upper * _LONG)
+            decided = all(turn.lower > 0 for turn in ranges(self.split.guards, later))
+        if not decided:
             raise UndecidedError("it rests where a comparison turns")
         self._check_room(inputs)
 
-    def _check_room(self, inputs: Sequence[Sequence[Fixed]]) -> None:
+    def _check_room(self, inputs: Sequence[Sequence[arb]]) -> None:
         """The tick puts no state back into its set."""
         for name, program in self._rests:
-            (room,) = program.stored(fixed_values(program, inputs))
-            if any(value.lower <= 0 for value in room):
+            (room,) = program.stored(enclosed(program, inputs))
+            if not all(value > 0 for value in room):
                 raise UndecidedError(f"{name} rests at an end of its set")
 
 
@@ -274,13 +279,13 @@ def without_store(rows: Sequence[Row]) -> list[Row]:
         read = {k: value for k, value in rows[place].items() if k in store}
         if not read:
             continue
-        found[reader][len(found)] = Fixed(ONE, ONE)
+        found[reader][len(found)] = ONE
         while read:  # what is read of the memory: of what it is given now, and of what it then holds
             later = combined(read, rows)
             found.append({order[k]: value for k, value in later.items() if k in order})
             read = {k: value for k, value in later.items() if k in store}
             if read:
-                found[-1][len(found)] = Fixed(ONE, ONE)
+                found[-1][len(found)] = ONE
     return found
 
 

@@ -9,7 +9,6 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.analysis.sums import Span, Sum, scaled, sums_of
-from dmframe.exact.fixed import MAYBE
 from dmframe.program import CONST, INPUT, Node, Program, by_code
 
 SMALL: Final = 1e-6
@@ -44,7 +43,7 @@ def vanishing(nodes: Sequence[Node], numbers: Sequence[Any]) -> tuple[list[bool]
     zero, kinds = list[bool](), list[str]()
     for node, number in zip(nodes, numbers, strict=True):
         code, a, b, constant, _ = node
-        size = 0.0 if number is MAYBE else abs(float(number))
+        size = abs(float(number))
         kind = _KINDS.get(code, ITSELF)
         if code == CONST:
             vanishes = constant == 0

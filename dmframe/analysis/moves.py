@@ -24,6 +24,7 @@ from typing import Any, final
 
 import casadi as ca
 import numpy as np
+from flint import arb
 
 from dmframe.analysis.least_cut import ITSELF, LEAST, Cut, vanishing
 from dmframe.analysis.set_point import at_set_point, counts, moves, undrawn
@@ -32,7 +33,7 @@ from dmframe.analysis.switches import apart, chosen, numbers_of, values_of
 from dmframe.certificate import SX
 from dmframe.diagram import ClosedLoop
 from dmframe.diagram.closed_loop import stack
-from dmframe.exact.fixed import Fixed, UndecidedError, fixed_values
+from dmframe.exact.balls import ZERO, UndecidedError, ball, enclosed, precise
 from dmframe.exact.literal import literal
 from dmframe.program import (
     EDGES,
@@ -79,7 +80,8 @@ class SplitMoves:
     kept: Sequence[Sum] = ()
 
 
-def split_moves(loop: ClosedLoop, point: np.ndarray, p: Sequence[Fixed], period: Fixed) -> SplitMoves:
+@precise()
+def split_moves(loop: ClosedLoop, point: np.ndarray, p: Sequence[arb], period: arb) -> SplitMoves:
     """The split, found with the numbers at a point near an equilibrium; it holds as identities wherever guards do.
 
     Raises `UndecidedError` where a comparison is at its turn, or an operation is not known.
@@ -89,7 +91,7 @@ def split_moves(loop: ClosedLoop, point: np.ndarray, p: Sequence[Fixed], period:
     if zeros:  # a term that is not there needs no proof
         expression = ca.substitute(expression, loop.p[zeros], ca.SX.zeros(len(zeros)))
     symbols = [loop.state, loop.p, loop.period]
-    inputs = [[Fixed.around(Fraction(float(value))) for value in point], list(p), [period]]
+    inputs = [[arb(float(value)) for value in point], list(p), [period]]
 
     def read_moves(value: SX) -> Program:
         return read(ca.Function("moves", symbols, [ca.cse(ca.densify(value))]))
@@ -108,8 +110,8 @@ def split_moves(loop: ClosedLoop, point: np.ndarray, p: Sequence[Fixed], period:
             pieces[state] = 0
             inputs[0][state] = -kept_value(dict(list(item.items())[1:]), *inputs[::2])
         program = read_moves(pieces)
-    program = read_moves(_summed(loop, program, symbols, fixed_values(program, inputs)))
-    cut, sums = Cut(program, fixed_values(program, inputs)).found()
+    program = read_moves(_summed(loop, program, symbols, enclosed(program, inputs)))
+    cut, sums = Cut(program, enclosed(program, inputs)).found()
     y = ca.SX.sym("y", len(cut))
     signals, rest = _rebuilt(program, symbols, cut, sums, y)
     at_zero = _rebuilt(program, symbols, cut, sums, ca.SX.zeros(len(cut)))[1]
@@ -162,11 +164,12 @@ def _conserved(loop: ClosedLoop, program: Program) -> list[Sum]:
     return conserved(own)
 
 
-def kept_value(item: Sum, x: Sequence[Fixed], T: Sequence[Fixed]) -> Fixed:
+@precise()
+def kept_value(item: Sum, x: Sequence[arb], T: Sequence[arb]) -> arb:
     """What a sum of states is."""
-    total = Fixed(0, 0)
+    total = ZERO
     for (state, power), factor in item.items():
-        term = Fixed.around(factor) * x[state]
+        term = ball(factor) * x[state]
         total = total + (term * T[0] if power else term)
     return total
 
@@ -203,7 +206,7 @@ def _summed(loop: ClosedLoop, program: Program, symbols: Sequence[SX], numbers: 
     return ca.vertcat(*(summed(state, place) for state, place in enumerate(places)))
 
 
-def _refuse_turns(loop: ClosedLoop, pieces: SX, guards: SX, inputs: Sequence[Sequence[Fixed]]) -> None:
+def _refuse_turns(loop: ClosedLoop, pieces: SX, guards: SX, inputs: Sequence[Sequence[arb]]) -> None:
     """Raises `UndecidedError` where a switch is left that a state turns, or a root that a state may end: at rest its
     slope is that of one side, as that of |z| is zero at z = 0, and nearby it is another. Raises it too where what moves
     reads a count, which never rests. A guard may have kinks: where it is continuous, it stays above zero nearby.
@@ -215,7 +218,7 @@ def _refuse_turns(loop: ClosedLoop, pieces: SX, guards: SX, inputs: Sequence[Seq
         program = read(ca.Function("turns", [loop.state, loop.p, loop.period], [expression]))
         if not program.codes & turning:
             continue
-        numbers, moving = fixed_values(program, inputs), list[bool]()
+        numbers, moving = enclosed(program, inputs), list[bool]()
         for node in program.nodes:
             state = node.code == INPUT and node.a == 0
             moving.append(state or any(moving[place] for place in node.operands))
@@ -246,7 +249,7 @@ def _rebuilt(
     return ca.vertcat(ca.SX(0, 1), *(own[place] for place in cut)), ca.vertcat(ca.SX(0, 1), *found)
 
 
-def _floats(numbers: Sequence[Fixed]) -> list[float]:
+def _floats(numbers: Sequence[arb]) -> list[float]:
     return [float(number) for number in numbers]
 
 

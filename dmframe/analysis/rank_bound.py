@@ -117,7 +117,7 @@ class MatrixBound:
 
     def _filled(self, found: list[list[Enclosure]], count: int, boxes: int) -> Enclosure:
         """Stored elements, as `count` matrices: (count, rows, columns, boxes)."""
-        pattern = (self._value if count == 1 else self._slope).sparsity[0]
+        pattern = (self.value if count == 1 else self.slope).sparsity_out(0)
         lower, upper = (np.zeros((count, self.columns, self.rows, boxes)) for _ in range(2))
         for entry, place, variable in zip(found[0], pattern.row(), pattern.get_col(), strict=True):
             where = (variable, place // self.rows, place % self.rows)

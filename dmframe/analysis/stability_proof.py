@@ -1,10 +1,10 @@
-r"""Proof of asymptotic stability of the linearised sampled loop: Lyapunov inequality in interval arithmetic.
+r"""Proof of asymptotic stability of the linearised sampled loop: Lyapunov inequality in ball arithmetic.
 
 For a symmetric P of exact binary floating-point numbers,
 
 .. math:: P > 0, \qquad P - F^\top P F > 0 \quad\text{for every F in the enclosure}
 
-by interval L D L': all eigenvalues of every such F are inside the unit circle. F divided by a radius gives a bound on
+by L D L' of balls: all eigenvalues of every such F are inside the unit circle. F divided by a radius gives a bound on
 the spectral radius.
 
 The result is cross-checked against the linearised loop in floating point and the tick of a run. If they disagree, the
@@ -20,6 +20,7 @@ from fractions import Fraction
 from typing import Final, final
 
 import numpy as np
+from flint import arb, arb_mat
 
 from dmframe.analysis.enclosed import EnclosedLoop
 from dmframe.analysis.linear import Linear, tick_jacobian
@@ -28,8 +29,8 @@ from dmframe.analysis.period import LONGEST, SHORTEST, Bracket
 from dmframe.analysis.set_point import LARGE, MOST, at_rest
 from dmframe.diagram import Diagram
 from dmframe.errors import DisagreementError, DmframeError, EngineError
-from dmframe.exact.fixed import Fixed
-from dmframe.exact.matrix import Matrix
+from dmframe.exact.ball_matrix import exactly, identity, middles, positive_definite, scaled
+from dmframe.exact.balls import ball, precise
 from dmframe.exact.rounded import Rounded, falls, gram, similar
 
 _REFINED: Final = 6
@@ -93,27 +94,28 @@ class StabilityProof:
     disagrees: bool = False
 
 
-def proved_schur(F: Matrix, radius: Fixed | None = None) -> bool:
+@precise()
+def proved_schur(F: arb_mat, radius: arb | None = None) -> bool:
     """Prove that all matrices in the enclosure have a spectral radius below `radius`, by default one."""
     from scipy.linalg import LinAlgWarning, matrix_balance, solve_discrete_lyapunov
 
-    if not F.shape[0]:
+    if not F.nrows():
         return True
-    scaled = F if radius is None else F.times(1 / radius)
-    numbers = scaled.floats()
+    F = F if radius is None else F / radius
+    numbers = middles(F)
     if not np.max(np.abs(numbers)) < MOST:  # infinite numbers too
         return False
     if len(numbers) > _DENSE:
-        return _falls(scaled)
+        return _falls(F)
     _, (sizes, _) = matrix_balance(numbers, permute=False, separate=True)
     powers = [int(power) for power in np.rint(np.log2(sizes))]
-    even = scaled.scaled([-power for power in powers], powers)
-    numbers, one = even.floats(), Matrix.identity(len(powers))
+    even = scaled(F, [-power for power in powers], powers)
+    numbers, one, across = middles(even), identity(len(powers)), even.transpose()
     if (
         not np.max(np.abs(np.linalg.eigvals(numbers))) < 1 - _HOPELESS
     ):  # necessary condition in floating point, saves time
         return False
-    P, left = Matrix.exactly(np.zeros_like(numbers)), np.eye(len(powers))
+    P, left = exactly(np.zeros_like(numbers)), np.eye(len(powers))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LinAlgWarning)
         warnings.simplefilter("ignore", RuntimeWarning)
@@ -124,25 +126,23 @@ def proved_schur(F: Matrix, radius: Fixed | None = None) -> bool:
                 return False
             if not np.all(np.isfinite(more)):
                 return False
-            P = P + Matrix.exactly((more + more.T) / 2)
-            residual = one - (P - even.T @ P @ even)
-            left = residual.floats()
+            P = P + exactly((more + more.T) / 2)
+            left = middles(one - (P - across * P * even))
             left = (left + left.T) / 2
             if np.max(np.abs(left)) < 1e-3 / len(powers):
                 break
-    decrease = P - even.T @ P @ even
-    return P.positive_definite() and decrease.positive_definite()
+    return positive_definite(P) and positive_definite(P - across * P * even)
 
 
-def _falls(F: Matrix) -> bool:
+def _falls(F: arb_mat) -> bool:
     """The same of a large matrix, in floats: in coordinates in which it contracts, a power has a norm below one."""
     from scipy.linalg import matrix_balance
 
-    numbers = F.floats()
+    numbers = middles(F)
     numbers[np.abs(numbers) < _NOTHING] = 0.0
     _, (sizes, _) = matrix_balance(numbers, permute=False, separate=True)
     powers = [int(power) for power in np.clip(np.rint(np.log2(sizes)), -_MOST_POWER, _MOST_POWER)]
-    even = Rounded.of(F.scaled([-power for power in powers], powers))
+    even = Rounded.of(scaled(F, [-power for power in powers], powers))
     P = gram(even.middle)
     if not even.finite or not np.all(np.isfinite(P)):
         return False
@@ -217,7 +217,7 @@ def _compare(
         raise _disagreement(own, f"the equilibrium that is enclosed lies {loop.at(own).within:.2g} from that of floats")
     found = linear.spectral_radius(own)
     if linear.at_rest == len(linear.states) - loop.moving - loop.kept:  # else floats leave out others
-        seen = float(np.max(np.abs(np.linalg.eigvals(loop.transition(own).floats())), initial=0.0))
+        seen = float(np.max(np.abs(np.linalg.eigvals(middles(loop.transition(own)))), initial=0.0))
         if abs(seen - found) > _OTHER:
             raise _disagreement(
                 own, f"the enclosed loop has a spectral radius of {seen:.6g}, that in floats {found:.6g}"
@@ -254,12 +254,12 @@ def _why(linear: Linear, loop: EnclosedLoop, clock: float | None, radius: float 
 def _proved_radius(loop: EnclosedLoop, clock: float) -> float | None:
     """Proved bound below one, slightly above the spectral radius."""
     F = loop.transition(clock)
-    if not np.all(np.isfinite(numbers := F.floats())):
+    if not np.all(np.isfinite(numbers := middles(F))):
         return None
     seen = float(np.max(np.abs(np.linalg.eigvals(numbers)), initial=0.0))
     for share in (0.001, 0.1, 0.9):
         bound = float(np.format_float_positional(seen + share * (1 - seen), 8))
-        if seen < bound < 1 and proved_schur(F, Fixed.around(bound)):
+        if seen < bound < 1 and proved_schur(F, ball(bound)):
             return bound
     return 1.0 if proved_schur(F) else None
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dmframe.analysis.least_cut import LEAST, SMALL
 from dmframe.certificate import SX
-from dmframe.exact.fixed import UndecidedError
+from dmframe.exact.balls import UndecidedError
 from dmframe.program import (
     COMPARISONS,
     CONST,

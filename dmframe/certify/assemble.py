@@ -11,6 +11,7 @@ import casadi as ca
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Gathered, LeastSquaresSteps, LogDet, NormSquare, Potential, Square, Steps
 from dmframe.certify.claim import Claim, NotApplicableError, Part
+from dmframe.certify.form import stepping
 from dmframe.certify.symbols import Group, Symbols, symbols_of
 from dmframe.diagram.closed_loop import stack
 from dmframe.port import Side
@@ -74,8 +75,13 @@ class _Assembly:
         named = {label: self._out(f"move of {label}", rate) for label, rate in moves.items()}
         plant_named = {label: self._out(f"plant's move of {label}", rate) for label, rate in plant.items()}
         labels = [group.label for group in symbols.groups]
+        still = {leaf.name for leaf in stepping(of)} if of.over_samples else set[str]()
+        kinds = ["stepping" if group.label in still else group.kind for group in symbols.groups]
         return data.Claim(
-            symbols=tuple(data.Symbol(g.label, g.kind, g.symbol.numel(), g.values) for g in symbols.groups),
+            symbols=tuple(
+                data.Symbol(g.label, kind, g.symbol.numel(), g.values)
+                for g, kind in zip(symbols.groups, kinds, strict=True)
+            ),
             gains=tuple(gain.label for gain in gains),
             program=self._program(symbols, [*labels, *(f"{gain.label}.changed" for gain in gains)], copies),
             operator="sample" if of.over_samples else "flow",

@@ -22,7 +22,7 @@ from dmframe.certify.definite import is_mass_matrix
 from dmframe.certify.starts import begun_at
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import ValueFault
-from dmframe.exact.fixed import UndecidedError
+from dmframe.exact.balls import UndecidedError
 from dmframe.exact.rational import as_float
 from dmframe.linalg import ldl
 from dmframe.text import DV, Formula, Text, V, sentence, square_of

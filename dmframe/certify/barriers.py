@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from fractions import Fraction
@@ -16,15 +17,15 @@ from dmframe.barrier import Barrier
 from dmframe.certificate import SX, Square
 from dmframe.certify.checked import Numbers, lower, upper
 from dmframe.certify.claim import Claim, Part
-from dmframe.certify.definite import Number
 from dmframe.certify.starts import has_start, start_expression
 from dmframe.certify.statements import Statement
 from dmframe.certify.symbols import Symbols
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import DmframeError, ValueFault
 from dmframe.exact import zero_test
-from dmframe.exact.fixed import ONE, Fixed, UndecidedError, fixed_values
+from dmframe.exact.balls import UndecidedError
 from dmframe.exact.literal import literal
+from dmframe.exact.ranges import ranges
 from dmframe.exact.rational import as_float
 from dmframe.program import read
 from dmframe.simulate.start import start_state
@@ -117,7 +118,7 @@ def tubes(claim: Claim, numbers: Numbers, symbols: Symbols, start: Mapping[str, 
     begin = _start(claim, numbers, start)
     if begin is None:
         return
-    spent = max(0.0, _most(claim, numbers, begin, claim.V))
+    spent = float(max(0.0, *_range(claim, numbers, begin, claim.V)[1]))
     for part, barrier in stated:
         share = _share(claim, numbers, symbols, barrier, f"{part.block}: the position of its barrier")
         if share is None or not math.isfinite(spent):
@@ -128,9 +129,8 @@ def tubes(claim: Claim, numbers: Numbers, symbols: Symbols, start: Mapping[str, 
         a, v, w, margin, low, high = (column for column in constants if column is not None)
         if min(map(np.min, (a, v, w))) <= 0:
             continue
-        elements = ca.vertsplit(barrier.position)
-        least, most = (np.asarray([_most(claim, numbers, begin, sign * x) for x in elements]) for sign in (-1, 1))
-        outside = np.maximum(0.0, np.maximum(most - high, low + least))
+        least, most = _range(claim, numbers, begin, barrier.position)
+        outside = np.maximum(0.0, np.maximum(most - high, low - least))
         if not np.all(np.isfinite(outside)):
             continue
         tube = OUTWARD * np.sqrt(share * spent / (2 * a))
@@ -249,8 +249,8 @@ def _start(claim: Claim, numbers: Numbers, given: Mapping[str, Any]) -> Begin | 
     return Begin([*said, *found], stack(symbols), values)
 
 
-def _most(claim: Claim, numbers: Numbers, begin: Begin, expression: SX) -> float:
-    """The most that an expression is at the start, over the intervals; infinite where that is not found."""
+def _range(claim: Claim, numbers: Numbers, begin: Begin, expression: SX) -> tuple[np.ndarray, np.ndarray]:
+    """The least and the most of a column at the start, over the intervals; infinite where that is not found."""
     loop = claim.loop
     for _ in range(3):  # a controller's state may start where another one does
         for symbol, value in begin.pairs:
@@ -258,17 +258,10 @@ def _most(claim: Claim, numbers: Numbers, begin: Begin, expression: SX) -> float
         expression = loop.joined([expression])[0]
     columns = [loop.time, begin.symbols, *(stack([parameter.symbol]) for parameter in loop.parameters)]
     function = ca.Function("start", columns, [ca.densify(loop.on_path(expression))], {"allow_free": True})
-    if function.has_free():
-        return math.inf
-    given = [Fraction(0)], list(map(literal, begin.values)), *(numbers.values[p.label] for p in loop.parameters)
-    try:
-        program = read(function)
-        ((found,),) = program.dense(fixed_values(program, [list(map(_held, column)) for column in given]), Fixed(0, 0))
-        return math.nextafter(float(Fraction(found.upper, ONE)), math.inf)
-    except (ValueFault, UndecidedError, OverflowError):
-        return math.inf
-
-
-def _held(value: Number) -> Fixed:
-    """All that a number can be."""
-    return Fixed(Fixed.around(lower(value)).lower, Fixed.around(upper(value)).upper)
+    size = expression.numel()
+    if not function.has_free():
+        given = [Fraction(0)], list(map(literal, begin.values)), *(numbers.values[p.label] for p in loop.parameters)
+        with suppress(ValueFault, UndecidedError):
+            found = ranges(read(function), given)
+            return np.array([as_float(x.lower) for x in found]), np.array([as_float(x.upper) for x in found])
+    return np.full(size, -math.inf), np.full(size, math.inf)

@@ -18,7 +18,7 @@ from dmframe.certify.definite import Number, pivots
 from dmframe.certify.symbols import exact_values
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import ValueFault
-from dmframe.exact.fixed import ONE, Fixed, fixed_values
+from dmframe.exact.ranges import ranges
 from dmframe.exact.rational import Interval, as_float, evaluate
 from dmframe.program import read
 from dmframe.text import Text
@@ -108,7 +108,7 @@ class Numbers:
     def enclosed(self, expression: SX) -> list[Number]:
         """The elements of an expression in parameters and starts that lie in intervals; of any operations.
 
-        Raises `ValueFault` or `UndecidedError` where they are not found.
+        Raises `UndecidedError` where they are not found, `ValueFault` for what lies in none.
         """
         joined = ca.vec(ca.densify(expression))
         columns = [*self._columns, *(self.claim.starts[label] for label in self.starts)]
@@ -119,10 +119,7 @@ class Numbers:
         try:
             return evaluate(function, given)[0]
         except (ValueFault, ZeroDivisionError):
-            program = read(function)
-            held = [[Fixed(Fixed.around(lower(x)).lower, Fixed.around(upper(x)).upper) for x in one] for one in given]
-            (found,) = program.dense(fixed_values(program, held), Fixed(0, 0))
-            return [Interval(Fraction(item.lower, ONE), Fraction(item.upper, ONE)) for item in found]
+            return list(ranges(read(function), given))
 
     def reads(self, expression: SX) -> SX:
         """The parameters that an expression holds, its trajectories on their paths."""

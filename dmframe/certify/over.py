@@ -19,7 +19,7 @@ from dmframe.certify.checked import Checked, Numbers, lower, upper
 from dmframe.certify.claim import Claim
 from dmframe.certify.tacit import Tacit, tacit
 from dmframe.errors import ValueFault
-from dmframe.exact.fixed import UndecidedError
+from dmframe.exact.balls import UndecidedError
 from dmframe.exact.rational import as_float
 from dmframe.text import UNNAMED, Text, joined
 

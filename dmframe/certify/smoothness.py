@@ -28,7 +28,7 @@ from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.resolve import Leaf
 from dmframe.diagram.wiring import Derived
 from dmframe.exact import Tape
-from dmframe.exact.digits import UndefinedHere
+from dmframe.exact.balls import UndecidedError
 from dmframe.exact.pieces import Course, NotFollowed, follow, moving_operations
 from dmframe.program import CONST, DIVISIONS, EDGES, JUMPS, KINKS, codes, sign_of
 from dmframe.text import Label, Text, sentence
@@ -278,7 +278,7 @@ def _continuous_anywhere(diagram: Diagram, function: ca.Function) -> bool:
     for scale in SCALES:
         try:
             course = follow(tape, [_near(value, scale, rng) for value in own])
-        except (NotFollowed, UndefinedHere, ZeroDivisionError):
+        except (NotFollowed, UndecidedError, ZeroDivisionError):
             return False
         if course.jump is not None or course.edged:
             return False
@@ -321,7 +321,7 @@ def _followed(diagram: Diagram, leaf: Leaf) -> Findings:
     values = [value for parameter in parameters for value in exact[parameter.label]]
     try:
         course = follow(tape, values)
-    except (NotFollowed, UndefinedHere, ZeroDivisionError):
+    except (NotFollowed, UndecidedError, ZeroDivisionError):
         yield from _looked_at(leaf, function, diagram.loop.p_values)
         return
     yield from _course(leaf, course)
@@ -333,7 +333,7 @@ def _course(leaf: Leaf, course: Course) -> Findings:
     count = len(course.instants)
     if course.jump is not None:
         jump = course.jump
-        change = f"from {float(jump.before):.6g} to {float(jump.after):.6g} at t = {float(jump.time):.6g} s"
+        change = f"from {jump.before:.6g} to {jump.after:.6g} at t = {float(jump.time):.6g} s"
         yield "fault", Text(Label(f"{leaf.name}[{jump.element}]"), f" jumps {change}; ", NEEDED)
     elif course.until is not None:
         seen = f" is continuous; it is at its first {count} switching instants, up to t = {float(course.until):.6g} s"

@@ -39,6 +39,7 @@ from dmframe.prove.faults import Control, inject_faults
 from dmframe.prove.identity import empty, identity
 from dmframe.prove.reals import doubt
 from dmframe.prove.refute import Refutation, refute
+from dmframe.prove.sound import hold_sound
 from dmframe.text import DV, UNNAMED, Text, Written, joined, sentence
 
 Outcome = Literal["proved", "refuted", "not_applicable"]
@@ -200,7 +201,10 @@ def _verified(
     exact = assembled(claim, tuple(uncertain))  # which has differentiated all that has to vanish
     symbols = symbols_of(claim, uncertain)
     own = seed
-    seed = drawn(exact, diagram.fingerprint, own)
+    try:
+        seed = drawn(exact, diagram.fingerprint, own)
+    except ValueFault as error:  # a number that is not finite
+        raise NotApplicableError(f"what is claimed cannot be written as data: {error.text}") from None
     examiner = None if claim.over_samples else Examiner(diagram, claim)
     smooth = None if examiner is None else examiner.found()
     clock.built()
@@ -211,6 +215,7 @@ def _verified(
     if smooth is not None and smooth.faults:
         return ends("not_applicable", joined(smooth.faults, "; "))
     try:
+        hold_sound(exact)
         test = replace(identity(exact, trials=trials, seed=seed), seed=own)
     except ValueFault as error:
         return ends("not_applicable", Text(error.text))
@@ -222,7 +227,10 @@ def _verified(
         refutation = refute(exact, seed=seed)
         blame = _blame(claim, refutation, [] if claim.over_samples else remedies(claim, numbers))
         return ends("refuted", blame, test=test, refutation=refutation)
-    controls = inject_faults(exact, seed=seed)
+    try:
+        controls = inject_faults(exact, seed=seed)
+    except ValueFault as error:
+        return ends("not_applicable", Text(error.text), test=test)
     find = _in_discrete_time if examiner is None else partial(_in_continuous_time, examiner=examiner)
     found = find(claim, symbols, numbers, start, seed)
     if found.fault:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from dmframe.errors import ValueFault
 from dmframe.exact.arithmetic import ARITHMETIC
-from dmframe.program import CONST, INPUT, OPERATIONS, Node, by_code, read, run
+from dmframe.program import CONST, INPUT, OPERATIONS, Node, Program, by_code, read, run
 
 Numbers = NDArray[np.float64]
 
@@ -130,7 +130,7 @@ _HALF: Final = _PI
 _TURN: Final = Enclosure(_PI.lower * 2, _PI.upper * 2)
 
 _FARTHEST: Final = 1e5
-"""Beyond this angle [rad] the reduction to a quarter turn is too coarse to tell anything."""
+"""Beyond this angle [rad] the reduction to a quarter turn is too coarse."""
 
 _TERMS: Final = 11
 _SINE: Final = [Enclosure.around(Fraction((-1) ** k, math.factorial(2 * k + 1))) for k in range(_TERMS)]
@@ -185,19 +185,24 @@ RULES: Final = ARITHMETIC | by_code(
 
 @final
 class Enclosing:
-    """An SX function evaluated in enclosures; the default `rules` know field operations, sine and cosine.
+    """An SX function, or its program, evaluated in enclosures.
 
+    The default `rules` know field operations, sine and cosine. By default, a literal is the float that it is.
     Raises `ValueFault` for a function that holds any other operation, or a constant that is not finite.
     """
 
-    def __init__(self, f: Any, rules: Mapping[int, Callable[..., Any]] = RULES) -> None:
-        self.sparsity = [f.sparsity_out(j) for j in range(f.n_out())]
-        self.program, self._rules = read(f), rules
-        for code, _, _, constant, _ in self.program.nodes:
+    def __init__(
+        self,
+        f: Any,
+        rules: Mapping[int, Callable[..., Any]] = RULES,
+        constant: Callable[[float], Enclosure] = Enclosure.of,
+    ) -> None:
+        self.program, self._rules, self._constant = f if isinstance(f, Program) else read(f), rules, constant
+        for code, _, _, number, _ in self.program.nodes:
             if code not in rules and code not in (INPUT, CONST):
                 raise self._refuse(code)
-            if not math.isfinite(constant):
-                raise ValueFault(f"{f.name()}: expected finite constants, found {constant}")
+            if not math.isfinite(number):
+                raise ValueFault(f"{self.program.name}: expected finite constants, found {number}")
 
     def __call__(self, inputs: Sequence[Sequence[Any]]) -> list[list[Enclosure]]:
         """The stored elements of each output; an input is a list of its elements, numbers or enclosures."""
@@ -212,7 +217,7 @@ class Enclosing:
                 self.program,
                 self._rules,
                 given=lambda argument, element: Enclosure.of(inputs[argument][element]),
-                constant=Enclosure.of,
+                constant=self._constant,
                 refuse=self._refuse,
                 keep=keep,
             )

@@ -2,21 +2,21 @@
 
 A derivative taken by the chain rule knows nothing of a jump. A function that switches is followed from t = 0 on: on
 each piece every switch has one position, read from its argument, a polynomial of degree one there; where the next
-argument vanishes, the piece ends. At every end both sides are evaluated, to 60 digits, with their switches held.
+argument vanishes, the piece ends. At every end both sides are evaluated in ball arithmetic, with their switches held.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from decimal import Decimal, DecimalException, localcontext
 from fractions import Fraction
 from functools import reduce
 from typing import Final, TypeVar, final
 
 import casadi as ca
+from flint import arb
 
-from dmframe.exact.digits import CONTEXT, FUNCTIONS, UndefinedHere, decimal_of
+from dmframe.exact.balls import UndecidedError, ball, enclosed, precise
 from dmframe.exact.tape import Tape
 from dmframe.program import CONST, DIVISIONS, EDGES, INPUT, by_code, sign_of
 
@@ -25,7 +25,7 @@ V = TypeVar("V")
 INSTANTS: Final = 200
 """Switching instants that are followed; a function that switches for ever is left there."""
 
-CONTINUOUS: Final = Decimal("1e-13")
+CONTINUOUS: Final = 1e-13
 """What rounded literals, such as sin(1) in the code, may leave of a step that is none, relative to the function."""
 
 LARGEST_POWER: Final = 16
@@ -46,8 +46,8 @@ class Jump:
 
     time: Fraction
     element: int
-    before: Decimal
-    after: Decimal
+    before: float
+    after: float
 
 
 @final
@@ -81,10 +81,11 @@ def moving_operations(tape: Tape, moving: Sequence[Sequence[bool]]) -> Iterator[
             yield k, node.code if tape.exponent(k) is None else ca.OP_POW
 
 
+@precise()
 def follow(tape: Tape, parameters: Sequence[Fraction]) -> Course:
     """The course of a function of (t, parameters) from t = 0 on.
 
-    Raises `NotFollowed` for a switch that cannot be followed, `UndefinedHere` where the function has no value.
+    Raises `NotFollowed` for a switch that cannot be followed, `UndecidedError` where the function may have no value.
     """
     instants, edged = list[Fraction](), False
     begin, before = Fraction(0), None
@@ -94,8 +95,9 @@ def follow(tape: Tape, parameters: Sequence[Fraction]) -> Course:
         edged = edged or piece.edged
         if before is not None:
             for element, (left, right) in enumerate(zip(before.at(begin), piece.at(begin), strict=True)):
-                if abs(left - right) > CONTINUOUS * (1 + abs(left) + abs(right)):
-                    return Course(tuple(instants), Jump(begin, element, left, right), begin, edged)
+                if not abs(left - right) <= CONTINUOUS * (1 + abs(left) + abs(right)):
+                    jump = Jump(begin, element, float(left), float(right))
+                    return Course(tuple(instants), jump, begin, edged)
         if piece.end is None or len(instants) == INSTANTS:
             return Course(tuple(instants), None, piece.end, edged)
         begin, before = piece.end, piece
@@ -117,25 +119,22 @@ class _Piece:
             self._values.append(self._value(k))
             self.edged = self.edged or (self._values[-1] is None and k in moving and self._has_edge(k))
 
-    def at(self, time: Fraction) -> list[Decimal]:
+    def at(self, time: Fraction) -> list[arb]:
         """The outputs' stored elements with all switches as on this piece: at its end, the limit from the left."""
-        values = list[Decimal]()
-        with localcontext(CONTEXT):
-            given = self._given(decimal_of(time), [decimal_of(value) for value in self._parameters])
-            try:
-                for k, node in enumerate(self._tape.nodes):
-                    if k in self._held:
-                        scale, place, offset = self._held[k]
-                        values.append(decimal_of(scale) * values[place] + decimal_of(offset))
-                    elif node.code == INPUT:
-                        values.append(given[node.a][node.b])
-                    elif node.code == CONST:
-                        values.append(decimal_of(self._tape.numbers[node.constant]))
-                    else:
-                        values.append(FUNCTIONS[node.code](*(values[operand] for operand in node.operands)))
-            except (DecimalException, KeyError, ValueError) as error:
-                raise UndefinedHere(str(error)) from None
-        return [value for output in self._tape.program.stored(values) for value in output]
+
+        def held(k: int, values: Sequence[arb]) -> arb | None:
+            polynomial = self._values[k]
+            if polynomial is not None:
+                return ball(sum((a * time**power for power, a in enumerate(polynomial)), _ZERO))
+            if k in self._held:
+                scale, place, offset = self._held[k]
+                return ball(scale) * values[place] + ball(offset)
+            return None
+
+        program = self._tape.program
+        given = self._given(ball(time), [ball(value) for value in self._parameters])
+        found = program.stored(enclosed(program, given, held=held))
+        return [value for output in found for value in output]
 
     def _has_edge(self, k: int) -> bool:
         """True for a divisor that moves on the piece, and for a function that ends somewhere."""
@@ -229,7 +228,7 @@ def _modulo(count: Callable[[_Piece, Polynomial, Fraction], Fraction]) -> Callab
     def held(piece: _Piece, values: list[Polynomial]) -> Held:
         period = _constant(values[1])
         if not period:
-            raise UndefinedHere("a period of zero")
+            raise UndecidedError("a period of zero")
         return _ONE, 0, -period * count(piece, values[0], period)
 
     return held

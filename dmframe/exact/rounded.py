@@ -12,9 +12,10 @@ from __future__ import annotations
 from typing import Final, final
 
 import numpy as np
+from flint import arb_mat
 from numpy.typing import NDArray
 
-from dmframe.exact.matrix import Matrix, in_floats
+from dmframe.exact.ball_matrix import middles, radii
 
 Array = NDArray[np.float64]
 
@@ -32,9 +33,9 @@ class Rounded:
         self.middle, self.radius = middle, radius
 
     @staticmethod
-    def of(matrix: Matrix) -> Rounded:
-        """An enclosure of many places, in floats."""
-        middle, radius = matrix.floats(), in_floats(matrix.radius)
+    def of(matrix: arb_mat) -> Rounded:
+        """A matrix of balls of many bits, in floats."""
+        middle, radius = middles(matrix), radii(matrix)
         return Rounded(middle, (radius + np.abs(middle) * 2 * _UNIT) * (1 + 8 * _UNIT) + _LEAST)
 
     @staticmethod

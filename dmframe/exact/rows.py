@@ -1,38 +1,35 @@
-"""Sparse matrices of enclosures: what is not stored is zero, exactly."""
+"""Sparse matrices of balls: what is not stored is zero, exactly."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Final
 
-import numpy as np
+from flint import arb, arb_mat
 
-from dmframe.exact.fixed import Fixed
-from dmframe.exact.matrix import Matrix
+from dmframe.exact.balls import ZERO, precise
 from dmframe.program import Program
 
-Row = dict[int, Fixed]
-
-ZERO: Final = Fixed(0, 0)
+Row = dict[int, arb]
 
 
-def stored_rows(program: Program, values: Sequence[Fixed], rows: int) -> list[Row]:
+def stored_rows(program: Program, values: Sequence[arb], rows: int) -> list[Row]:
     """The first output of a program, row by row, of the values of its nodes."""
     found: list[Row] = [{} for _ in range(rows)]
     for place, value in zip(program.outputs[0].places, program.stored(values)[0], strict=True):
-        if value.lower or value.upper:
+        if not value.is_zero():
             found[place % rows][place // rows] = value
     return found
 
 
-def combined(factors: Mapping[int, Fixed], rows: Sequence[Row] | Mapping[int, Row]) -> Row:
+@precise()
+def combined(factors: Mapping[int, arb], rows: Sequence[Row] | Mapping[int, Row]) -> Row:
     """The sum of rows, each times its factor; what cancels exactly is left out."""
     found: Row = {}
     for place, factor in factors.items():
         for column, value in rows[place].items():
             term = factor * value
             found[column] = found[column] + term if column in found else term
-    return {column: value for column, value in found.items() if value.lower or value.upper}
+    return {column: value for column, value in found.items() if not value.is_zero()}
 
 
 def product(left: Sequence[Row], right: Sequence[Row]) -> list[Row]:
@@ -40,19 +37,14 @@ def product(left: Sequence[Row], right: Sequence[Row]) -> list[Row]:
     return [combined(row, right) for row in left]
 
 
-def dense(rows: Sequence[Row], columns: int) -> Matrix:
+def dense(rows: Sequence[Row], columns: int) -> arb_mat:
     """The same as a matrix that stores everything."""
-    return Matrix.of([[row.get(column, ZERO) for column in range(columns)] for row in rows], columns)
+    return arb_mat(len(rows), columns, [row.get(column, ZERO) for row in rows for column in range(columns)])
 
 
-def sparse(matrix: Matrix) -> list[Row]:
+def sparse(matrix: arb_mat) -> list[Row]:
     """The elements of a matrix that are not zero, exactly."""
-    found: list[Row] = [{} for _ in range(matrix.shape[0])]
-    for (row, column), middle in np.ndenumerate(matrix.middle):
-        radius = matrix.radius[row, column]
-        if middle or radius:
-            found[row][column] = Fixed(middle - radius, middle + radius)
-    return found
+    return [{column: v for column, v in enumerate(row) if not v.is_zero()} for row in matrix.tolist()]
 
 
 def picked(rows: Sequence[Row], places: Sequence[int]) -> list[Row]:

@@ -8,21 +8,19 @@ can turn out: a function that is continuous where it switches then has a narrow 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from fractions import Fraction
 from itertools import product
 from typing import Any, Final
 
 import numpy as np
+from flint import arb
 from numpy.typing import NDArray
 
+from dmframe.exact.balls import above, below, precise
 from dmframe.exact.enclosure import RULES, Enclosing, Enclosure, down, up
-from dmframe.exact.fixed import ONE, Fixed, UndecidedError
 from dmframe.program import COMPARISONS, JUMPS, Node, by_code
 
 _LARGEST_POWER: Final = 64
 _MOST_SWITCHES: Final = 4
-_LARGEST: Final = 600.0
-"""Above this an exponential is taken to overflow, and below its negative to lie between zero and that of this."""
 
 
 def _truth(yes: Any, no: Any) -> Enclosure:
@@ -138,21 +136,13 @@ def _power(a: Enclosure, b: Enclosure) -> Any:
     return found * a if int(k) % 2 else found
 
 
-def _rising(rule: Callable[[Fixed], Fixed]) -> Callable[[Enclosure], Enclosure]:
-    """A function that rises, by the ends of the interval, each in many places."""
+def _rising(rule: Callable[[arb], arb]) -> Callable[[Enclosure], Enclosure]:
+    """A function that rises, by the ends of the interval, each in ball arithmetic."""
 
+    @precise()
     def ends(x: float) -> tuple[float, float]:
-        """Below and above the value at x; far out tanh is what it is at the largest, up to the next number."""
-        if x < -_LARGEST and rule is Fixed.exp:
-            return 0.0, ends(-_LARGEST)[1]
-        if not abs(x) <= _LARGEST:
-            return (np.nan, np.nan) if rule is Fixed.exp or np.isnan(x) else ends(np.copysign(_LARGEST, x))
-        scaled = Fraction(x) * ONE
-        try:
-            found = rule(Fixed(scaled.numerator // scaled.denominator, -(-scaled.numerator // scaled.denominator)))
-        except UndecidedError:
-            return np.nan, np.nan
-        return float(down(float(Fraction(found.lower, ONE)))), float(up(float(Fraction(found.upper, ONE))))
+        found = rule(arb(x))
+        return below(found), above(found)
 
     both: Any = np.vectorize(ends, otypes=[float, float])
     return lambda a: Enclosure(both(a.lower)[0], both(a.upper)[1])
@@ -179,8 +169,8 @@ SWITCHING: Final = RULES | by_code(
         "sqrt": _root,
         "pow": _power,
         "constpow": _power,
-        "exp": _rising(Fixed.exp),
-        "tanh": _rising(Fixed.tanh),
+        "exp": _rising(arb.exp),
+        "tanh": _rising(arb.tanh),
     }
 )
 """The rules of enclosures, and those of operations that switch."""

@@ -28,7 +28,7 @@ from dmframe.formula.points import (
     agree,
     differs,
     equal,
-    in_digits,
+    in_balls,
     is_rounding,
     jittered,
     switching,
@@ -243,7 +243,7 @@ class ReadBlock:
                 moved = ((first.at(near)[place], second.at(near)[place]) for near in jittered(values))
                 if not differs(one, two) or is_rounding(one, two, moved):
                     continue
-                if not agree(first.in_digits(values, place), second.in_digits(values, place)):
+                if not agree(first.in_balls(values, place), second.in_balls(values, place)):
                     raise self._fault(method, label)
             for side, found in zip(sides, turns, strict=True):
                 side.see(found.at(values)[0])
@@ -299,7 +299,7 @@ class ReadBlock:
                 moved = ((found[place].full(), found[place + len(open_labels)].full()) for found in jittered_values)
                 if not differs(one, two) or is_rounding(one, two, moved):
                     continue
-                if not agree(*(in_digits(function, [point, values], k) for k in (place, place + len(open_labels)))):
+                if not agree(*(in_balls(function, [point, values], k) for k in (place, place + len(open_labels)))):
                     raise self._fault("certificate", label)
             sides.see(turned)
             if seed + 1 >= (NEAR if near else POINTS) and sides.complete:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from decimal import Decimal
+from contextlib import suppress
 from functools import partial
 from typing import Any, Final, final
 
 import casadi as ca
 import numpy as np
+from flint import arb
 
 from dmframe.errors import ValueFault
-from dmframe.exact import Tape, zero_test
-from dmframe.exact.digits import UndefinedHere, at_point
+from dmframe.exact import zero_test
+from dmframe.exact.balls import UndecidedError, enclosed
 from dmframe.program import OPERATIONS, codes, read, run
 
 POINTS: Final = 6
@@ -39,6 +40,8 @@ _JITTER: Final = 1e-14
 _SPREADS: Final = 10
 """A difference of up to this many times the change by the perturbation is rounding."""
 _TINY: Final = 1e-300
+_BITS: Final = (256, 1024, 4096)
+"""Precisions of a point at which floats differ, until all of its balls are narrow."""
 
 _EQUALITY: Final = frozenset((ca.OP_EQ, ca.OP_NE))
 
@@ -114,24 +117,28 @@ def is_rounding(first: np.ndarray, second: np.ndarray, moved: Iterable[tuple[np.
     return bool(np.all(np.abs(first - second)[finite] <= allowed[finite]))
 
 
-def in_digits(function: Any, given: Sequence[Any], place: int) -> np.ndarray | None:
-    """One result of a function, computed with enough digits to make rounding negligible; None if that fails.
+def in_balls(function: Any, given: Sequence[Any], place: int) -> np.ndarray | None:
+    """One result of a function in ball arithmetic, with as many bits as it takes; None where `_BITS` are too few.
 
     If a matrix is singular up to rounding, or the argument of a sign is zero up to rounding, floating-point results
     have no correct digit.
     """
     symbols = [ca.SX.sym(f"given{k}", function.size_in(k)) for k in range(function.n_in())]
     try:
-        scalars = ca.Function("scalars", symbols, [function.call(symbols)[place]])
-        numbers = [[*map(Decimal, ca.densify(ca.DM(value)).nonzeros())] for value in given]
-        (found,) = at_point(Tape.from_function(scalars), numbers)
-    except (RuntimeError, ValueFault, UndefinedHere):  # not scalar, an unsupported operation, no value at this point
+        program = read(scalars := ca.Function("scalars", symbols, [function.call(symbols)[place]]))
+    except RuntimeError:  # it is not made of scalars
         return None
-    return np.array(found, float).reshape(scalars.size_out(0), order="F")
+    numbers = program.elements([[*map(arb, ca.densify(ca.DM(value)).nonzeros())] for value in given])
+    for bits in _BITS:
+        with suppress(ValueFault, UndecidedError):  # another operation, no value at this point, too few bits
+            (found,) = program.dense(enclosed(program, numbers, bits=bits), arb(0))
+            if all(value.rad() < _ROUNDED * (1 + abs(value)) for value in found):
+                return np.array(found, float).reshape(scalars.size_out(0), order="F")
+    return None
 
 
 def agree(first: np.ndarray | None, second: np.ndarray | None) -> bool:
-    """True if both results of `in_digits` exist and are equal."""
+    """True if both results of `in_balls` exist and are equal."""
     return first is not None and second is not None and not differs(first, second)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from fractions import Fraction
 from inspect import unwrap
@@ -276,6 +277,8 @@ def constant(value: Any) -> Node:
 
 def _fraction(value: float) -> Fraction:
     """The intended number: the shortest decimal or small fraction with this value."""
+    if not math.isfinite(value):
+        raise UnreadableError("it holds a number that is not finite")
     small = Fraction(value).limit_denominator(1000)
     return small if float(small) == value else Fraction(repr(value))
 

@@ -19,7 +19,7 @@ from dmframe.block.model import BlockModel
 from dmframe.block.symmetric import full_gains, lower_triangle
 from dmframe.certificate import Certificate, Consumed
 from dmframe.errors import BlockError
-from dmframe.formula.points import Draw, in_digits, switching
+from dmframe.formula.points import Draw, in_balls, switching
 from dmframe.formula.robot import CONSTANTS, ReadRobot, RobotFunctions
 from dmframe.naming import Expression, Naming, NamingError, as_mx, expression_of, reading
 from dmframe.port import PERIOD
@@ -230,9 +230,9 @@ class Evaluated:
         """Their numbers."""
         return [value.full() for value in self._function.call(self._given(values))]
 
-    def in_digits(self, values: Mapping[str, Any], place: int) -> np.ndarray | None:
-        """The numbers of one expression by `dmframe.formula.points.in_digits`."""
-        return in_digits(self._function, self._given(values), place)
+    def in_balls(self, values: Mapping[str, Any], place: int) -> np.ndarray | None:
+        """The numbers of one expression by `dmframe.formula.points.in_balls`."""
+        return in_balls(self._function, self._given(values), place)
 
     def _given(self, values: Mapping[str, Any]) -> list[Any]:
         given = [ca.DM(*s.shape) if name in self.zero else values[name] for name, s in self.symbols.items()]

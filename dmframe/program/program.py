@@ -125,10 +125,11 @@ def read(f: Any) -> Program:
             for target in targets:  # a call of another function has several
                 register[target] = len(nodes)
                 append(new(Node, (code, 0, 0, constant, line)))
-    inputs = [Pattern(f.name_in(i), f.size1_in(i), f.numel_in(i), _places(f.sparsity_in(i))) for i in range(f.n_in())]
-    outputs = [
-        Pattern(f.name_out(j), f.size1_out(j), f.numel_out(j), _places(f.sparsity_out(j))) for j in range(f.n_out())
-    ]
+    given = zip(f.name_in(), map(f.sparsity_in, range(f.n_in())), strict=True)
+    results = zip(f.name_out(), map(f.sparsity_out, range(f.n_out())), strict=True)
+    inputs, outputs = (
+        [Pattern(name, x.size1(), x.numel(), _places(x)) for name, x in found] for found in (given, results)
+    )
     return Program(f.name(), nodes, inputs, outputs, sources)
 
 

@@ -1,8 +1,8 @@
 """``python -m dmframe.prove FILE``: check the claim of a file that ``dmframe verify --claim FILE`` wrote.
 
-It reads neither a graph nor CasADi. It decides the identity and the faults; what follows from V, and the conditions at
-numbers, are not in the file. Exit status 0 where the identity holds and every fault is refuted, 1 otherwise, 2 for a
-file that is no claim.
+It reads neither a graph nor CasADi. It decides the identity and the faults. Signs of terms, conditions at numbers, and
+what follows from V are not in the file. Exit status 0 where the identity holds and every fault is refuted, 1 otherwise,
+2 for a file that is no claim.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 
 from dmframe.errors import DmframeError
+from dmframe.exact import ZeroDivision
 from dmframe.prove.export import digest, from_json
 from dmframe.prove.faults import inject_faults
 from dmframe.prove.identity import empty, identity
@@ -28,11 +29,14 @@ def main(arguments: list[str]) -> int:
         test = identity(claim, trials=3, seed=seed)
         faults = inject_faults(claim, seed=seed) if test.zero else ()
         nothing = empty(claim, seed) if test.zero else []
-    except (DmframeError, OSError, UnicodeDecodeError) as error:
-        sys.stderr.write(f"{arguments[0]}: {error}\n")
+    except (DmframeError, OSError, UnicodeDecodeError, ZeroDivision, MemoryError) as error:
+        sys.stderr.write(f"{arguments[0]}: {str(error) or type(error).__name__}\n")
         return 2
     missed = [fault.fault for fault in faults if not fault.refuted]
+    given = [symbol.label for symbol in claim.symbols if symbol.values is not None]
     lines = [f"claim {digest(claim)}"]
+    if given:
+        lines.append(f"at given values of {', '.join(given)}, for all of every other symbol")
     holds = test.zero and bool(faults) and not missed and not nothing
     if not test.zero:
         lines.append(f"the identity does not hold: {test.witness.output if test.witness else ''}")
@@ -41,6 +45,7 @@ def main(arguments: list[str]) -> int:
         lines.append(
             f"{len(faults) - len(missed)} of {len(faults)} seeded faults refuted" + f"; missed: {missed}" * bool(missed)
         )
+        lines.append("not in the file: signs of terms, conditions at numbers, and what follows from V")
     if nothing:
         lines.append(f"identically zero: {'; '.join(nothing)}")
     sys.stdout.write("\n".join(lines) + "\n")

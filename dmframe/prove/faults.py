@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
+from dmframe.errors import ValueFault
 from dmframe.exact import Evaluation, Trial, ZeroDivision, random_prime
 from dmframe.prove.claim import Claim
 from dmframe.prove.identity import ATTEMPTS, BITS, inputs_at
@@ -54,7 +55,10 @@ class _Faults:
             except ZeroDivision:
                 continue
             return
-        raise ZeroDivision("a denominator vanishes at every random point")
+        raise ValueFault(
+            "fault injection: a denominator vanishes at every random point; expected moves that are defined, of what V "
+            "does not hold too"
+        )
 
     def reversed(self) -> Iterator[Control]:
         """Each state's move reversed."""

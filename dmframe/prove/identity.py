@@ -19,6 +19,9 @@ from dmframe.prove.point import Equality, Point, equalities
 ATTEMPTS: Final = 20
 """Random points tried until no denominator vanishes."""
 
+MOST_LOG2_ERROR: Final = -64
+"""Largest log2 of the error bound of one point with which an identity is called decided."""
+
 BITS: Final = 149
 """Of the random primes: five digits of Python's integers hold them, as they hold 127 bits, at the same speed."""
 
@@ -88,16 +91,22 @@ def bound_of(claim: Claim) -> Bound:
 def identity(claim: Claim, *, trials: int, seed: int) -> ZeroTest:
     """Decide whether everything vanishes that the claim says to be zero; see `dmframe.exact.zero_test`.
 
-    Raises `ValueFault` where it is nowhere defined, such as with a Jacobian that never has full rank.
+    Raises `ValueFault` where it is nowhere defined, such as with a Jacobian that never has full rank, and where the
+    error bound of one point exceeds 2**`MOST_LOG2_ERROR`.
     """
     bound, rng, used = bound_of(claim), random.Random(seed), list[int]()
+    error = log2_error(bound, 0, BITS, False)
+    if error > MOST_LOG2_ERROR:
+        raise ValueFault(
+            f"the exact test: a point would miss what does not vanish with a probability of up to 2^{error:.0f}; "
+            f"expected at most 2^{MOST_LOG2_ERROR}: the degree of what is claimed is too high"
+        )
     for _ in range(trials):
         prime, witness = _trial(claim, rng)
         used.append(prime)
         if witness is not None:
             return ZeroTest(False, len(used), tuple(used), bound.degree_total, -math.inf, witness, seed)
-    error = trials * log2_error(bound, 0, BITS, False)
-    return ZeroTest(True, trials, tuple(used), bound.degree_total, error, None, seed)
+    return ZeroTest(True, trials, tuple(used), bound.degree_total, trials * error, None, seed)
 
 
 def _trial(claim: Claim, rng: random.Random) -> tuple[int, Witness | None]:

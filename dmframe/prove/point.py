@@ -17,7 +17,7 @@ from dmframe.prove.rules import Taken, form, pushed, taken
 from dmframe.text import UNNAMED, Text, sentence, text_of
 
 Numbers = Sequence[Any]
-Known = dict[tuple[str, str], tuple[dict[str, list[Any]], Taken]]
+Known = dict[tuple[str, int], tuple[dict[str, list[Any]], Taken]]
 
 
 class Summand(NamedTuple):
@@ -122,16 +122,15 @@ class Point:
         return self.input(part.weight)[0] if part.weight else 1
 
     @cached_property
-    def taken(self) -> Mapping[tuple[str, str], Taken]:
-        """What all steps come to, by block and estimate."""
+    def taken(self) -> Mapping[str, Sequence[Taken]]:
+        """What the steps of each block come to, in its order: two of them may move one estimate."""
         return {
-            (part.block, steps.estimate): self._taken(part.block, steps)
+            part.block: [self._taken((part.block, place), steps) for place, steps in enumerate(part.steps)]
             for part in self.claim.parts
-            for steps in part.steps
         }
 
-    def _taken(self, block: str, steps: Steps) -> Taken:
-        parts, key = {name: self.out(out) for name, out in steps.parts.items()}, (block, steps.estimate)
+    def _taken(self, key: tuple[str, int], steps: Steps) -> Taken:
+        parts = {name: self.out(out) for name, out in steps.parts.items()}
         if key not in self._known or self._known[key][0] != parts:
             self._known[key] = parts, taken(self.ring, steps, parts)
         return self._known[key][1]
@@ -194,7 +193,7 @@ def _own(point: Point, moves: Mapping[str, Numbers], part: Part) -> Iterator[Sum
     for term, found in zip(part.stored, differences(point, moves, part), strict=True):
         yield Summand(Text(f"{block}: storage of ", term.name, " dropped"), found.column)
     if point.claim.over_samples:
-        steps = [point.taken[block, item.estimate] for item in part.steps]
+        steps = point.taken[block]
         yield Summand(UNNAMED, [ring.reduced(sum((item.moved for item in steps), 0))])
         lost = sum((point.value(term) for term in part.dissipation), 0) + sum((item.lost for item in steps), 0)
         gained = sum((point.value(term) for term in part.residual), 0) + sum((item.gained for item in steps), 0)
@@ -224,8 +223,8 @@ def _whole(point: Point, own: Sequence[tuple[Part, Sequence[Summand]]]) -> Equal
 def _of_a_sample(point: Point, moves: Mapping[str, Numbers], part: Part) -> Iterator[Equality]:
     """The moves of estimates and delay lines, the plant's identities, and what the block's output solves."""
     block = part.block
-    for steps in part.steps:
-        for name, said in point.taken[block, steps.estimate].moves.items():
+    for steps in point.taken[block]:
+        for name, said in steps.moves.items():
             yield _equal(block, f"what {name} becomes", moves[f"{block}.{name}"], said)
     for line in part.lines:
         yield _equal(block, f"what {line.state} keeps", moves[f"{block}.{line.state}"], _kept(point, line))

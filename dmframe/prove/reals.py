@@ -14,8 +14,9 @@ from typing import Final, final
 
 from flint import arb
 
-from dmframe.exact.balls import ONE, RULES, ZERO, UndecidedError, ball, enclosed, precise
-from dmframe.exact.literal import computed, literal
+from dmframe.exact.balls import ONE, RULES, ZERO, UndecidedError, ball, precise
+from dmframe.exact.literal import computed
+from dmframe.exact.ring import evaluated
 from dmframe.program import BY_NAME
 from dmframe.prove.claim import Claim, Symbol
 from dmframe.prove.point import Point, equalities
@@ -78,11 +79,20 @@ Numbers = list[list[arb]]
 
 @final
 class Balls:
-    """The ring of real balls. Raises `UndecidedError` where an operation is not defined on a whole ball."""
+    """The ring of real balls; what is not defined on a whole ball is not a number, and so is all that needs it.
+
+    Parameters
+    ----------
+    number
+        The ball of an exact number.
+    """
+
+    def __init__(self, number: Callable[[Fraction], arb] = ball) -> None:
+        self._number = number
 
     def number(self, value: Fraction | int) -> arb:
         """An exact number."""
-        return ball(Fraction(value))
+        return self._number(Fraction(value))
 
     def reduced(self, value: arb) -> arb:
         """The ball itself."""
@@ -90,21 +100,16 @@ class Balls:
 
     def inverse(self, value: arb) -> arb:
         """1 / value."""
-        return _defined(ONE / value)
+        return ONE / value
 
     def power(self, value: arb, exponent: int) -> arb:
         """A whole power."""
-        return _defined(value**exponent)
+        return value**exponent
 
     def call(self, name: str, *arguments: arb) -> arb:
         """A function's value."""
-        return _defined(RULES[BY_NAME[name].code](*map(arb, arguments)))
-
-
-def _defined(value: arb) -> arb:
-    if not value.is_finite():
-        raise UndecidedError("an operation that is not defined on a whole ball")
-    return value
+        found: arb = RULES[BY_NAME[name].code](*map(arb, arguments))
+        return found
 
 
 @final
@@ -163,17 +168,17 @@ class _Look:
             spread = [max(s, (a - b).abs_upper()) for s, (a, _), (b, _) in zip(spread, moved, own, strict=True)]
         return all(abs(residual) <= FOLDED * reach for residual, reach in zip(residuals, spread, strict=True))
 
-    def _nudged(self) -> Callable[[float], arb]:
+    def _nudged(self) -> Callable[[Fraction], arb]:
         """Each computed literal moved by up to half a unit of its last place, the same one by the same amount."""
-        moves = dict[float, float]()
+        moves = dict[Fraction, float]()
 
-        def worth(constant: float) -> arb:
-            if not computed(literal(constant)):
-                return ball(constant)
-            share = moves.setdefault(constant, self._rng.uniform(-1, 1))
-            return ball(constant) * (1 + share * arb((1, -53)))
+        def moved(number: Fraction) -> arb:
+            if not computed(number):
+                return ball(number)
+            share = moves.setdefault(number, self._rng.uniform(-1, 1))
+            return ball(number) * (1 + share * arb((1, -53)))
 
-        return worth
+        return moved
 
     @staticmethod
     def _left(elements: Sequence[tuple[arb, arb]]) -> list[arb]:
@@ -186,14 +191,17 @@ class _Look:
             found.append(ZERO if vanishes else residual)
         return found
 
-    def _elements(self, point: Numbers, constant: Callable[[float], arb] = ball) -> list[tuple[arb, arb]]:
+    def _elements(self, point: Numbers, number: Callable[[Fraction], arb] = ball) -> list[tuple[arb, arb]]:
         """Each element of a residual, with the sum of the absolute values of its terms."""
         claim = self._claim
         inputs = [*point, *(point[claim.inputs[label]] for label in claim.gains)]
-        at = Point(claim, Balls(), inputs, enclosed(claim.program, claim.program.elements(inputs), constant))
+        ring = Balls(number)
+        at = Point(claim, ring, inputs, evaluated(claim.tape, ring, inputs, claim.places))
         pairs = list[tuple[arb, arb]]()
         for equality in equalities(at, at.moves(claim.moved)):
             terms = [list(map(arb, row)) for row in zip(*(s.column for s in equality.summands), strict=True)]
             scales = [sum(map(abs, row), ZERO) for row in terms]
             pairs += zip((sum(row, ZERO) for row in terms), scales, strict=True)
+        if not all(scale.is_finite() for _, scale in pairs):
+            raise UndecidedError("a residual is not defined on a whole ball")
         return pairs

@@ -12,7 +12,7 @@ from dmframe.exact import Trial, ZeroDivision, random_prime
 from dmframe.prove.claim import Claim
 from dmframe.prove.identity import ATTEMPTS, inputs_at, over_signs
 
-SIGNALS: Final = ("state", "trajectory", "projection")
+SIGNALS: Final = ("state", "trajectory", "stepping", "projection")
 """Kinds of symbols that can be zero without changing what the graph is."""
 
 _Found = tuple[int, tuple[tuple[str, tuple[int, ...]], ...], int]

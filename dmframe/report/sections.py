@@ -112,9 +112,11 @@ def _width(svg: str) -> float:
 
 def _laws(r: Content) -> Iterator[Part]:
     yield Paragraph(
-        "Block by block, printed from the code that is simulated and proved. In a product, a column that is not the "
-        "last factor denotes a diagonal matrix. Equation numbers count within a block. The laws were compared with "
-        "the code at two points; `dmframe check` compares them, and the docstrings, in full."
+        Marked(
+            "Block by block, printed from the code that is simulated and proved. In a product, a column that is not "
+            "the last factor denotes a diagonal matrix. Equation numbers count within a block. The laws were compared "
+            "with the code at two points; `dmframe check` compares them, and the docstrings, in full."
+        )
     )
     for block in r.laws:
         yield Subsection(block.name, [*_law(block)], f"{block.type}, {_SIDES[block.side]}", law=True)

@@ -235,7 +235,7 @@ def test_commands_are_cut_off_at_the_robots_own_limits_or_those_given_and_the_ru
         assert over_it.any()
         first = found.time[np.argmax(over_it)]
         assert found.notices[1].startswith(
-            f"a commanded velocity is beyond its limit, and cut off, first at t = {first:.6g} s, in "
+            f"a commanded velocity is beyond its limit, and is saturated, first at t = {first:.6g} s, in "
             f"{100 * np.mean(over_it):.3g} % of the recorded instants; the largest value is "
         )
         q_c = found.recording["arm.q"][0] + T * np.vstack([np.zeros(2), np.cumsum(taken, axis=0)[:-1]])
@@ -275,7 +275,7 @@ def test_a_motors_torque_ends_at_its_limit_and_friction_is_compensated_before_it
     np.testing.assert_allclose(rows["friction.u_comp"], more, rtol=1e-12)
     np.testing.assert_allclose(rows["drive.u_lim"], np.clip(K * more, [-18, -6], [18, 6]) / K, rtol=1e-12)
     assert np.max(np.abs(rows["drive.tau_excess"])) > 1
-    assert found.notices[1].startswith("a motor's torque is beyond its limit, and cut off, first at")
+    assert found.notices[1].startswith("a motor's torque is beyond its limit, and is saturated, first at")
     ends = {"drive": {"type": "torque_limits"}}
     assert graph(**ends).run().recording["drive.u_lim"].max() <= 120  # the URDF's
 

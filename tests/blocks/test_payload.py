@@ -252,7 +252,7 @@ def test_only_a_source_steps_and_only_a_controller_shows() -> None:
     ):
         members = {"side": side, "outputs": (output,), "equations": Ramp.equations, "__module__": __name__}
         found = type(Ramp)("Wrong", (AbstractBlock,), members).contract("w")
-        assert [fault.text for fault in found] == [f"w: says that {says}; leave that out"]
+        assert [fault.text for fault in found] == [f"w: declares that {says}; remove that"]
 
 
 @pytest.mark.parametrize(

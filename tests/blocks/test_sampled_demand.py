@@ -71,7 +71,7 @@ def test_so_the_servo_does_not_wind_up_and_the_run_says_why(run: tuple[int, Run]
     _, found = run
     assert found.error is not None
     assert np.max(found.error.norm[found.time > 2]) < 0.14  # [m], of a tool that the drive lets down
-    assert any("does not move as it is told" in notice for notice in found.recording.notices)
+    assert any("does not follow its command" in notice for notice in found.recording.notices)
 
 
 def test_without_a_bound_it_does() -> None:

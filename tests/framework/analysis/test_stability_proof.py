@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
+from flint import arb, arb_mat
 
 from dmframe.analysis import (
     linearise,
@@ -26,8 +27,8 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import EngineError
-from dmframe.exact.fixed import Fixed, UndecidedError
-from dmframe.exact.matrix import Matrix
+from dmframe.exact.ball_matrix import exactly, middles, radii
+from dmframe.exact.balls import UndecidedError, ball
 from dmframe.parameter import Box, Interval, Real, Scalar
 from dmframe.port import PERIOD, Access, Input, Output, Side, State
 from dmframe.simulate import Solver
@@ -181,32 +182,32 @@ def test_random_matrices_are_proved_exactly_where_they_are_stable(size: int) -> 
     for wanted in (0.3, 0.99, 0.9999999, 1.0000001, 1.2):
         A = random.normal(size=(size, size))
         A *= wanted / np.max(np.abs(np.linalg.eigvals(A)))
-        assert proved_schur(Matrix.exactly(A)) is (wanted < 1)
+        assert proved_schur(exactly(A)) is (wanted < 1)
         if wanted < 1:
-            assert proved_schur(Matrix.exactly(A), Fixed.around(round(wanted + 1e-6, 8)))
-            assert not proved_schur(Matrix.exactly(A), Fixed.around(round(wanted - 1e-6, 8)))
+            assert proved_schur(exactly(A), ball(round(wanted + 1e-6, 8)))
+            assert not proved_schur(exactly(A), ball(round(wanted - 1e-6, 8)))
 
 
 def test_a_matrix_that_is_far_from_normal_is_proved() -> None:
     A = np.diag(np.full(6, 0.9)) + np.diag(np.full(5, 3e3), 1)
-    assert proved_schur(Matrix.exactly(A))
+    assert proved_schur(exactly(A))
     A[5, 0] = 1e-14  # (l - 0.9)^6 = 3e3^5 1e-14 = 2430
-    assert not proved_schur(Matrix.exactly(A))
+    assert not proved_schur(exactly(A))
 
 
 @pytest.mark.parametrize("size", [3, 90])
 def test_numbers_too_large_for_floats_are_not_proved_and_no_fault(size: int) -> None:
     for part in ("middle", "radius"):
-        F = Matrix.exactly(np.eye(size) / 2)
-        getattr(F, part)[0, 1] = 10**400 << 256
-        # a triangular matrix: stable, with no enclosure in floats; of few rows the integers alone may prove it
+        F, large = exactly(np.eye(size) / 2), arb(10) ** 400
+        F[0, 1] = large if part == "middle" else arb(0, large)
+        # a triangular matrix: stable, with no enclosure in floats; of few rows the balls alone may prove it
         assert not proved_schur(F) or (size, part) == (3, "radius")
 
 
 def test_an_enclosure_with_an_unstable_matrix_in_it_is_not_proved() -> None:
-    wide = Matrix.exactly(np.diag([0.5, 0.999]))
+    wide = exactly(np.diag([0.5, 0.999]))
     assert proved_schur(wide)
-    wide.radius[1, 1] = Fixed.around(0.0010001).upper
+    wide[1, 1] = arb(0.999, 0.0010001)
     assert not proved_schur(wide)
 
 
@@ -218,8 +219,8 @@ def test_what_moves_in_a_graph_has_the_eigenvalues_of_its_tick(name: str) -> Non
     loop = EnclosedLoop(diagram, linear, clock)
     F = loop.transition(clock)
     assert len(linear.states) - loop.moving == linear.at_rest
-    assert max(F.radius.ravel()) / 2**256 < 1e-45
-    found = np.concatenate([np.linalg.eigvals(F.floats()), np.ones(linear.at_rest)])
+    assert np.max(radii(F)) < 1e-45
+    found = np.concatenate([np.linalg.eigvals(middles(F)), np.ones(linear.at_rest)])
     wanted = np.linalg.eigvals(linear.sampled(clock))
     np.testing.assert_allclose(np.sort(np.abs(found)), np.sort(np.abs(wanted)), atol=1e-6)  # a multiple one parts
     still = linear.sampled_poles(clock)
@@ -250,12 +251,12 @@ def test_directions_in_which_nothing_is_excited_are_split_off_by_structure_alone
 def test_a_split_that_forgets_a_signal_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     diagram = loop()
     linear = linearise(diagram, clock=T)
-    still, p = frozen(diagram).loop, [Fixed.around(float(v)) for v in diagram.loop.p_values]
-    assert split_moves(still, linear.point, p, Fixed.around(T)).count == 3
+    still, p = frozen(diagram).loop, [ball(float(v)) for v in diagram.loop.p_values]
+    assert split_moves(still, linear.point, p, ball(T)).count == 3
     found = Cut.found
     monkeypatch.setattr(Cut, "found", lambda self: (found(self)[0][1:], {}))
     with pytest.raises(UndecidedError, match="not seen to vanish"):
-        split_moves(still, linear.point, p, Fixed.around(T))
+        split_moves(still, linear.point, p, ball(T))
 
 
 def test_a_state_at_the_end_of_its_box_is_told() -> None:
@@ -332,7 +333,7 @@ class Switching(AbstractBlock):
         return Equations(outputs={"v": k * u.y + z}, next={"s": s + u.y, "r": r, "z": z, "n": n + 1 + steps})
 
 
-def switching(lie: str) -> Matrix:
+def switching(lie: str) -> arb_mat:
     diagram = Diagram.build({"law": Switching(lie=lie), "late": Late(noise=0), "cart": Cart()})
     return EnclosedLoop(diagram, linearise(diagram, clock=T), T).transition(T)
 

@@ -1,6 +1,6 @@
 """Some hundred of the faults in equations, certificates and the plant library, each in the least loop that holds it.
 
-``make mutants`` tries all of them in all loops.
+``make mutants`` tries all of them; with ``MUTANTS=--everywhere`` in all loops.
 """
 
 from __future__ import annotations
@@ -158,3 +158,14 @@ def test_every_loop_that_faults_are_put_into_is_true_without_them() -> None:
         with nothing_printed():
             claim = claim_of(loop.diagram)
         assert identity(assembled(claim), trials=1, seed=0).zero, loop.name
+
+
+def test_a_fault_is_refuted_where_no_random_point_gives_v_a_value() -> None:
+    """V holds the logarithm of a determinant that random numbers do not make positive; dV/dt does not hold it."""
+    (loop,) = (each for each in loops() if each.name == "torque_consistent_pi")
+    (fault,) = (
+        mutant
+        for mutant in block_mutants("accelerometer", known_blocks()["accelerometer"])
+        if mutant.fault.endswith("'ddq_m' negated")
+    )
+    assert judged(fault, loop).outcome == "refuted"

@@ -173,8 +173,8 @@ def a_source(**changes: Any) -> type[AbstractBlock]:
         ({"inputs": (TIME, Input("q"))}, "goal: has the input q; a source is a function of time alone"),
         ({"inputs": (Input("t", "", "rad"),)}, "goal: has the input t; a source is a function of time alone"),
         ({"truth": (Input("k"),)}, "goal: reads the truth k; a source is a function of time alone"),
-        ({"certificate": lambda self, u, x, p, truth: None}, "goal: has a certificate of its own"),
-        ({"start": lambda self, u, p, truth: {}}, "goal: has a start of its own"),
+        ({"certificate": lambda self, u, x, p, truth: None}, "goal: overrides certificate"),
+        ({"start": lambda self, u, p, truth: {}}, "goal: overrides start"),
     ],
 )
 def test_a_source_that_is_more_than_a_function_of_time_is_refused(changes: dict[str, Any], text: str) -> None:

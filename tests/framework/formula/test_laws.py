@@ -20,7 +20,7 @@ from dmframe.diagram import Diagram
 from dmframe.errors import BlockError
 from dmframe.formula import laws_of, printed
 from dmframe.formula.alone import law_of_type, options_of, plainest, read_type, variants
-from dmframe.formula.points import agree, in_digits
+from dmframe.formula.points import agree, in_balls
 from dmframe.formula.tree import Applied, Name, Node, Unprinted
 from dmframe.formula.where import where
 from dmframe.names import unicode_name
@@ -327,6 +327,6 @@ def test_digits_are_as_many_as_the_expression_loses():
     x = ca.MX.sym("x", 2)
     lost = ca.Function("lost", [x], [ca.sin(x), ca.inv(ca.vertcat(ca.horzcat(x[0], 1), ca.horzcat(1, 1 / x[0]))) @ x])
     lost_less = ca.Function("less", [x], [(x[0] + 1e25 * x) - 1e25 * x])
-    assert in_digits(lost, [[3, 1]], 1) is None  # no inverse at all: no digits help
-    assert in_digits(lost_less, [[3, 1]], 0) == pytest.approx(np.full((2, 1), 3), rel=1e-15)
+    assert in_balls(lost, [[3, 1]], 1) is None  # no inverse at all: no digits help
+    assert in_balls(lost_less, [[3, 1]], 0) == pytest.approx(np.full((2, 1), 3), rel=1e-15)
     assert not agree(None, None)
