@@ -41,6 +41,7 @@ from dmframe.prove.identity import identity
 from dmframe.prove.reals import doubt
 from dmframe.robot.bodies import Body
 from dmframe.robot.symbolic import SymbolicRobot
+from dmframe.text import Text
 
 OUTCOMES = {
     "refuted": "the certifier refutes it",
@@ -278,7 +279,9 @@ def unlabelled(stated: Mapping[str, Certificate], laws: Any) -> dict[str, Certif
     del laws
 
     def counted(certificate: Certificate) -> Certificate:
-        driven = tuple(replace(item, of=tuple(map(str, range(len(item.bounded))))) for item in certificate.driven)
+        driven = tuple(
+            replace(item, of=tuple(Text(str(k)) for k in range(len(item.bounded)))) for item in certificate.driven
+        )
         return replace(certificate, driven=driven)
 
     return {name: counted(certificate) for name, certificate in stated.items()}

@@ -26,6 +26,7 @@ from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.exact import Tape
 from dmframe.program import KINKS
+from dmframe.text import Text
 
 ONE = ca.SX(1)
 
@@ -133,7 +134,7 @@ def test_a_correction_of_a_projection_in_v_is_refused() -> None:
     loop = load_experiment("arm2_joint").diagram()
     claim = claim_of(loop)
     (projection, *_) = [item for item in claim.loop.projections if item.block == "inverse"]
-    held = Square(projection.correction, ONE, "a correction")
+    held = Square(projection.correction, ONE, Text("a correction"))
     part = next(part for part in claim.parts if part.block == "inverse")
     flow_part(claim.flow, "inverse", replace(part.certificate, storage=(*part.certificate.storage, held)))
     found = smoothness_faults(loop, claim)
@@ -145,7 +146,7 @@ def test_a_correction_of_a_projection_in_v_is_refused() -> None:
 def test_a_symbol_of_nowhere_in_v_is_refused() -> None:
     loop = stored(lambda y: y)
     claim = claim_of(loop)
-    held = Square(ca.SX.sym("ghost"), ONE, "a ghost")
+    held = Square(ca.SX.sym("ghost"), ONE, Text("a ghost"))
     flow_part(claim.flow, "toy", replace(claim.parts[0].certificate, storage=(held,)))
     (fault,) = smoothness_faults(loop, claim)
     assert fault.startswith("toy: the storage of a ghost holds ghost, which is no state, trajectory or parameter")
