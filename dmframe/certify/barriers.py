@@ -29,7 +29,7 @@ from dmframe.exact.ranges import ranges
 from dmframe.exact.rational import as_float
 from dmframe.program import read
 from dmframe.simulate.start import start_state
-from dmframe.text import Label, Text, Written, sentence
+from dmframe.text import Label, Text, around, sentence
 
 _OUT: Final = (Context(prec=6, rounding=ROUND_FLOOR), Context(prec=6, rounding=ROUND_CEILING))
 """In which limits are printed: never tighter than they are."""
@@ -38,7 +38,7 @@ OUTWARD: Final = 1 + 1e-9
 """By which floating-point figures are enlarged: more than all rounding on the way to them."""
 
 
-ROOM: Final = Written("h(t) >= h(0) exp(-a t)", "h(t) ≥ h(0) exp(−a t)", r"h(t) \ge h(0) \exp(-a t)")
+ROOM: Final = ("h(t) >= h(0) exp(-a t) - {}", r"h(t) \ge h(0) \exp(-a t) - {}", "h(t) ≥ h(0) exp(−a t) − {}")
 
 
 @final
@@ -80,7 +80,8 @@ class Tube:
 def barrier_statements(found: Sequence[Tube]) -> Iterator[Statement]:
     """What each barrier of a proved claim keeps, and by how much a joint may pass it."""
     for tube in found:
-        room = Text("its room before what the reference keeps is ", ROOM, f" - {_values(tube.tube, tube.unit)}")
+        least = around(Text(_values(tube.tube, tube.unit)), *ROOM)
+        room = Text("its room before what the reference keeps is ", least)
         low, high = (", ".join(_limit(out, x) for x in end) for out, end in zip(_OUT, tube.ends, strict=True))
         limits = f"{low} and {high} {tube.unit}".strip()
         if tube.inside:

@@ -293,7 +293,7 @@ def nothing_printed() -> Iterator[None]:
     with (
         mock.patch("dmframe.certify.claim.printed_laws", return_value={}),
         mock.patch("dmframe.certify.claim.labelled", unlabelled),
-        mock.patch("dmframe.certify.assumed._written", return_value=""),
+        mock.patch("dmframe.certify.assumed._named", return_value=Text()),
         mock.patch("dmframe.certify.verify.statements_of", return_value=[]),
         mock.patch("dmframe.certify.verify.hypotheses", return_value=[]),
     ):

@@ -15,6 +15,7 @@ from dmframe.diagram import Diagram
 from dmframe.report import Explanation
 from dmframe.report.exchange import exchange_of
 from dmframe.report.flow import order
+from dmframe.text import Text
 
 BLOCK = """
 from dmframe.block import AbstractBlock, Equations
@@ -40,7 +41,7 @@ def explained(name: str) -> Explanation:
     graph = dm.load(name)
     if name in PROVED:
         return graph.explain()
-    return Explanation(graph.experiment, graph.diagram, Verdict("not_applicable", "", claim_of(graph.diagram)))
+    return Explanation(graph.experiment, graph.diagram, Verdict("not_applicable", Text(), claim_of(graph.diagram)))
 
 
 def said(name: str, block: str = "") -> str:

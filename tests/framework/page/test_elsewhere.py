@@ -25,6 +25,7 @@ from dmframe.page.sliders import sliders_of
 from dmframe.parameter import Positive, Scalar
 from dmframe.port import TIME, Input, Output, Side, State
 from dmframe.terms import clip
+from dmframe.text import Text
 
 FILE = "The proof does not apply at these values"
 
@@ -231,7 +232,7 @@ def test_no_claim_reads_a_number_as_such_and_a_slider_reaches_none_that_is_refus
 
 
 def test_a_number_is_written_as_its_block_was_given_it() -> None:
-    nothing = Verdict("not_applicable", "")
+    nothing = Verdict("not_applicable", Text())
     size = dm.load("pendulum").diagram.models["dynamics"].states["a_d_hat"].numel()
     gain = 5 * np.eye(size) + np.arange(size) / 100 + np.arange(size)[:, None] / 100 + 0.01
     for graph, label, expected in (
@@ -253,7 +254,7 @@ def _filled(places: Any, p: np.ndarray) -> Any:
 
 
 def test_gravity_is_said_to_be_known_only_where_it_is() -> None:
-    nothing = Verdict("not_applicable", "")
+    nothing = Verdict("not_applicable", Text())
 
     def says(name: str) -> dict[str, str]:
         return {slider.label: slider.says for slider in sliders_of(dm.load(name).diagram, nothing)}
