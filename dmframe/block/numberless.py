@@ -71,7 +71,7 @@ def with_other_numbers(block: B, factors: Sequence[float], only: str | None = No
     definite; zeros are set to the factor. If the block accepts no factor for all numbers, the numbers are divided into
     halves, recursively, with one block for each.
     """
-    given = _given(block)
+    given = given_values(block)
     varied = [key for key in specs(type(block)) if key in given and not isinstance(given[key], Prior)]
     waiting = [[key for key in varied if only in (None, key)]]
     while waiting:
@@ -94,10 +94,11 @@ def _with_other(kind: type[B], given: Mapping[str, Any], keys: Sequence[str], fa
 
 def remade(block: B) -> B:
     """The block created again, so that values that its validators store elsewhere are those of its own numbers."""
-    return type(block)(**_given(block))
+    return type(block)(**given_values(block))
 
 
-def _given(block: AbstractBlock) -> dict[str, Any]:
+def given_values(block: AbstractBlock) -> dict[str, Any]:
+    """Parameters and options that have values."""
     return {key: value for key, value in vars(block).items() if key in type(block).model_fields and value is not None}
 
 

@@ -10,12 +10,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cached_property
+from hashlib import blake2b
+from types import CodeType, FunctionType
 from typing import Any, Final, final
+from weakref import WeakKeyDictionary
 
 import casadi as ca
 
 from dmframe.block.base import AbstractBlock, Equations
-from dmframe.block.numberless import LARGER, SMALLER, remade, with_other_numbers
+from dmframe.block.numberless import LARGER, SMALLER, given_values, remade, with_other_numbers
 from dmframe.certificate import SX
 from dmframe.errors import BlockError
 from dmframe.parameter import specs
@@ -54,6 +57,9 @@ def hold_steady(name: str, block: AbstractBlock, says: str, first: Mapping[str, 
         It names the parameters on which the expressions depend as Python numbers.
     """
     known = _Flat(first)
+    held, key = _HELD.setdefault(type(block), set()), _key(says, block, known)
+    if key in held:
+        return
     try:
         for factors in (LARGER, SMALLER):
             for other in _others(block, factors):
@@ -61,6 +67,54 @@ def hold_steady(name: str, block: AbstractBlock, says: str, first: Mapping[str, 
                     raise _unsteady(name, block, says, changed, stating)
     finally:
         remade(block)  # values stored by validators are those of its own numbers again
+    if key is not None:
+        held.add(key)
+
+
+_Key = tuple[tuple[CodeType, ...], bytes]
+_HELD: WeakKeyDictionary[type[AbstractBlock], set[_Key]] = WeakKeyDictionary()
+"""Statements that were the same at other numbers, in this process: a study builds each block many times."""
+
+
+def _key(says: str, block: AbstractBlock, first: _Flat) -> _Key | None:
+    """The code of a class, its block's numbers and options, and the expressions of the first evaluation.
+
+    None where a statement may depend on more than these: a class with code that runs when a block is made, which sees
+    its numbers and may leave them anywhere; a method with a closure; a value of another type than a number or text.
+    Without such code nothing but its symbols differs between two blocks; what a helper returns is in the expressions.
+    """
+    kind, given = type(block), given_values(block)
+    if _hooks(kind) or not all(map(_plain, given.values())):
+        return None
+    codes = list[CodeType]()
+    for name, item in (
+        (*each,) for base in kind.__mro__ if issubclass(base, AbstractBlock) for each in vars(base).items()
+    ):
+        function = getattr(item, "__func__", getattr(item, "fget", getattr(item, "func", item)))
+        if isinstance(function, FunctionType) and name != "__hash__":  # that one is pydantic's
+            if set(function.__code__.co_freevars) - {"__class__"}:
+                return None
+            codes.append(function.__code__)
+    return tuple(codes), blake2b(repr((says, given)).encode() + first.text.encode(), digest_size=32).digest()
+
+
+def _hooks(kind: type[AbstractBlock]) -> bool:
+    """True for a class with code of its own that runs when a block is made."""
+    stated, base = kind.__pydantic_decorators__, AbstractBlock.__pydantic_decorators__
+    if stated.field_validators.keys() - base.field_validators.keys() or stated.model_validators or stated.validators:
+        return True
+    if stated.root_validators or any(field.metadata or field.default_factory for field in kind.model_fields.values()):
+        return True
+    return any(getattr(kind, name) is not getattr(AbstractBlock, name) for name in _MAKING)
+
+
+_MAKING: Final = ("__init__", "__new__", "__setattr__", "model_post_init", "__getattr__", "__getattribute__")
+
+
+def _plain(value: Any) -> bool:
+    if isinstance(value, tuple):
+        return all(map(_plain, value))
+    return isinstance(value, bool | int | float | str)
 
 
 def _others(block: AbstractBlock, factors: Sequence[float]) -> Iterator[AbstractBlock]:
@@ -139,6 +193,12 @@ class _Flat:
     @cached_property
     def _own(self) -> str:
         return self._written(self._symbols)
+
+    @property
+    def text(self) -> str:
+        """All of it, in which symbols have their names."""
+        symbols = [str(symbol) for symbol in self._symbols]
+        return repr([symbols, [(key, part[1]) for key, part in self._parts.items()], self._own])
 
     def changed(self, other: _Flat) -> str:
         """Description of the first part that differs; empty if none does."""

@@ -26,7 +26,7 @@ from dmframe.exact.literal import literal
 from dmframe.program import COMPARISONS, DIVISIONS, JUMPS, Node, Program, by_code, run, sign_of
 
 BITS: Final = 256
-"""Precision, where no other is asked for."""
+"""Default precision."""
 
 ZERO, ONE = arb(0), arb(1)
 UNDECIDED = arb.nan()
@@ -190,8 +190,8 @@ def _copysign(a: arb, b: arb) -> arb:
 
 
 def _atan2(y: arb, x: arb) -> arb:
-    beside = x > 0 or 0 not in y or (y.is_zero() and (x < 0 or x.is_zero()))
-    return arb.atan2(y, x) if beside else UNDECIDED
+    off_the_cut = x > 0 or 0 not in y or (y.is_zero() and (x < 0 or x.is_zero()))
+    return arb.atan2(y, x) if off_the_cut else UNDECIDED
 
 
 _TRUTHS: Final = COMPARISONS | by_code(dict.fromkeys(("not", "and", "or"))).keys()

@@ -130,7 +130,7 @@ _HALF: Final = _PI
 _TURN: Final = Enclosure(_PI.lower * 2, _PI.upper * 2)
 
 _FARTHEST: Final = 1e5
-"""Beyond this angle [rad] the reduction to a quarter turn is too coarse to tell anything."""
+"""Beyond this angle [rad] the reduction to a quarter turn is too coarse."""
 
 _TERMS: Final = 11
 _SINE: Final = [Enclosure.around(Fraction((-1) ** k, math.factorial(2 * k + 1))) for k in range(_TERMS)]

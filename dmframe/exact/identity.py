@@ -83,8 +83,8 @@ def zero_test(
     f : SX function of any number of inputs and outputs.
     values : known values of inputs; all others are free symbols, so the answer holds for every value of them.
     trials : number of points, >= 1; each has its own prime.
-    seed : of the random primes and points; without it, one that is made of `f` itself, so that nobody can write an
-        expression that vanishes modulo primes known before.
+    seed : of the random primes and points; without it, one that is derived from `f` itself, so that no
+        expression can be written that vanishes modulo primes known before.
     bits : size of the random primes, >= 121.
     primes : take these primes, one trial each, instead of random ones.
 

@@ -1,4 +1,4 @@
-"""Numbers that stand in expressions as floats, read as the rational numbers that they were written as."""
+"""Floats in expressions, read as the rational numbers that they were written as."""
 
 from __future__ import annotations
 

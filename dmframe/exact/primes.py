@@ -17,7 +17,7 @@ _BELOW_SMALL_BASES_DECIDE: Final = 3317044064679887385961981
 _EXTRA_BASES: Final = 40
 
 
-@lru_cache(maxsize=4096)  # whoever proves the same again draws the same
+@lru_cache(maxsize=4096)  # a repeated proof draws the same primes
 def is_prime(number: int) -> bool:
     """Miller-Rabin: certain below 3.3e24, above it wrong with probability below 4**-40 for any composite.
 

@@ -17,7 +17,7 @@ from dmframe.exact.trial import Trial, ZeroDivision
 from dmframe.program import OPERATIONS
 
 BOUNDED = frozenset(operation.name for operation in OPERATIONS.values() if operation.bounded)
-"""Functions that no argument makes large; sin, cos and sign are never asked for by name."""
+"""Functions that no argument makes large; sin, cos and sign are not called by name."""
 
 
 @final
@@ -26,7 +26,7 @@ class _Frozen(Trial):
 
     def __init__(self, prime: int, rng: random.Random) -> None:
         super().__init__(prime, rng)
-        self._told: list[tuple[int, int]] = []
+        self._recorded: list[tuple[int, int]] = []
         self._next: int | None = None
 
     def begin(self, *, again: bool) -> None:
@@ -34,14 +34,14 @@ class _Frozen(Trial):
         if again:
             self._next = 0
         else:
-            self._told, self._next = [], None
+            self._recorded, self._next = [], None
 
     def cos_sin(self, angle: int) -> tuple[int, int]:
-        return self._told_before() or self._tell(super().cos_sin(angle))
+        return self._recorded_value() or self._record(super().cos_sin(angle))
 
     def sign(self, value: int) -> int:
         """Return some number, and the same again: x - x s is no more bounded than x, whatever s is."""
-        return (self._told_before() or self._tell((self.random(), 0)))[0]
+        return (self._recorded_value() or self._record((self.random(), 0)))[0]
 
     def size(self, value: int) -> int:
         """Of an absolute value nothing is known, but that it is even: no argument bounds it."""
@@ -50,16 +50,16 @@ class _Frozen(Trial):
     def opaque(self, name: str, arguments: tuple[int, ...]) -> int:
         if name not in BOUNDED:
             return super().opaque(name, arguments)
-        return (self._told_before() or self._tell((super().opaque(name, arguments), 0)))[0]
+        return (self._recorded_value() or self._record((super().opaque(name, arguments), 0)))[0]
 
-    def _told_before(self) -> tuple[int, int] | None:
+    def _recorded_value(self) -> tuple[int, int] | None:
         if self._next is None:
             return None
         self._next += 1
-        return self._told[self._next - 1]
+        return self._recorded[self._next - 1]
 
-    def _tell(self, value: tuple[int, int]) -> tuple[int, int]:
-        self._told.append(value)
+    def _record(self, value: tuple[int, int]) -> tuple[int, int]:
+        self._recorded.append(value)
         return value
 
 

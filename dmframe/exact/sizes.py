@@ -63,7 +63,7 @@ _ONE: Final = Size(0, 0, 1, 1)
 
 
 def free() -> Size:
-    """A free symbol: an object of its own, since the ring tells values apart by their identity."""
+    """A free symbol: an object of its own, since the ring distinguishes values by their identity."""
     return Size(1, 0, 0, 0)
 
 

@@ -26,7 +26,7 @@ _LARGEST_POWER: Final = 2**16
 class Tape:
     """The program of an SX function, and in `numbers` the rational ones that its floats were written as.
 
-    Its operations in the field are written out in one loop, for a proof spends its time there: no table of rules.
+    Its operations in the field are written out in one loop, which takes most of the time of a proof: no table of rules.
     Raises `ValueFault` for an operation of something else than scalars, and for a number that is not finite.
     """
 

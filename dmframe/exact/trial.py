@@ -27,11 +27,12 @@ class Trial:
     - sign is odd and takes the values +1, -1 and 0. A random choice would miss (sign x + 1)(sign y + 1) three times in
       four, so `next_signs` walks through all choices; beyond `SIGN_LIMIT` signs it is a free value.
     - fabs(x) is x sign(x). It does not jump: what holds on both sides of x = 0 with absolute values alone holds there
-      too, so that a sign is 0 only where sign itself was asked for. There |x| may be read as 0 or as x, both being
+      too, so that a sign is 0 only where the operation is sign itself. There |x| may be read as 0 or as x, both being
       true on x = 0; an identity needs to hold in one of these readings (`zero_is_its_own_size`).
     - Any other function is a free random value: also fmin, fmax, comparisons, if_else, floor. That is sound, on the
       sets where they switch too: an identity that holds for free values holds for those that the function takes. It is
-      not complete: tanh(x) + tanh(-x) = 0 and fmin(x, y) + fmax(x, y) = x + y are not seen.
+      not complete: tanh(x) + tanh(-x) = 0 and fmin(x, y) + fmax(x, y) = x + y are not seen. Of if_else_zero and
+      "not" it is known what they are where the condition is 0 or 1, or the value 0.
 
     The rules say nothing of derivatives: that of a jump is not there at all, and has to be kept out beforehand.
     """

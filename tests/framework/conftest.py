@@ -8,6 +8,7 @@ import pytest
 
 from dmframe.build import library
 from dmframe.config.experiment import load_experiment
+from dmframe.errors import ValueFault
 from dmframe.simulate import Recording, simulate
 
 sys.path.insert(0, str(Path(__file__).parent))  # what several folders share
@@ -42,3 +43,13 @@ def pendulum() -> Runner:
         return simulate(diagram, 0.2, engine=engine, **given)  # type: ignore[arg-type]
 
     return run
+
+
+@pytest.fixture
+def without_v(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs without V along them, which takes most of a short run's time; `results/test_storage.py` tests V."""
+
+    def refuse(*_: object) -> None:
+        raise ValueFault("V is left out of this test")
+
+    monkeypatch.setattr("dmframe.results.run.storage_of", refuse)

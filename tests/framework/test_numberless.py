@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, ClassVar
@@ -337,3 +338,61 @@ def test_most_packaged_blocks_take_other_numbers() -> None:
             assert all(any(getattr(other, key) != getattr(block, key) for key in numbers) for other in others)
             taken += 1
     assert taken > 10
+
+
+EVALUATED: list[str] = []
+
+
+def noted() -> float:
+    EVALUATED.append("once")
+    return 1.0
+
+
+class Steady(AbstractBlock):
+    outputs = (Output("seen"),)
+    states = (State("y"),)
+    rate: Scalar = Positive(default=2.0)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations({"seen": x.y}, {"y": -p.rate * x.y * noted()})
+
+
+class Storing(Steady):
+    def model_post_init(self, context: Any, /) -> None:
+        KEPT["rate"] = self.rate
+
+
+def evaluations(block: AbstractBlock) -> int:
+    EVALUATED.clear()
+    Diagram.build({"steady": block})
+    return len(EVALUATED)
+
+
+def test_a_block_without_a_place_to_leave_a_number_is_evaluated_at_other_numbers_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def other(self: Steady, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations({"seen": x.y}, {"y": -p.rate * x.y * noted() * 1.0})
+
+    assert [evaluations(Steady()) for _ in range(3)] == [3, 1, 1]
+    assert evaluations(Steady(rate=3)) == 3
+    assert [evaluations(Storing()) for _ in range(2)] == [3, 3]  # what it leaves may have changed
+    with monkeypatch.context() as patched:
+        patched.setattr(f"{__name__}.noted", lambda: EVALUATED.append("otherwise") or 2.0)
+        assert evaluations(Steady()) == 3  # a helper with which another law is stated
+    with monkeypatch.context() as patched:
+        patched.setattr(Steady, "equations", other)
+        assert evaluations(Steady()) == 3  # another method, though it states the same
+    with monkeypatch.context() as patched:
+        patched.setattr(Steady, "model_post_init", Storing.model_post_init)
+        assert evaluations(Steady()) == 3
+    assert evaluations(Steady()) == 1
+
+
+def test_what_differs_each_time_is_found_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert evaluations(Steady()) in (1, 3)
+    count = itertools.count(7)
+    monkeypatch.setattr(f"{__name__}.noted", lambda: float(next(count)))
+    for _ in range(2):
+        with pytest.raises(DmframeError, match="steady: equations"):
+            evaluations(Steady())

@@ -13,6 +13,8 @@ import pytest
 
 from dmframe.runtime.simulated import SimulatedRobot
 
+pytestmark = pytest.mark.usefixtures("without_v")
+
 
 @pytest.fixture(autouse=True)
 def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,6 +18,8 @@ from dmframe.cli.graphs import alternatives, graphs_of
 from dmframe.config.document import read_file
 from dmframe.errors import DmframeError
 
+pytestmark = pytest.mark.usefixtures("without_v")
+
 SHORT = ("--until", "0.05 s", "--no-plots")
 
 

@@ -6,6 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+pytestmark = pytest.mark.usefixtures("without_v")
+
 Dmframe = Callable[..., Any]
 
 TEXT = """\

@@ -37,6 +37,7 @@ def names_of(figure: object, name: str, about: str, formats: Sequence[str]) -> d
     return {f"{name}.{ending}": b"" for ending in formats}
 
 
+@pytest.mark.usefixtures("without_v")
 def test_a_run_prints_a_table_and_writes_a_folder(dmframe: Any, tmp_path: Path) -> None:
     said = dmframe("run", "arm2_joint", *SHORT, "--out", "mine")
     assert (said.status, said.err) == (0, "")
@@ -47,6 +48,7 @@ def test_a_run_prints_a_table_and_writes_a_folder(dmframe: Any, tmp_path: Path) 
     assert {path.name for path in tmp_path.joinpath("mine").iterdir()} == FILES
 
 
+@pytest.mark.usefixtures("without_v")
 def test_results_go_to_a_folder_of_their_own_below_runs(dmframe: Any, tmp_path: Path) -> None:
     for _ in range(2):
         assert dmframe("run", "arm2_joint", *SHORT).status == 0
@@ -68,10 +70,12 @@ def test_json_is_one_object_with_the_keys_of_the_contract_and_nothing_else(dmfra
     assert told["diverged"] is False
 
 
+@pytest.mark.usefixtures("without_v")
 def test_json_says_continuous_for_a_continuous_clock(dmframe: Any) -> None:
     assert strict(dmframe("run", "pendulum", *SHORT, "--json").out)["clock"] == "continuous"
 
 
+@pytest.mark.usefixtures("without_v")
 def test_json_of_several_graphs_is_a_list_in_their_order(dmframe: Any, tmp_path: Path) -> None:
     said = dmframe("run", "pendulum", "arm2_joint", *SHORT, "--json", "--out", "two")
     assert [told["graph"] for told in strict(said.out)] == ["pendulum", "arm2_joint"]
@@ -86,11 +90,13 @@ def test_json_is_what_the_folder_holds(dmframe: Any, tmp_path: Path) -> None:
     assert strict(said.out) == strict(tmp_path.joinpath("mine", "summary.json").read_text(encoding="utf-8"))
 
 
+@pytest.mark.usefixtures("without_v")
 def test_the_same_graph_twice_gives_two_results(dmframe: Any, tmp_path: Path) -> None:
     assert dmframe("run", "arm2_joint", "arm2_joint", *SHORT, "--out", "two").status == 0
     assert {path.name for path in tmp_path.joinpath("two").iterdir()} == {"arm2_joint", "arm2_joint_2", "seal.json"}
 
 
+@pytest.mark.usefixtures("without_v")
 def test_until_replaces_the_duration(dmframe: Any, tmp_path: Path) -> None:
     assert strict(dmframe("run", "arm2_joint", "--until", "200 ms", "--no-plots", "--json").out)["duration"] == 0.2
     dmframe("run", "arm2_joint", "--until", "0.2", "--no-plots", "--out", "mine")
@@ -100,6 +106,7 @@ def test_until_replaces_the_duration(dmframe: Any, tmp_path: Path) -> None:
     assert float(signals["time"][-1]) == pytest.approx(0.2)
 
 
+@pytest.mark.usefixtures("without_v")
 def test_set_changes_the_run_and_stands_in_its_graph(dmframe: Any, tmp_path: Path) -> None:
     plain = strict(dmframe("run", "arm2_joint", *SHORT, "--json").out)
     told = strict(
@@ -114,6 +121,7 @@ def test_set_changes_the_run_and_stands_in_its_graph(dmframe: Any, tmp_path: Pat
     assert kept.file.clock == 0.002
 
 
+@pytest.mark.usefixtures("without_v")
 def test_the_resolved_graph_gives_the_same_run(dmframe: Any) -> None:
     first = strict(dmframe("run", "arm2_joint", *SHORT, "--json", "--out", "one").out)
     again = strict(dmframe("run", "one/graph.yaml", "--no-plots", "--json", "--out", "two").out)
@@ -160,6 +168,7 @@ def test_a_format_that_there_is_not_is_refused_before_the_run(dmframe: Any, tmp_
     assert not tmp_path.joinpath("mine").exists()
 
 
+@pytest.mark.usefixtures("without_v")
 def test_a_folder_with_files_is_refused_before_the_run(dmframe: Any, tmp_path: Path) -> None:
     assert dmframe("run", "arm2_joint", *SHORT, "--out", "mine").status == 0
     before = {path: path.stat().st_mtime_ns for path in tmp_path.joinpath("mine").iterdir()}
@@ -221,6 +230,7 @@ def test_a_page_that_nobody_named_replaces_none_but_an_older_page(dmframe: Any, 
     assert dmframe("page", "pendulum", "--out", "pendulum.html").status == 0
 
 
+@pytest.mark.usefixtures("without_v")
 def test_divergence_gives_status_1_names_the_culprit_and_keeps_what_was_computed(dmframe: Any, tmp_path: Path) -> None:
     said = dmframe(*UNSTABLE, "--out", "mine")
     assert (said.status, said.err) == (1, "")
@@ -242,6 +252,7 @@ def test_divergence_gives_status_1_names_the_culprit_and_keeps_what_was_computed
     assert told["diverged"] is True
 
 
+@pytest.mark.usefixtures("without_v")
 def test_divergence_is_valid_json_with_null_where_the_run_never_came(dmframe: Any) -> None:
     said = dmframe(*UNSTABLE, "--json")
     assert said.status == 1
@@ -250,6 +261,7 @@ def test_divergence_is_valid_json_with_null_where_the_run_never_came(dmframe: An
     assert told["error"]["rms_final"] is None
 
 
+@pytest.mark.usefixtures("without_v")
 def test_one_diverged_graph_of_two_gives_status_1_and_both_results(dmframe: Any, tmp_path: Path) -> None:
     good = tmp_path / "good.yaml"
     assert dmframe("run", "arm2_joint", *SHORT, "--set", "dynamics.a_d_hat_box=null", "--out", "one").status == 0
@@ -261,18 +273,21 @@ def test_one_diverged_graph_of_two_gives_status_1_and_both_results(dmframe: Any,
     assert [told["diverged"] for told in strict(said.out)] == [True, False]
 
 
+@pytest.mark.usefixtures("without_v")
 def test_a_stiff_plant_is_noticed(dmframe: Any) -> None:
     said = dmframe("run", "ur10_fast_kinematic", *SHORT, "--set", "solver.step=2 ms")
     assert said.status == 0
     assert "ur10_fast_kinematic: notice: the plant is stiff" in said.out
 
 
+@pytest.mark.usefixtures("without_v")
 def test_sundials_can_be_chosen(dmframe: Any) -> None:
     fixed = strict(dmframe("run", "arm2_joint", *SHORT, "--json").out)
     other = strict(dmframe("run", "arm2_joint", *SHORT, "--json", "--set", "solver.method=cvodes").out)
     assert other["error"]["rms_final"] == pytest.approx(fixed["error"]["rms_final"], rel=1e-4)
 
 
+@pytest.mark.usefixtures("without_v")
 def test_a_name_is_never_taken_for_markup(dmframe: Any, tmp_path: Path) -> None:
     assert dmframe("new", "arm2_joint", "[red]x.yaml").status == 0
     said = dmframe("run", "[red]x.yaml", *SHORT)
@@ -282,6 +297,7 @@ def test_a_name_is_never_taken_for_markup(dmframe: Any, tmp_path: Path) -> None:
     assert folder.name.endswith("_red_x")
 
 
+@pytest.mark.usefixtures("without_v")
 def test_a_message_is_never_taken_for_markup(dmframe: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     notice = "ld: [/usr/lib/crt1.o]: [bold]undefined[/bold] :smile:"
     monkeypatch.setattr("dmframe.simulate.engine._compiled", lambda step: (None, notice))
@@ -290,6 +306,7 @@ def test_a_message_is_never_taken_for_markup(dmframe: Any, monkeypatch: pytest.M
     assert f"arm2_joint: notice: {notice}\n" in said.out
 
 
+@pytest.mark.usefixtures("without_v")
 def test_a_full_disk_at_the_end_leaves_the_numbers(dmframe: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: Any) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -301,6 +318,7 @@ def test_a_full_disk_at_the_end_leaves_the_numbers(dmframe: Any, monkeypatch: py
     assert said.err.startswith("dmframe: mine: the results cannot be written: no space left on device; free some")
 
 
+@pytest.mark.usefixtures("without_v")
 def test_results_go_where_they_were_told_whatever_is_there(dmframe: Any, tmp_path: Path) -> None:
     for name in ("here", "far"):
         tmp_path.joinpath(name).mkdir()
@@ -315,6 +333,7 @@ def test_results_go_where_they_were_told_whatever_is_there(dmframe: Any, tmp_pat
     assert {path.name for path in tmp_path.joinpath("here").iterdir()} == FILES
 
 
+@pytest.mark.usefixtures("without_v")
 def test_graphs_of_any_name_lie_beside_their_figures(
     dmframe: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

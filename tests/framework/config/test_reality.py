@@ -21,6 +21,8 @@ from dmframe.errors import DmframeError
 from dmframe.graph import Graph
 from dmframe.study.grid import Given, changed
 
+pytestmark = pytest.mark.usefixtures("without_v")
+
 TEXT = """\
 dmframe: 1
 robot: arm2

@@ -17,6 +17,8 @@ from dmframe.errors import BlockError, DmframeError, Faults
 from dmframe.port import Output
 from dmframe.results.resolved import resolved
 
+pytestmark = pytest.mark.usefixtures("without_v")
+
 BLOCK = '''
 from typing import ClassVar
 from dmframe.block import AbstractBlock, Equations

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import random
+from functools import cache
 from itertools import combinations
 
 from dmframe.drawing.layout import lay_out, segments
@@ -34,6 +35,11 @@ def random_netlist(seed: int) -> Netlist:
     return Netlist(boxes, {end: tuple(targets) for end, targets in nets.items()})
 
 
+@cache
+def laid_out(seed: int):
+    return lay_out(random_netlist(seed))
+
+
 def overlap(one, other):
     """The length that two pieces have in common, where they lie on one line."""
     ((a, b), (c, d)), ((e, f), (g, h)) = one, other
@@ -57,7 +63,7 @@ def crosses(piece, item):
 
 def test_wires_cross_no_box_and_lie_on_no_other_wire():
     for seed in range(120):
-        layout = lay_out(random_netlist(seed))
+        layout = laid_out(seed)
         pieces = list(segments(layout))
         for end, begin, finish in pieces:
             assert begin[0] == finish[0] or begin[1] == finish[1], seed
@@ -68,7 +74,7 @@ def test_wires_cross_no_box_and_lie_on_no_other_wire():
 
 def test_boxes_do_not_overlap_and_every_net_is_in_one_piece():
     for seed in range(120):
-        check_boxes_and_nets(lay_out(random_netlist(seed)), seed)
+        check_boxes_and_nets(laid_out(seed), seed)
 
 
 def check_boxes_and_nets(layout, seed):
@@ -97,7 +103,7 @@ def on(point, piece):
 
 def test_the_plant_stands_right_of_the_wall_and_the_rest_left_of_it():
     for seed in range(60):
-        layout = lay_out(random_netlist(seed))
+        layout = laid_out(seed)
         sides = {item.box.side is Side.PLANT for item in layout.placed.values()}
         assert (layout.wall is not None) == (sides == {True, False}), seed
         for item in layout.placed.values():

@@ -23,6 +23,8 @@ from dmframe.runtime.robot import Sample
 from dmframe.runtime.simulated import SimulatedRobot
 from dmframe.seal import FolderSeal, digest_of
 
+pytestmark = pytest.mark.usefixtures("without_v")
+
 GRAPH = dm.load("arm2_joint")
 
 

@@ -22,6 +22,8 @@ from dmframe.results.place import built, complete, reserved
 from dmframe.results.run import Run
 from dmframe.seal import BrokenSeal, FolderSeal, faults, opened, seal_of, sealed
 
+pytestmark = pytest.mark.usefixtures("without_v")
+
 GRAPH = dm.load("arm2_joint")
 
 

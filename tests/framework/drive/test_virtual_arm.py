@@ -19,6 +19,8 @@ from dmframe.runtime.steered import Steered
 from dmframe.runtime.ur import UniversalRobot
 from dmframe.virtual import VirtualRobot
 
+pytestmark = pytest.mark.usefixtures("without_v")
+
 SOON = 0.1
 """Within this an arm rests after a fault [s]."""
 FAST = 180

@@ -11,6 +11,8 @@ import pytest
 import dmframe as dm
 from dmframe.errors import DmframeError, UnknownNameError
 
+pytestmark = pytest.mark.usefixtures("without_v")
+
 
 def same(one: dm.Run, other: dm.Run) -> bool:
     return all(np.array_equal(one.recording[label], other.recording[label]) for label in one)

@@ -93,7 +93,14 @@ def silent(tmp_path_factory: pytest.TempPathFactory) -> Verification:
 def contents(
     proved: Verification, refuted: Verification, failing: Verification, silent: Verification
 ) -> dict[str, Content]:
-    made = {"proved": content(proved), "silent": content(silent)}
-    with pytest.MonkeyPatch.context() as patched:  # one linear analysis of each kind is enough
+    analysed_too = content(silent)
+    with pytest.MonkeyPatch.context() as patched:  # one linear analysis is enough
         patched.setattr("dmframe.report.content.linear_view", lambda *_: LinearView("Not looked at."))
+        made = {"proved": content(proved), "silent": analysed_too}
         return made | {"refuted": content(refuted), "failing": content(failing)}
+
+
+@pytest.fixture(scope="session")
+def analysed(proved: Verification) -> Content:
+    """With a linear analysis of a loop of two joints."""
+    return content(proved)

@@ -10,14 +10,14 @@ from dmframe.report.linear import _bracket, linear_view
 from dmframe.report.page import as_html, as_markdown
 
 
-def test_poles_margins_and_periods_are_those_of_the_analysis(proved, contents):
-    view, graph = contents["proved"].linear, proved.experiment
+def test_poles_margins_and_periods_are_those_of_the_analysis(proved, analysed):
+    view, graph = analysed.linear, proved.experiment
     found = analyse(proved.diagram, graph.file.clock, solver=graph.solver, start=graph.start, horizon=0.2)
     assert [row[0] for row in view.joints] == ["joint1", "joint2"]
     assert view.joints[0][3] == f"{found.joints[0].margins.phase:.1f} deg"
     assert view.loop[0][1] == f"{found.at_rest.poles[0].real:.4g}"
     assert view.numbers["largest_stable_period"]["at_rest"]["stable"] == found.periods.at_rest.stable
-    page, text = as_html([contents["proved"]]), as_markdown([contents["proved"]])
+    page, text = as_html([analysed]), as_markdown([analysed])
     assert 'id="g1-bode"' in page
     assert 'id="g1-nyquist"' in page
     for row in (*view.joints, *view.loop, *view.periods):

@@ -25,6 +25,8 @@ from dmframe.study.execute import State
 from dmframe.study.packing import packed, unpacked
 from dmframe.study.plan import load_study
 
+pytestmark = pytest.mark.usefixtures("without_v")
+
 STUDY = """\
 dmframe-study: 1
 graph: mine/arm.yaml

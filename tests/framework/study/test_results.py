@@ -29,6 +29,8 @@ from dmframe.study.results import Results
 from dmframe.study.sheet import names_of
 from dmframe.study.statistics import Quantile
 
+pytestmark = pytest.mark.usefixtures("without_v")
+
 TEXT = """\
 dmframe-study: 1
 title: Which gain is safe
