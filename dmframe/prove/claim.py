@@ -128,6 +128,11 @@ class Part:
         """True where V has a term of this block."""
         return bool(self.stored or self.steps)
 
+    @property
+    def states_its_change(self) -> bool:
+        """True where the block states D of its terms: also of none, which then loses and gains nothing."""
+        return bool(self.stores or self.dissipation or self.residual)
+
 
 @final
 @dataclass(frozen=True, eq=False)

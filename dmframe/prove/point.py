@@ -175,8 +175,9 @@ def equalities(point: Point, moves: Mapping[str, Numbers]) -> Iterator[Equality]
     if not claim.over_samples:
         yield _whole(point, own)
     for part, summands in own:
-        if part.stores or not claim.over_samples:
-            exchanged = Summand(UNNAMED, [-x for x in point.out(part.supply)]) if part.supply else Summand(UNNAMED, [0])
+        if part.states_its_change or not claim.over_samples:
+            supply = [-x for x in point.out(part.supply)] if part.supply else [0]
+            exchanged = Summand(UNNAMED, supply)
             yield Equality(part.block, "dS/dt" if not claim.over_samples else claim.D, [*summands, exchanged])
         yield from _of_a_sample(point, moves, part)
     if not claim.over_samples:
@@ -190,8 +191,8 @@ def equalities(point: Point, moves: Mapping[str, Numbers]) -> Iterator[Equality]
 def _own(point: Point, moves: Mapping[str, Numbers], part: Part) -> Iterator[Summand]:
     """D S + dissipation - residual - lemma - cross term of one block, by the faults that drop them."""
     block, ring = part.block, point.ring
-    for term, found in zip(part.stored, differences(point, moves, part), strict=True):
-        yield Summand(Text(f"{block}: storage of ", term.name, " dropped"), found.column)
+    for place, (term, found) in enumerate(zip(part.stored, differences(point, moves, part), strict=True), start=1):
+        yield Summand(Text(f"{block}: storage of ", term.name or f"term {place}", " dropped"), found.column)
     if point.claim.over_samples:
         steps = point.taken[block]
         yield Summand(UNNAMED, [ring.reduced(sum((item.moved for item in steps), 0))])

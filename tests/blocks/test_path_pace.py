@@ -92,7 +92,7 @@ def test_the_laws_proof_stays_as_it_is() -> None:
 
 def test_a_clock_that_does_not_say_what_comes_is_refused() -> None:
     text = graph(pace=PACE).text.replace("pace.t_path", "pace.pace")
-    with pytest.raises(DmframeError, match=r"as an output pace_1, found none; see path_pace"):
+    with pytest.raises(DmframeError, match=r"to have an output pace_1, the future pace, found none; see path_pace"):
         _ = dm.load(text).diagram
 
 

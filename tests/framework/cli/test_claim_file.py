@@ -28,8 +28,7 @@ def test_a_written_claim_is_checked_again_and_a_false_one_is_not_accepted(dmfram
     assert "17 of 17 seeded faults refuted" in done.stdout
 
     found = json.loads(path.read_text())
-    servo = next(part for part in found["parts"] if part["dissipation"])
-    servo["dissipation"].pop()
+    next(node for node in reversed(found["program"]["nodes"]) if node[0] == "sub")[0] = "add"
     path.write_text(json.dumps(found))
     done = checked(path)
     assert (done.returncode, done.stderr) == (1, "")
@@ -48,7 +47,9 @@ def test_v_of_zero_is_not_accepted(dmframe: Any, tmp_path: Path) -> None:
         part.update(stored=[], dissipation=[], residual=[], consumed=None, lemma="", memories=[], supply="")
     found["composed"] = []
     (tmp_path / "claim.json").write_text(json.dumps(found))
-    assert checked(tmp_path / "claim.json").returncode == 1
+    done = checked(tmp_path / "claim.json")
+    assert done.returncode == 2
+    assert "a claim: expected a part that stores something" in done.stderr
 
 
 @pytest.mark.parametrize(
