@@ -21,7 +21,8 @@ from dmframe.block.prose import about
 from dmframe.catalogue import block_modules, block_types, graphs
 from dmframe.certify.certificates import certificates_of
 from dmframe.certify.form import NotApplicableError
-from dmframe.condition import Assumption
+from dmframe.certify.wording import relation
+from dmframe.condition import Assumption, Inequality
 from dmframe.diagram.view import view
 from dmframe.formula import Formula, Line, PrintedLaw, printed
 from dmframe.formula.alone import in_yaml, options_of, plainest
@@ -264,8 +265,11 @@ def _conditions(shown: Example | None) -> Iterator[str]:
     seen = view(diagram, shown.block, stated)
     items = list(diagram.blocks[shown.block].conditions(seen.p, seen.truth))
     for item in items:
-        assumed = isinstance(item, Assumption)
-        lead = f"Assumed: {text_of(item.text).marked}" if assumed else text_of(item.name).marked
+        if isinstance(item, Assumption):
+            lead = f"Assumed: {text_of(item.text).marked}"
+        else:
+            own = relation(diagram, stated, shown.block, item) if isinstance(item, Inequality) else None
+            lead = (own or text_of(item.name)).marked
         yield f"- {lead}" + f" ({text_of(item.source).marked})" * bool(item.source)
     if not items:
         yield "None of its own."

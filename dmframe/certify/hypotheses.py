@@ -140,8 +140,8 @@ def _definite(claim: Claim, model: BlockModel, inverted: Inverted) -> Text:
                 return Text()  # bodies that V keeps bodies
             return Text(name_of(port.name), " stays positive definite, uniformly")
     resolver = claim.diagram.resolver
-    joined = claim.loop.joined([resolver.expand(model.name, A)])[0]
-    if model.robot is not None and is_mass_matrix(claim, joined):
+    (given,) = claim.loop.joined([resolver.expand(model.name, A)])
+    if model.robot is not None and is_mass_matrix(claim, given):
         return Text()  # M(q) > 0 is a condition
     named = sorted({symbol.name().split("[")[0].rpartition("_")[0] or symbol.name() for symbol in ca.symvar(A)})
     made = joined([name_of(name) for name in named[:4]])

@@ -11,6 +11,8 @@ import casadi as ca
 from dmframe.certificate import SX
 from dmframe.certify.claim import Claim
 from dmframe.condition import Inequality
+from dmframe.diagram import Diagram
+from dmframe.diagram.truths import Stated
 from dmframe.diagram.view import view
 from dmframe.formula import Formula, tree
 from dmframe.formula.elements import Elements
@@ -25,11 +27,17 @@ SHORT: Final = 40
 
 def worded(claim: Claim, block: str, condition: Inequality) -> tuple[Text, Text]:
     """The name, and what is decided."""
+    own = relation(claim.diagram, claim.truths, block, condition)
+    if own is not None:
+        return own, own
     decided = _decided(claim, block, condition)
-    for own in _in_names_of(claim, block, condition):
-        if own.text == condition.name:
-            return Text(own), Text(own)
     return Text(text_of(condition.name), " [", decided, "]"), decided
+
+
+def relation(diagram: Diagram, truths: Stated, block: str, condition: Inequality) -> Text | None:
+    """The author's words as a formula, where they are exactly the relation."""
+    found = _in_names_of(diagram, truths, block, condition)
+    return next((Text(own) for own in found if own.text == condition.name), None)
 
 
 def _decided(claim: Claim, block: str, condition: Inequality) -> Text:
@@ -47,12 +55,12 @@ def _decided(claim: Claim, block: str, condition: Inequality) -> Text:
     return Text(formula, sign)
 
 
-def _in_names_of(claim: Claim, block: str, condition: Inequality) -> tuple[Formula, ...]:
+def _in_names_of(diagram: Diagram, truths: Stated, block: str, condition: Inequality) -> tuple[Formula, ...]:
     """``beta > 4 gamma/9`` and ``4 gamma/9 < beta``: the same in names of the block's parameters, truths and parts.
 
     A named part is one of the certificate; another one would have no definition in print.
     """
-    seen, own = view(claim.diagram, block, claim.truths), claim.diagram.blocks[block]
+    seen, own = view(diagram, block, truths), diagram.blocks[block]
     naming = Naming(lambda name, shape: ca.SX.sym(name, *shape), {})
     with reading(naming):
         own.composed_certificate(seen.u, seen.x, seen.p, seen.truth)

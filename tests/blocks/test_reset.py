@@ -141,7 +141,7 @@ def test_it_is_proved_whenever_the_gripper_tells_and_whose_part_of_v_jumps_is_to
     assert all(control.refuted for control in found.controls)
     assert ("idle", "goes to zero") in [(item.signal, item.says) for item in found.statements]
     assumed = " / ".join(item.text for item in found.assumptions)
-    start = f"is bounded, and {BETWEEN.removeprefix('is ')}; there"
+    start = f"is bounded, and {BETWEEN.removeprefix('is ').format(V='V')}; there"
     assert f"load.a_load {start} jumps what dynamics and arm store, and nothing else" in assumed
     assert f"gripper.odd {start} jumps what dynamics stores, and nothing else" in assumed
 
