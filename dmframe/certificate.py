@@ -290,7 +290,7 @@ def _with_former_fields(init: Callable[..., None]) -> Callable[..., None]:
 
 
 _FORMER_FIELDS: Final[Mapping[str, str]] = {"pays": "dominates"}
-Certificate.__init__ = _with_former_fields(Certificate.__init__)  # type: ignore[method-assign]
+Certificate.__init__ = _with_former_fields(Certificate.__init__)  # type: ignore[method-assign]  # the class is final, its fields are its constructor
 
 
 def sampled_certificate(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any, final
+from typing import Any, Literal, final
 
 import casadi as ca
 
@@ -184,8 +184,9 @@ class _Assembly:
         if isinstance(item, LeastSquaresSteps):
             expressions |= {"gathered": item.gathered, "retention": item.retention}
         named = {name: self._out(f"{block}.{item.estimate}: {name}", x) for name, x in expressions.items()}
-        rule, memory = ("least_squares", item.names[-1]) if squares else ("normalised", "")
-        return data.Steps(rule, item.estimate, memory, tuple(item.parts), len(item.rows), bool(item.box), named)  # type: ignore[arg-type]
+        rule: Literal["normalised", "least_squares"] = "least_squares" if squares else "normalised"
+        memory = item.names[-1] if squares else ""
+        return data.Steps(rule, item.estimate, memory, tuple(item.parts), len(item.rows), bool(item.box), named)
 
     def _line(self, block: str, item: Any) -> data.Line:
         label = f"{block}.{item.state}"

@@ -218,8 +218,8 @@ def _least_room(projection: Projection, numbers: Numbers, start: Sequence[Number
     found = evaluate(room, [*values, [ZERO if value is None else value for value in start]])[0]
     box = projection.kind == "box"
     least = min(lower(value) for row, value in enumerate(found) if not box or start[row % n] is not None)
-    if least >= 0 or any(isinstance(value, Interval) for value in start):
-        return least
+    if least >= 0 or any(isinstance(value, Interval) for value in (*found, *start)):
+        return least  # where the rim is at the graph's own numbers decides nothing over intervals
     known = np.array([value is not None for value in start])
     at = np.array([0.0 if value is None else float(lower(value)) for value in start])
     put = np.ravel(held(*(p.value.ravel(order="F") for p in parameters), at).full())

@@ -144,7 +144,7 @@ def _say(text: str, lost: list[Exception]) -> None:
     """Print; errors are stored in `lost` and raised after the results are written."""
     try:
         tell(text)
-    except Exception as error:
+    except Exception as error:  # of any stream; it is raised once the results are on disk
         lost.append(error)
 
 

@@ -193,3 +193,13 @@ def test_the_lint_sees_a_condition_without_either() -> None:
     assert constructions('Checked("a", "b", 1.0, True, "c", how="exact")')
     assert not constructions('Checked("a", "b", None, False, "c")')
     assert not constructions('Checked("a", "b", 1.0, holds, "c", reads=read)')
+
+
+@pytest.mark.parametrize(("low", "holds"), [("1.5", True), ("3", False)])
+def test_an_estimate_has_to_start_inside_every_box_of_an_interval(low: str, holds: bool) -> None:
+    """It starts at 2 inside the graph's own box, and the true value is 4: lower ends up to 3 exclude the start."""
+    graph = dm.load("arm2_joint")
+    ends = over(("0.5", low), ("0.5", low), ("20", "20"), ("20", "20"))
+    found = verify(graph.diagram, uncertain={"inverse.w_I_box": ends}, start=graph.experiment.start)
+    assert (found.outcome == "proved") is holds
+    assert ("inverse.w_I: starts inside the box" in found.reason) is not holds
