@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import inspect
+import json
 import random
 import textwrap
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
+import mutants
 import numpy as np
 import pytest
 from closed_loops import (
@@ -24,7 +27,20 @@ from closed_loops import (
     states_of,
     true_in_numbers,
 )
-from judged_faults import SAME_RATES, UNCHANGED, Result, judged, nothing_printed, reusing, statement, tried
+from judged_faults import (
+    SAME_RATES,
+    UNCHANGED,
+    Result,
+    concluded,
+    homes,
+    judged,
+    new_conclusions,
+    nothing_printed,
+    reusing,
+    statement,
+    tried,
+    verdict_without_faults,
+)
 from seeded_faults import LAW, LIBRARY, Mutant, all_mutants, block_mutants, library_mutants, mutated_block
 
 from dmframe.block.model import symbols_in
@@ -105,15 +121,15 @@ def test_the_kinematic_baseline_has_no_certificate_that_a_fault_could_falsify() 
 
 
 def test_faults_in_certificates_are_refuted_or_leave_a_true_claim() -> None:
-    mutants = [m for m in all_mutants(certificates=True, library=False) if m.original.__name__ not in LAW]
-    results = results_of([m for m in mutants if m.owner in HELD and not m.original.__name__.startswith("_one")][::150])
+    faults = [m for m in all_mutants(certificates=True, library=False) if m.original.__name__ not in LAW]
+    results = results_of([m for m in faults if m.owner in HELD and not m.original.__name__.startswith("_one")][::150])
     assert Counter(result.outcome for result in results)["refuted"] > 0.6 * len(results)
 
 
 @pytest.mark.parametrize("which", LIBRARY)
 def test_faults_in_shared_functions_are_refuted_or_leave_a_true_claim(which: str) -> None:
-    mutants = list(library_mutants(which))
-    results = results_of(mutants[:: max(1, len(mutants) // 20)])
+    faults = list(library_mutants(which))
+    results = results_of(faults[:: max(1, len(faults) // 20)])
     assert Counter(result.outcome for result in results)["refuted"] >= 7
     lost = ("NameError", "UnboundLocalError", "ImportError")  # of the harness, since no fault makes a name
     assert [result.reason for result in results if any(word in result.reason for word in lost)] == []
@@ -203,3 +219,40 @@ def test_two_statements_of_a_block_are_equal_exactly_if_no_expression_changes() 
     assert own is not None
     assert statement(of, "pi_servo", mutated_block(block, unchanged)) == own
     assert statement(of, "pi_servo", mutated_block(block, doubled)) not in (own, None)
+
+
+def test_a_conclusion_that_a_fault_adds_is_found_and_one_that_it_takes_is_not() -> None:
+    of, block = loop("torque_direct_pi"), known_blocks()["pi_torque_inverse"]
+    certificates = block_mutants("pi_torque_inverse", block, ("certificate",))
+    fault = next(mutant for mutant in certificates if mutant.fault.endswith("u.q_c - u.q: only -u.q left"))
+    assert concluded(fault, of).reason == "only conclusions depend on it, and none is new"
+    fewer, before = verify(of.build({"pi_torque_inverse": fault}, mutated_block)), verdict_without_faults(of)
+    assert new_conclusions(fewer, before) == []
+    assert {"q - q_d goes to zero", "servo.q_c is bounded"} < set(new_conclusions(before, fewer))
+
+
+def test_a_fault_of_a_shared_function_is_put_into_robots_of_several_sizes() -> None:
+    (fault,) = (m for m in library_mutants("symbolic") if m.fault.endswith("omega * dq[i]: only omega left"))
+    assert [of.robot.n for of in homes(fault, loops())][:2] == [1, 2]
+    assert tried(fault)[0].outcome == "refuted"  # not with axes that are parallel
+
+
+def row(outcome: str, reason: str = "", sources: str = "here") -> dict[str, str | float]:
+    return {"fault": "f", "loop": "l", "outcome": outcome, "reason": reason, "seconds": 0.5, "sources": sources}
+
+
+def test_a_survivor_or_a_lost_name_is_an_error_of_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    refused = row("no diagram", "arm: equations(), a.py:3: RuntimeError: incompatible dimensions")
+    assert mutants.reported([row("refuted"), refused, row("equivalent", SAME_RATES)], every=False) == 0
+    assert "1 no diagram: RuntimeError in the function" in capsys.readouterr().out
+    for bad in (row("survived"), row("no diagram", "NameError: name '_factors' is not defined")):
+        assert mutants.reported([row("refuted"), bad], every=False) == 1
+        assert f"{bad['outcome']}: f [l]:" in capsys.readouterr().out
+
+
+def test_results_of_other_sources_are_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mutants, "sources", lambda: "here")
+    file = tmp_path / "results.jsonl"
+    file.write_text("".join(json.dumps(row("refuted", sources=of)) + "\n" for of in ("here", "before")))
+    assert mutants.read_results(file) == [row("refuted")]
+    assert mutants.read_results(tmp_path / "none.jsonl") == []
