@@ -14,14 +14,14 @@ from typing import final
 import casadi as ca
 
 from dmframe.condition import SX
-from dmframe.fields import check_fields
+from dmframe.fields import Expressions
 from dmframe.linalg import inverse_spd, ldl
 from dmframe.terms import Square
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class NormalisedSteps:
+class NormalisedSteps(Expressions):
     r"""Steps of the normalised gradient (projection algorithm, NLMS) that an estimate takes from sample to sample.
 
     For each row (h, y) in turn, with separate parameters for each output j, the floor :math:`\nu > 0` and the diagonal
@@ -63,22 +63,6 @@ class NormalisedSteps:
     floor: SX
     rows: tuple[tuple[SX, SX], ...]
     box: tuple[SX, ...] = ()
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-    @property
-    def pieces(self) -> tuple[SX, ...]:
-        """Its expressions."""
-        rows = (piece for row in self.rows for piece in row)
-        return self.theta, self.true, self.gain, self.floor, *rows, *self.box
-
-    def with_pieces(self, pieces: Sequence[SX]) -> NormalisedSteps:
-        """The same steps of other expressions."""
-        theta, true, gain, floor, *rest = pieces
-        count = 2 * len(self.rows)
-        rows = tuple(zip(rest[:count:2], rest[1:count:2], strict=True))
-        return NormalisedSteps(self.estimate, theta, true, gain, self.parts, floor, rows, tuple(rest[count:]))
 
     @property
     def storage(self) -> Square:
@@ -162,7 +146,7 @@ def summed(parts: Sequence[int], column: SX) -> SX:
 
 @final
 @dataclass(frozen=True, eq=False)
-class LeastSquaresSteps:
+class LeastSquaresSteps(Expressions):
     r"""Steps of recursive least squares with forgetting that an estimate takes from sample to sample.
 
     For each row (h, y) in turn, with separate parameters and a separate matrix :math:`G_j` for each output j, which
@@ -213,23 +197,6 @@ class LeastSquaresSteps:
     retention: SX
     rows: tuple[tuple[SX, SX], ...]
     box: tuple[SX, ...] = ()
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-    @property
-    def pieces(self) -> tuple[SX, ...]:
-        """Its expressions."""
-        rows = (piece for row in self.rows for piece in row)
-        return self.theta, self.gathered, self.true, self.gain, self.floor, self.retention, *rows, *self.box
-
-    def with_pieces(self, pieces: Sequence[SX]) -> LeastSquaresSteps:
-        """The same steps of other expressions."""
-        theta, gathered, true, gain, floor, retention, *rest = pieces
-        count = 2 * len(self.rows)
-        rows, box = tuple(zip(rest[:count:2], rest[1:count:2], strict=True)), tuple(rest[count:])
-        names = self.estimate, self.memory
-        return LeastSquaresSteps(*names, theta, gathered, true, gain, self.parts, floor, retention, rows, box)
 
     @property
     def storage(self) -> Square:

@@ -190,7 +190,7 @@ class _Assembly:
 
     def _line(self, block: str, item: Any) -> data.Line:
         label = f"{block}.{item.state}"
-        when = None if isinstance(item.when, int) else self._out(f"{label}: when", item.when)
+        when = None if item.always else self._out(f"{label}: when", item.when)
         before = self._out(f"{label}: before", self._of.sample.symbols[label])
         return data.Line(item.state, self._out(f"{label}: newest", item.newest), before, when)
 
