@@ -8,7 +8,7 @@ from typing import Any
 from dmframe.block.model import SYMBOLIC
 from dmframe.certify.along import Along, along
 from dmframe.certify.along_steps import sampled_along
-from dmframe.certify.checked import Checked, Numbers
+from dmframe.certify.checked import Checked, Numbers, sorted_out
 from dmframe.certify.claim import Claim, NotApplicableError, claim_of
 from dmframe.certify.conditions import conditions_of
 from dmframe.certify.discrete import discrete_conditions
@@ -54,7 +54,7 @@ def claimed_along(
     with SYMBOLIC:
         if diagram.loop.clocked:
             sampled = claim_of(diagram)
-            decided, _ = discrete_conditions(sampled, Numbers(sampled, uncertain), start)
+            decided, _ = sorted_out(discrete_conditions(sampled, Numbers(sampled, uncertain), start))
             for failing in _failing(decided):
                 raise NotApplicableError(failing)
             return sampled, sampled_along(sampled, run)
