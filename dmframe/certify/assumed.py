@@ -16,7 +16,7 @@ import numpy as np
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Assumption, Square
 from dmframe.certify.begun import Begun
-from dmframe.certify.checked import Checked, Finding, Numbers, lower, upper
+from dmframe.certify.checked import Checked, Finding, Numbers
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.definite import is_mass_matrix
 from dmframe.certify.starts import begun_at
@@ -25,6 +25,7 @@ from dmframe.errors import ValueFault
 from dmframe.exact.balls import UndecidedError
 from dmframe.exact.rational import as_float
 from dmframe.linalg import ldl
+from dmframe.prove.definite import lower, upper
 from dmframe.text import DV, Formula, Text, V, sentence, square_of
 
 SIGNS: Final = sentence("{V} is positive, {dV/dt} not")

@@ -15,7 +15,7 @@ import numpy as np
 
 from dmframe.barrier import Barrier
 from dmframe.certificate import SX, Square
-from dmframe.certify.checked import Numbers, lower, upper
+from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.starts import has_start, start_expression
 from dmframe.certify.statements import Statement
@@ -28,6 +28,7 @@ from dmframe.exact.literal import literal
 from dmframe.exact.ranges import ranges
 from dmframe.exact.rational import as_float
 from dmframe.program import read
+from dmframe.prove.definite import lower, upper
 from dmframe.simulate.start import start_state
 from dmframe.text import Label, Text, around, sentence
 

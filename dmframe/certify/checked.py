@@ -14,7 +14,6 @@ from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Assumption
 from dmframe.certify.begun import START, Begun
 from dmframe.certify.claim import Claim
-from dmframe.certify.definite import Number, pivots
 from dmframe.certify.symbols import exact_values
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import ValueFault
@@ -22,6 +21,7 @@ from dmframe.exact.ranges import ranges
 from dmframe.exact.rational import Interval, as_float, evaluate
 from dmframe.linalg import ldl
 from dmframe.program import read
+from dmframe.prove.definite import Number, lower, pivots
 from dmframe.text import Text
 
 
@@ -186,16 +186,6 @@ class Numbers:
             holds = value > 0 if strict else value >= 0
             return Checked(name, text, as_float(value), holds, source, strict=strict, margin=margin)
         return Checked(name, text, None, False, source, "undecided", strict, margin)
-
-
-def lower(value: Number) -> Fraction:
-    """The least that a number can be."""
-    return value.lower if isinstance(value, Interval) else value
-
-
-def upper(value: Number) -> Fraction:
-    """The most that a number can be."""
-    return value.upper if isinstance(value, Interval) else value
 
 
 Finding = Checked | Assumption

@@ -29,29 +29,21 @@ from dmframe.certificate import (
     Stored,
 )
 from dmframe.certify.assumed import SIGNS, assumed_weights, decidable, is_assumed
-from dmframe.certify.checked import Checked, Finding, Numbers, lower, sorted_out, upper
+from dmframe.certify.checked import Checked, Finding, Numbers, sorted_out
 from dmframe.certify.claim import Claim, NotApplicableError, Part
-from dmframe.certify.definite import (
-    Number,
-    body_pivots,
-    is_mass_matrix,
-    is_matrix,
-    least_body_pivot,
-    least_sampled,
-    load_in,
-    pivots,
-)
+from dmframe.certify.definite import body_pivots, is_mass_matrix, is_matrix, least_body_pivot, least_sampled, load_in
 from dmframe.certify.memories import matrix_start, memory_starts, pivots_at_start
 from dmframe.certify.projections import projection_conditions
 from dmframe.certify.small_gain import small_gain_conditions
 from dmframe.certify.smoothness import HORIZON, SAMPLES
-from dmframe.certify.stability import common_margin
 from dmframe.certify.wording import worded
 from dmframe.diagram.view import view
 from dmframe.errors import BlockError
 from dmframe.exact.rational import as_float
 from dmframe.fields import fault_of
 from dmframe.formula.reading import place_of
+from dmframe.prove.definite import Number, lower, pivots, upper
+from dmframe.prove.stability import common_margin
 from dmframe.robot.pseudo_inertia import pseudo_inertia
 from dmframe.text import DV, Formula, Label, Text, V, Written, sentence, square_of
 

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from typing import final
 
 from dmframe.certificate import SX, Bounded, Clipped, NormSquare, Square
-from dmframe.certify.checked import Numbers, upper
+from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.symbols import Symbols
 from dmframe.errors import ValueFault
 from dmframe.exact import zero_test
 from dmframe.exact.rational import as_float
+from dmframe.prove.definite import upper
 from dmframe.text import Text, around, square_of
 
 

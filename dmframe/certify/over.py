@@ -15,12 +15,13 @@ import numpy as np
 
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
-from dmframe.certify.checked import Checked, Numbers, lower, upper
+from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.tacit import at_one_point
 from dmframe.errors import ValueFault
 from dmframe.exact.balls import UndecidedError
 from dmframe.exact.rational import as_float
+from dmframe.prove.definite import lower, upper
 from dmframe.text import UNNAMED, Text, joined
 
 POINTS: Final = 64

@@ -25,9 +25,8 @@ import numpy as np
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Assumption, TrueValue
 from dmframe.certify.begun import Begun
-from dmframe.certify.checked import Checked, Finding, Numbers, lower, sorted_out
+from dmframe.certify.checked import Checked, Finding, Numbers, sorted_out
 from dmframe.certify.claim import Claim
-from dmframe.certify.definite import Number
 from dmframe.certify.projection_laws import check_law
 from dmframe.certify.smoothness import HORIZON, SAMPLES
 from dmframe.certify.starts import ZERO, begun_at, start_expression, start_of
@@ -37,6 +36,7 @@ from dmframe.diagram.projection import Projection
 from dmframe.errors import ValueFault
 from dmframe.exact import ZeroDivision, zero_test
 from dmframe.exact.rational import Interval, evaluate
+from dmframe.prove.definite import Number, lower
 from dmframe.simulate.start import ROUNDING
 from dmframe.text import Label, Text, sentence
 

@@ -21,10 +21,11 @@ from typing import final
 import casadi as ca
 
 from dmframe.certificate import SX
-from dmframe.certify.checked import Checked, Numbers, upper
+from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim, Part, total
 from dmframe.errors import ValueFault
 from dmframe.exact.rational import as_float
+from dmframe.prove.definite import upper
 from dmframe.text import Text, Written, sentence, square_of
 
 SOURCE = "composition of storage functions"

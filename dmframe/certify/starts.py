@@ -14,9 +14,9 @@ from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
 from dmframe.certify.begun import Begun
 from dmframe.certify.checked import Numbers
-from dmframe.certify.definite import Number
 from dmframe.diagram.view import view
 from dmframe.errors import BlockError, ValueFault
+from dmframe.prove.definite import Number
 from dmframe.robot.rational import decimal
 
 ZERO: Final = Fraction(0)

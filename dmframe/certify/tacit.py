@@ -16,13 +16,13 @@ import numpy as np
 
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Assumption, Clipped, Driven, Gathered, LogDet
-from dmframe.certify.checked import Checked, Numbers, lower, upper
+from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Bases, Closure
 from dmframe.certify.conditions import load_labels
 from dmframe.certify.contradicted import kept_above
-from dmframe.certify.definite import Number
 from dmframe.certify.divisors import domains
+from dmframe.certify.linear import stability_margin
 from dmframe.certify.memories import gathered_from_start, pivots_at_start, reads_of
 from dmframe.certify.positive import Signs
 from dmframe.certify.projections import ROUNDED, begun_in, rooms_on_path
@@ -37,6 +37,7 @@ from dmframe.errors import ValueFault
 from dmframe.exact import ZeroDivision
 from dmframe.linalg import ldl, square
 from dmframe.program import JUMPS
+from dmframe.prove.definite import Number, lower, upper
 from dmframe.robot.parameters import INERTIAL
 from dmframe.robot.pseudo_inertia import pseudo_inertia
 from dmframe.text import Label, Text, joined, name_of, sentence
@@ -108,14 +109,7 @@ def _stable(claim: Claim) -> Iterator[Checked]:
         for item in part.certificate.driven:
             if _replaced(item):
                 text = Text(f"{part.block}: the linear equation of ", joined(item.of), " is stable")
-                yield _held(text, _stability(item), sufficient=True)
-
-
-def _stability(item: Driven) -> SX:
-    if len(item.rates) == 1:
-        return -ca.SX(item.rates[0][0])
-    (a, b), (c, d) = [[ca.SX(rate) for rate in row] for row in item.rates]
-    return ca.vertcat(ca.vec(-(a + d)), ca.vec(a * d - b * c))
+                yield _held(text, stability_margin(item), sufficient=True)
 
 
 def _follows(claim: Claim, numbers: Numbers) -> Iterator[Checked]:

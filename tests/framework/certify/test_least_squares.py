@@ -14,11 +14,11 @@ import pytest
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import Certificate, LeastSquaresSteps, PlantIdentity
 from dmframe.certify import Verdict, verify
-from dmframe.certify.definite import is_semidefinite
 from dmframe.diagram import Diagram
 from dmframe.exact.rational import evaluate
 from dmframe.parameter import Positive, Scalar
 from dmframe.port import PERIOD, Access, Input, Output, Side, State
+from dmframe.prove.definite import is_semidefinite
 from dmframe.simulate import simulate
 from dmframe.steps import packed, packed_size, unpacked
 
