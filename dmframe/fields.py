@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 from types import UnionType
 from typing import Any, Final, Self, get_args, get_origin, get_type_hints
@@ -77,8 +77,9 @@ def _is_held(kind: Any) -> bool:
 
 
 @cache
-def _kinds(of: type) -> dict[str, Any]:
-    return get_type_hints(of)
+def _kinds(of: Any) -> dict[str, Any]:
+    kinds = get_type_hints(of)
+    return {item.name: kinds[item.name] for item in fields(of)}
 
 
 def fault_of(name: str, kind: Any, value: Any) -> str:

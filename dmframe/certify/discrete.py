@@ -195,7 +195,7 @@ def _domains(claim: Claim, symbols: Symbols, seed: int) -> Iterator[Assumption]:
     """
     for part in claim.parts:
         wanted = list(_needed(claim, part, symbols))
-        norms = [size for item in part.certificate.steps for size in item.sizes]
+        norms = [size for item in part.certificate.steps for size in item.divisors]
         tape = Tape.from_function(symbols.function("domains", [stack(wanted), stack(norms)]))
         values, known = at_random_point(tape, symbols, seed)
         left = stack(x for x, value in zip(wanted, values, strict=True) if value not in known)
