@@ -45,7 +45,7 @@ class _Taking(Expressions):
     @property
     def names(self) -> tuple[str, ...]:
         """Of the states that the steps move."""
-        return tuple(self.states)
+        return tuple(getattr(self, name) for name, _ in self._moving)
 
     @property
     def named(self) -> dict[str, SX]:
