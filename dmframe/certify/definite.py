@@ -15,7 +15,6 @@ from dmframe.certify.claim import Claim
 from dmframe.certify.symbols import symbols_of
 from dmframe.diagram import Diagram
 from dmframe.diagram.projection import Bodies
-from dmframe.exact import zero_test
 from dmframe.linalg import ldl
 from dmframe.prove.definite import pivots
 from dmframe.robot.parameters import INERTIAL
@@ -68,8 +67,7 @@ def _matched(claim: Claim, weight: SX) -> str | None:
             held = symbols_in([inertia])
             if held and not held & used:  # a mass matrix is linear in the inertia of its bodies, and not zero
                 continue
-            difference = symbols.function("difference", [weight - robot.mass_matrix(q, inertia)])
-            if zero_test(difference, values=symbols.fixed).zero:
+            if symbols.vanishes("difference", weight - robot.mass_matrix(q, inertia)):
                 return label
     return None
 
@@ -85,8 +83,7 @@ def is_mass_matrix_of_bodies(claim: Claim, matrix: SX) -> bool:
         for q, robot in _poses(claim):
             if bodies.numel() != len(INERTIAL) * robot.n or matrix.shape != (robot.n, robot.n):
                 continue
-            difference = symbols.function("difference", [matrix - robot.mass_matrix(q, bodies)])
-            if zero_test(difference, values=symbols.fixed).zero:
+            if symbols.vanishes("difference", matrix - robot.mass_matrix(q, bodies)):
                 return True
     return False
 

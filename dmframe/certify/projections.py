@@ -34,7 +34,7 @@ from dmframe.certify.symbols import symbols_of
 from dmframe.diagram.closed_loop import ClosedLoop, stack
 from dmframe.diagram.projection import Projection
 from dmframe.errors import ValueFault
-from dmframe.exact import ZeroDivision, zero_test
+from dmframe.exact import ZeroDivision
 from dmframe.exact.rational import Interval, evaluate
 from dmframe.prove.definite import Number, lower
 from dmframe.simulate.start import ROUNDING
@@ -154,7 +154,7 @@ def _still(name: str, truth: SX, numbers: Numbers) -> Iterator[Checked]:
     uncertain = [label for label, values in numbers.values.items() if any(isinstance(v, Interval) for v in values)]
     symbols = symbols_of(claim, uncertain)
     try:
-        still = zero_test(symbols.function("rate", [rate]), values=symbols.fixed).zero
+        still = symbols.vanishes("rate", rate)
     except (ValueFault, ZeroDivision) as error:
         yield Checked(said, f"{text}; undecided: {error}", None, False, LEMMA, "undecided")
         return

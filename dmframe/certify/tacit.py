@@ -8,7 +8,7 @@ not converge to it. None of it is computed by `verify` of a single graph: it is 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any, Final
 
 import casadi as ca
@@ -27,7 +27,7 @@ from dmframe.certify.memories import gathered_from_start, pivots_at_start, reads
 from dmframe.certify.positive import Signs
 from dmframe.certify.projections import ROUNDED, begun_in, rooms_on_path
 from dmframe.certify.reach import kept_within
-from dmframe.certify.risky import risky
+from dmframe.certify.risky import instructions, risky
 from dmframe.certify.smoothness import HORIZON, SAMPLES, followed_by_numbers
 from dmframe.certify.statements import bases_of
 from dmframe.certify.symbols import symbols_of
@@ -224,7 +224,8 @@ def pieces_of(claim: Claim, numbers: Numbers, expression: SX) -> tuple[list[SX],
     slope = ca.jacobian(expression, loop.time)
     if not slope.is_zero():
         return [], numbers.reads(expression)
-    steps = list(_steps([expression], symbols_in([loop.time])))
+    time = symbols_in([loop.time])
+    steps = [x for x, _ in instructions([expression]) if x.op() in JUMPS and symbols_in([x]) & time]
     if not steps:
         return [expression], ca.SX(0, 1)
     function = ca.Function("steps", [loop.time, loop.p], [ca.vertcat(*steps)])
@@ -232,20 +233,6 @@ def pieces_of(claim: Claim, numbers: Numbers, expression: SX) -> tuple[list[SX],
     _, first = np.unique(function(times[None, :], loop.p_values).full(), axis=1, return_index=True)
     pieces = [ca.substitute([expression], [loop.time], [ca.SX(float(times[k]))])[0] for k in sorted(first)]
     return pieces, numbers.reads(ca.vertcat(*steps))
-
-
-def _steps(expressions: Sequence[SX], time: set[int]) -> Iterator[SX]:
-    """What jumps with time in an expression."""
-    waiting = [element for item in expressions for element in ca.vertsplit(ca.vec(item))]
-    seen = set[int]()
-    while waiting:
-        x = waiting.pop()
-        if x.element_hash() in seen or not x.n_dep():
-            continue
-        seen.add(x.element_hash())
-        if x.op() in JUMPS and symbols_in([x]) & time:
-            yield x
-        waiting += [x.dep(k) for k in range(x.n_dep())]
 
 
 def _starts(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
