@@ -23,10 +23,10 @@ from dmframe.certify.excess import bounds_of
 from dmframe.certify.memories import memory_starts
 from dmframe.certify.summary import summary
 from dmframe.certify.symbols import symbols_of
-from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
 from dmframe.exact.rational import as_float
+from dmframe.graph import Graph
 from dmframe.prove.faults import inject_faults
 from dmframe.report.content import Condition
 from dmframe.report.verdict_text import verdict_text
@@ -132,8 +132,8 @@ def test_a_gain_that_changes_no_rate_is_no_fault_and_one_that_does_is() -> None:
 
 
 def test_what_was_sampled_is_not_said_to_hold() -> None:
-    graph = load_experiment("arm2_joint")
-    verdict = verify(graph.diagram())
+    graph = Graph.read("arm2_joint")
+    verdict = verify(graph.diagram)
     sampled = Checked("M(q) > 0", "200 poses", 0.1, True, "property P2", "sampled")
     object.__setattr__(verdict, "conditions", (sampled,))
     (line,) = [line for line in verdict_text(graph.name, verdict).splitlines() if "M(q) > 0" in line]
@@ -154,8 +154,8 @@ PLACES = {
 def test_numbers_at_the_edge_give_an_answer_or_a_fault_of_the_graph(name: str, place: str) -> None:
     for value in EXTREMES:
         try:
-            graph = load_experiment(name, [f"{place}={value}"])
-            verdict = verify(graph.diagram(), trials=1)
+            graph = Graph.read(name, [f"{place}={value}"])
+            verdict = verify(graph.diagram, trials=1)
         except DmframeError:
             continue
         assert verdict.outcome != "refuted"
