@@ -81,10 +81,22 @@ def test_a_value_that_is_set_gives_another_graph_and_leaves_this_one(pendulum: d
 
 
 def test_what_is_set_is_what_the_command_line_would_set(pendulum: dm.Graph) -> None:
-    from dmframe.graph import Graph
-
     set_here = pendulum.set({"dynamics.Gamma": 3, "start": {"q": [0.2]}, "inverse.w_box": [0, 2]})
-    assert Graph.read("pendulum", set_here.overrides).data == set_here.data
+    assert dm.Graph.read("pendulum", set_here.overrides).data == set_here.data
+
+
+def test_former_names_of_a_graph_give_it_with_a_notice(pendulum: dm.Graph) -> None:
+    run = dm.Run(pendulum, pendulum.simulate())
+    with pytest.warns(DeprecationWarning, match=r"graph\.experiment is now the graph itself"):
+        assert pendulum.experiment is pendulum
+    with pytest.warns(DeprecationWarning, match=r"run\.experiment is now run\.graph"):
+        assert run.experiment is pendulum
+
+
+def test_each_changed_copy_is_a_graph_with_the_same_methods(pendulum: dm.Graph) -> None:
+    copies = [pendulum.set({"dynamics.Gamma": 3}), pendulum.until(1), pickle.loads(pickle.dumps(pendulum))]
+    copies.append(dm.load("theorem_3").baseline())
+    assert {type(copy) for copy in copies} == {dm.Graph}
 
 
 @pytest.mark.parametrize(

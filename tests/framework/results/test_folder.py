@@ -60,7 +60,7 @@ def test_the_resolved_graph_loads_again_and_gives_the_same_run(tmp_path, make_re
 
 
 def test_overrides_and_defaults_stand_in_the_resolved_graph(make_result):
-    text = resolved_text(make_result("ur10_fast", 0.05, "dynamics.Gamma=7", "inverse.w_box=[0, 0.004]"))
+    text = resolved_text(make_result("ur10_fast", 0.05, "dynamics.Gamma=7", "inverse.w_box=[0, 0.004]").graph)
     assert "Gamma: 7.0" in text
     assert "w_box: [0.0, 0.004]" in text
     assert "method: rk4" in text  # a default
