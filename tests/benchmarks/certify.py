@@ -168,7 +168,7 @@ def simplified(way: str, answer: Any) -> None:
         zero = sp.simplify(R) == 0
     elif way == "trigsimp":
         zero = sp.trigsimp(sp.expand(R)) == 0
-    else:  # told by a person that sin^2 = 1 - cos^2 of two angles is all that is needed
+    else:  # a person has stated that sin^2 = 1 - cos^2 of two angles is all that is needed
         zero = with_a_hint(R) == 0
     answer.send((bool(zero), time.perf_counter() - begin))
 

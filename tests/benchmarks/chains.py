@@ -55,7 +55,7 @@ blocks:
 
 
 def cost(n: int, stages: Sequence[str]) -> dict[str, Any]:
-    """Seconds of each stage asked for; building comes first in any case. The step is one tick of 8 ms."""
+    """Seconds of each requested stage; building comes first in any case. The step is one tick of 8 ms."""
     from dmframe.certify import verify
     from dmframe.graph import Graph
     from dmframe.simulate import simulate
@@ -90,11 +90,13 @@ def cost(n: int, stages: Sequence[str]) -> dict[str, Any]:
         return found
 
 
-def section(limit: float, joints: Sequence[int] = JOINTS, told: Callable[[str], None] = lambda text: None) -> Section:
+def section(
+    limit: float, joints: Sequence[int] = JOINTS, progress: Callable[[str], None] = lambda text: None
+) -> Section:
     """Four rows for each number of joints."""
     rows, three = list[Row](), dict[str, float]()
     for n in joints:
-        told(f"(d) {n} joints")
+        progress(f"(d) {n} joints")
         found, faults = dict[str, float](), dict[str, str]()
         for stages in (["build", "compile", "step"], ["verify"]):
             try:

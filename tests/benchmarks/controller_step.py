@@ -114,11 +114,11 @@ def fastest(work: Callable[[], Any], repeats: int = 5) -> float:
     return float(best)
 
 
-def section(limit: float, told: Callable[[str], None] = lambda text: None) -> Section:
+def section(limit: float, progress: Callable[[str], None] = lambda text: None) -> Section:
     """All rows, for each number of joints."""
     rows: list[Row] = []
     for graph, joints in GRAPHS.items():
-        told(f"(c) {graph}")
+        progress(f"(c) {graph}")
         times, faults = dict[str, float](), dict[str, str]()
         for name, job in ((OURS_C, "in_c"), (OURS_PYTHON, "in_python"), (NUMPY, "by_numpy")):
             try:

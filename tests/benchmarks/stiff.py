@@ -43,7 +43,7 @@ WAYS = (
 )
 
 
-def section(seconds: float = 4.0, told: Callable[[str], None] = lambda text: None) -> Section:
+def section(seconds: float = 4.0, progress: Callable[[str], None] = lambda text: None) -> Section:
     """One loop, all methods, in one process."""
     from dmframe.graph import Graph
     from dmframe.simulate import Recording, Solver, simulate
@@ -52,7 +52,7 @@ def section(seconds: float = 4.0, told: Callable[[str], None] = lambda text: Non
     diagram = graph.diagram
 
     def run(way: Way) -> Recording:
-        told(f"(g) {way.name}")
+        progress(f"(g) {way.name}")
         solver = Solver(way.method, way.step, tolerance=way.tolerance)
         given: dict[str, Any] = {"clock": graph.file.clock, "solver": solver, "start": graph.start}
         runs = [

@@ -93,7 +93,7 @@ def test_a_generated_chain_has_its_joints_and_builds_a_loop(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("key", PEERS)
-def test_every_peer_can_be_asked_what_it_is_without_being_installed(key: str) -> None:
+def test_every_peer_describes_itself_without_being_installed(key: str) -> None:
     peer = find(key)
     assert peer.title
     assert peer.missing() == "" or peer.missing().startswith("missing: ")

@@ -1,4 +1,4 @@
-"""A fixed camera that nobody has calibrated: its image, the law, the identity of its proof, and the packaged loop."""
+"""A fixed camera without calibration: its image, the law, the identity of its proof, and the packaged loop."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def motion(a_c: Array, chi: Array, e: Array) -> Array:
     return np.array(N - np.outer(chi - e / 2, ahead))
 
 
-def test_the_camera_is_a_projection_matrix_and_tells_of_a_tool_that_comes_near() -> None:
+def test_the_camera_is_a_projection_matrix_and_warns_of_a_tool_that_comes_near() -> None:
     given = {"position": POSITION.tolist(), "right": RIGHT.tolist(), "down": DOWN.tolist(), "ahead": AHEAD.tolist()}
     camera = find_block("camera")(**given, depth_min=0.5)
     for x, lacking in (([-0.1, 0.7, 0.5], 0), ((POSITION + 0.4 * AHEAD / (AHEAD @ AHEAD)).tolist(), 0.1)):
@@ -134,7 +134,7 @@ def test_it_is_proved_up_to_the_depth_and_the_error_in_the_image_goes_to_zero(gr
         for text in texts
     )
     assert any(text.startswith("J_chi (image) keeps full row rank") for text in texts)
-    assert not any("knows exactly" in text and "camera" in text for text in texts), "nobody knows the camera"
+    assert not any("knows exactly" in text and "camera" in text for text in texts), "the camera is not known"
     concluded = {item.signal for item in verdict.statements if item.concludes}
     assert {"chi - chi_d", "d(chi - chi_d)/dt"} <= concluded
 
@@ -167,14 +167,14 @@ def test_an_error_of_6_hundredths_goes_below_1e_5_with_a_camera_that_is_20_perce
     assert np.min(run["camera.depth"]) > 1.3
     assert np.max(np.abs(run["image.a_c_hat"][-1] - A_C)) > 0.05, "the camera itself need not be found"
     assert [text for text in run.notices if not text.startswith("V rose by")] == []
-    told = tracking_error(run.recording)
-    assert told is not None
-    assert (told.signal, told.unit) == ("chi - chi_d", "")
-    np.testing.assert_allclose(told.norm, error)
-    assert coordinate_labels(run.recording, told) == [("χ, 1:\nerror", "1", 1.0), ("χ, 2:\nerror", "1", 1.0)]
+    tracking = tracking_error(run.recording)
+    assert tracking is not None
+    assert (tracking.signal, tracking.unit) == ("chi - chi_d", "")
+    np.testing.assert_allclose(tracking.norm, error)
+    assert coordinate_labels(run.recording, tracking) == [("χ, 1:\nerror", "1", 1.0), ("χ, 2:\nerror", "1", 1.0)]
 
 
-def test_a_tool_that_comes_nearer_than_the_depth_that_is_told_is_told() -> None:
+def test_a_tool_that_comes_nearer_than_the_configured_depth_gives_a_notice() -> None:
     run = dm.load("ur10_camera").set({"camera.depth_min": 1.34}).run(until=2.0)
     assert any("the tool is nearer to the camera than depth_min" in notice for notice in run.notices)
 

@@ -108,7 +108,7 @@ def test_the_torque_form_no_longer_assumes_that_the_estimated_mass_matrix_has_an
     assert assumed("torque_consistent_pi") == []
 
 
-def test_beside_a_residual_it_is_assumed_again() -> None:
+def test_with_a_residual_it_is_assumed_again() -> None:
     graph = dm.load("torque_consistent_pi").set({"inverse.leak": 0.1})
     texts = [item.text for item in graph.verify().assumptions]
     assert any("M_hat stays positive definite" in text for text in texts)
@@ -170,7 +170,7 @@ def test_with_a_floor_the_interpreter_runs_what_the_compiled_engine_runs() -> No
     np.testing.assert_allclose(interpreted.data["dynamics.a_d_hat"].values, expected, rtol=1e-12, atol=1e-12)
 
 
-def test_with_a_floor_the_torque_form_assumes_nothing_of_m_hat_even_beside_a_residual() -> None:
+def test_with_a_floor_the_torque_form_assumes_nothing_of_m_hat_even_with_a_residual() -> None:
     found = dm.load("torque_consistent_pi").set({"adaptation.floor": 0.1, "inverse.leak": 0.1}).verify()
     assert found.proved
     assert not [item.text for item in found.assumptions if "M_hat" in item.text]

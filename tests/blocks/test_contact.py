@@ -150,7 +150,7 @@ def test_behind_an_encoder_it_is_judged_by_the_same_goal_and_the_tools_true_plac
     assert error.rms_by_eighth[-1] < 0.5e-3  # 35 mm from path.x_d
 
 
-def test_a_stiff_wall_asks_for_a_damping_of_more_than_its_stiffness_times_the_period() -> None:
+def test_a_stiff_wall_requires_a_damping_of_more_than_its_stiffness_times_the_period() -> None:
     """Of the sampled mass on a spring: D_a > T k; with T k = 800 N s/m."""
     bounces, rests = (ran(20.0, "wall.stiffness=1e5", f"compliance.D_a={D_a}") for D_a in (250, 1200))
     spread = [float(np.ptp(run["wall.f_ext"][ticks(run, 6, 8), 1])) for run in (bounces, rests)]
@@ -263,13 +263,13 @@ def test_without_the_right_input_nothing_bounds_the_goal(inputs: Any) -> None:
         (lambda u, p: (0, u.f_ext / p.M_a), (), "expected assumptions as otherwise, together with the inputs"),
     ],
 )
-def test_an_input_of_which_nothing_is_assumed_is_told(inputs: Any, otherwise: Any, says: str) -> None:
+def test_an_input_without_an_assumption_is_refused_by_name(inputs: Any, otherwise: Any, says: str) -> None:
     verdict = without(certificate=driven(inputs, otherwise))
     assert verdict.outcome == "not_applicable"
     assert says in verdict.reason
 
 
-def test_a_normal_without_a_direction_is_told() -> None:
+def test_a_normal_without_a_direction_is_refused() -> None:
     with pytest.raises(DmframeError, match=r"normal: expected a direction, .*, found \[0.0, 0.0, 0.0\]"):
         Wall(point=[0, 0, 0], normal=[0, 0, 0], stiffness=1)
 

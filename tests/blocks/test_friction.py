@@ -1,4 +1,4 @@
-"""The regressor's friction: what it is when nobody says, and what is said where the plant has more."""
+"""The regressor's friction: its default, and the notice where the plant has more."""
 
 from __future__ import annotations
 

@@ -254,7 +254,7 @@ def test_values_that_would_take_another_diagram_are_refused(overrides: list[str]
         ),
     ],
 )
-def test_a_gain_that_is_none_is_told_with_its_place(value: str, text: str) -> None:
+def test_a_value_that_is_no_gain_is_refused_with_its_place(value: str, text: str) -> None:
     with pytest.raises(DmframeError) as fault:
         _ = Graph.read("arm2_joint", [f"dynamics.Gamma={value}"]).diagram
     assert str(fault.value).startswith("--set dynamics.Gamma=")
@@ -270,7 +270,7 @@ def test_editors_know_the_forms_of_a_gain() -> None:
         assert not gain.is_valid(value), value
 
 
-def test_the_report_of_a_full_gain_tells_its_range(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_report_of_a_full_gain_prints_its_range(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dmframe.report.content.linear_view", lambda *_: LinearView("Not looked at."))
     gain = json.loads(full(11))
     dm.load(SMALL).set({"dynamics.Gamma": gain, "duration": 0.1}).verify().report(tmp_path / "report.md")
@@ -337,7 +337,7 @@ def learnt(*overrides: str) -> tuple[float, float]:
 
 
 def test_with_a_prior_what_is_learnt_on_one_path_is_less_wrong_on_others() -> None:
-    """From a model that is 30 % too light; each prior also tracks better than the scalar beside it."""
+    """From a model that is 30 % too light; each prior also tracks better than the scalar next to it."""
     for scale, scalar in ((1, 10), (10, 300)):
         error, elsewhere = learnt(f"dynamics.Gamma={{inverse_of: model, scale: {scale}}}")
         scalar_error, scalar_elsewhere = learnt(f"dynamics.Gamma={scalar}")

@@ -338,7 +338,7 @@ def _without(signals: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {name: value for name, value in signals.items() if name != "G_k"}
 
 
-def test_the_accelerometer_hands_out_the_acceleration() -> None:
+def test_the_accelerometer_outputs_the_acceleration() -> None:
     close(answer("accelerometer", ddq=[1.5, -2])["ddq_m"], [1.5, -2])
 
 

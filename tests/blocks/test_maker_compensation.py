@@ -1,4 +1,4 @@
-"""Servos that already compensate gravity or friction, and an outer loop that is not told."""
+"""Servos that already compensate gravity or friction, and an outer loop that does not know it."""
 
 from __future__ import annotations
 

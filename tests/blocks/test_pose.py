@@ -58,7 +58,7 @@ def test_a_quaternion_of_any_length_but_zero_is_an_exactly_orthogonal_rotation_t
     assert is_zero(ca.det(R) - 1)
     assert is_zero(ca.jtimes(R, P, DP) - ca.skew(OMEGA) @ R)
     assert not is_zero(ca.jtimes(R, P, DP) + ca.skew(OMEGA) @ R)
-    assert not is_zero(left(P).T @ left(P) - ca.SX.eye(4)), "the test tells what is not orthogonal"
+    assert not is_zero(left(P).T @ left(P) - ca.SX.eye(4)), "the test finds a matrix that is not orthogonal"
     for p in quaternions(5):
         found = ca.Function("R", [P], [R])(p).full()
         np.testing.assert_allclose(found, matrix(p), atol=1e-14)
@@ -99,13 +99,13 @@ def test_pose_tracking_is_its_law_with_pinocchios_logarithm_and_numpys_pseudo_in
     assert found["R_apart"] == pytest.approx(8 * np.sin(angle / 2) ** 2)
 
 
-def test_half_a_turn_away_the_reference_sees_no_error_and_beside_it_it_leads_back() -> None:
+def test_half_a_turn_away_the_reference_sees_no_error_and_near_there_it_leads_back() -> None:
     p_d, axis = np.array([1.0, 0, 0, 0]), np.array([0.6, 0, 0.8])
     there = error_of(pin.exp3(np.pi * axis), p_d)
     np.testing.assert_allclose(there["dq_r"], 0, atol=1e-14)
     assert there["R_apart"] == pytest.approx(8)
-    beside = error_of(pin.exp3((np.pi - 0.1) * axis), p_d)
-    assert beside["dq_r"][3:] @ axis < -0.1
+    near = error_of(pin.exp3((np.pi - 0.1) * axis), p_d)
+    assert near["dq_r"][3:] @ axis < -0.1
 
 
 def test_the_tools_orientation_and_the_jacobian_of_its_pose_are_pinocchios() -> None:
@@ -391,7 +391,7 @@ def test_a_start_that_no_joints_reach_says_by_how_much_in_position_and_angle() -
         graph.run(progress=False)
 
 
-def test_a_source_that_no_block_reads_is_told() -> None:
+def test_a_source_that_no_block_reads_is_reported() -> None:
     graph = dm.load(CIRCLE).set({"blocks.load": {"type": "payload", "mass": [1], "at": [0]}, "duration": 0.08})
     assert graph.run(progress=False).notices[0].startswith("no block reads load.a_load, so that")
     taken = graph.set({"arm.type": "loaded_manipulator"}).run(progress=False)

@@ -114,8 +114,8 @@ def test_the_derived_reference_acceleration_follows_the_self_motion(tmp_path: Pa
     dq_ref, times = run["inverse.dq_ref"], run.time
     for k in (40, 100, 160):
         slope = (dq_ref[k + 1] - dq_ref[k - 1]) / (times[k + 1] - times[k - 1])
-        told = function(states[k], times[k], loop.p_values).full().ravel()
-        np.testing.assert_allclose(told, slope, rtol=1e-3, atol=1e-3)
+        rate = function(states[k], times[k], loop.p_values).full().ravel()
+        np.testing.assert_allclose(rate, slope, rtol=1e-3, atol=1e-3)
 
 
 def turned(name: str, *, posture: bool) -> Recording:

@@ -1,4 +1,4 @@
-"""A reference that keeps joints inside their limits: its bounds, and the tube of its proof beside runs and by hand."""
+"""A reference that keeps joints within limits: its bounds, and the tube of its proof, against runs and by hand."""
 
 from __future__ import annotations
 
@@ -203,11 +203,11 @@ def test_on_a_robot_the_circle_stops_at_the_limit_and_the_whole_loop_is_stable()
     assert float(np.max(error)) > 0.05  # it left the path for the limit
 
 
-def test_a_run_tells_of_a_command_beyond_the_robots_velocity_limits() -> None:
+def test_a_run_warns_of_a_command_beyond_the_robots_velocity_limits() -> None:
     graph = dm.load("ur10_safe")
     assert not any("velocity limits" in notice for notice in graph.run(until=0.2).notices)
     far = graph.set({"blocks.safe": None, "wires": {}, "task.width": 100, "task.gamma": 20, "start.q": [-1, -1, 1]})
-    told = [notice for notice in far.run(until=0.2).notices if "velocity limits" in notice]
-    assert len(told) == 1
-    assert told[0].startswith("inverse.dq_c is beyond the robot's velocity limits, first at t = ")
-    assert "shoulder_pan_joint" in told[0]
+    notices = [notice for notice in far.run(until=0.2).notices if "velocity limits" in notice]
+    assert len(notices) == 1
+    assert notices[0].startswith("inverse.dq_c is beyond the robot's velocity limits, first at t = ")
+    assert "shoulder_pan_joint" in notices[0]

@@ -48,7 +48,7 @@ class Line(AbstractBlock):
 
 
 class Encoder(AbstractBlock):
-    """Hands out the pose in whole steps."""
+    """Outputs the pose in whole steps."""
 
     side = Side.PLANT
     inputs = (Input("q", "n", "rad"),)
@@ -63,12 +63,12 @@ def run(
     duration: float = 100.0,
     *overrides: str,
     delay: int = 0,
-    told: int | None = None,
+    assumed: int | None = None,
     encoder: bool = False,
     start: Mapping[str, Any] | None = None,
     engine: Any = "interpreted",
 ) -> Recording:
-    """A packaged graph, its commands late by a delay that it is told, unless it is told another, its pose in steps."""
+    """A packaged graph, its commands late by a delay, which it assumes unless `assumed` is given, its pose in steps."""
     graph = Graph.read(name, list(overrides))
     blocks, wires = dict(graph.blocks), dict(graph.file.wires)
     if delay:
@@ -76,7 +76,7 @@ def run(
     if encoder:
         blocks["encoder"], wires["inverse.q"] = Encoder(), "encoder.q_seen"
     for part in ("task", "inverse"):
-        blocks[part] = type(blocks[part])(**{**dict(blocks[part]), "delay": delay if told is None else told})
+        blocks[part] = type(blocks[part])(**{**dict(blocks[part]), "delay": delay if assumed is None else assumed})
     diagram = Diagram.build(blocks, wires, graph.robot)
     given = {**graph.start, **(start or {})}
     return simulate(diagram, duration, clock=graph.file.clock, start=given, engine=engine)
@@ -96,8 +96,8 @@ def test_tick_by_tick_it_does_what_the_law_by_hand_does(tau: float | None, avera
     ticks = 40
     law = SampledLaw(ur10(), T, tau=tau, average=average, stride=stride)
     hand = by_hand(law, ticks)
-    told = {"filtered": str(tau is not None).lower(), "average": average, "stride": stride}
-    mine = run(SLOW, ticks * T, "task.damping=0", *(f"inverse.{name}={value}" for name, value in told.items()))
+    options = {"filtered": str(tau is not None).lower(), "average": average, "stride": stride}
+    mine = run(SLOW, ticks * T, "task.damping=0", *(f"inverse.{name}={value}" for name, value in options.items()))
     for name, label in (("q", "arm.q"), ("u", "inverse.dq_c"), ("v_des", "task.dq_r"), ("error", None)):
         found = error(mine) if label is None else mine[label]
         np.testing.assert_allclose(found[:ticks], hand[name], atol=1e-8, err_msg=name)
@@ -144,9 +144,9 @@ def test_by_least_squares_it_does_what_the_law_by_hand_does(average: int, retent
     ticks = 40
     law = LeastSquaresLaw(ur10(), T, average=average, retention=retention, heaviest=inertia)
     hand = by_hand(law, ticks)
-    told = {"estimator": "least_squares", "average": average, "retention": retention}
+    options = {"estimator": "least_squares", "average": average, "retention": retention}
     box = f"inverse.inertia_box=[{-inertia}, {inertia}]"
-    mine = run(SLOW, ticks * T, "task.damping=0", box, *(f"inverse.{name}={value}" for name, value in told.items()))
+    mine = run(SLOW, ticks * T, "task.damping=0", box, *(f"inverse.{name}={value}" for name, value in options.items()))
     for name, label in (("q", "arm.q"), ("u", "inverse.dq_c"), ("v_des", "task.dq_r"), ("error", None)):
         found = error(mine) if label is None else mine[label]
         np.testing.assert_allclose(found[:ticks], hand[name], atol=1e-8, err_msg=name)
@@ -169,8 +169,8 @@ def test_behind_a_delay_it_does_what_the_law_by_hand_does(delay: int) -> None:
     mine = run(SLOW, ticks * T, "task.damping=0", delay=delay)
     np.testing.assert_allclose(mine["line.dq_late"][:ticks], hand["u"], atol=3e-4)  # Newton's steps are not the same
     np.testing.assert_allclose(mine["arm.q"][:ticks], hand["q"], atol=1e-4)
-    untold = run(SLOW, ticks * T, "task.damping=0", delay=delay, told=delay - 1)
-    assert np.max(np.abs(untold["arm.q"][:ticks] - hand["q"])) > 3e-3
+    unknown = run(SLOW, ticks * T, "task.damping=0", delay=delay, assumed=delay - 1)
+    assert np.max(np.abs(unknown["arm.q"][:ticks] - hand["q"])) > 3e-3
 
 
 def test_the_observer_does_what_that_by_hand_does() -> None:
@@ -305,18 +305,18 @@ def test_with_time_stamps_a_sample_that_is_over_was_as_long_as_it_was(name: str)
         found = law.evaluate(given, {**memory, **stamps}, robot=ARM)
         return {**found.next, **found.outputs}
 
-    told, right, wrong = after(T, t_before=now - 0.08), after(0.08), after(T)
-    assert told["t_before"] == now
+    stamped, right, wrong = after(T, t_before=now - 0.08), after(0.08), after(T)
+    assert stamped["t_before"] == now
     # what is learnt from the sample that is over; the command is for one that lasts T
     past = {"lag"} if name == "disturbance_observer" else {"theta", "rows", "goals", "z", "psi_slow", "y_slow"}
     for label in past:
-        np.testing.assert_allclose(told[label], right[label], atol=1e-12, err_msg=label)
-    assert max(np.max(np.abs(told[label] - wrong[label])) for label in past) > 1e-3
+        np.testing.assert_allclose(stamped[label], right[label], atol=1e-12, err_msg=label)
+    assert max(np.max(np.abs(stamped[label] - wrong[label])) for label in past) > 1e-3
 
 
 def test_time_stamps_spare_a_predictor_the_clock_that_is_not_exact() -> None:
-    def tracked(**told: bool) -> float:
-        overrides = [f"inverse.{key}={str(value).lower()}" for key, value in told.items()]
+    def tracked(**options: bool) -> float:
+        overrides = [f"inverse.{key}={str(value).lower()}" for key, value in options.items()]
         graph = Graph.read("ur10_slow_observer", overrides)
         found = simulate(graph.diagram, 50.0, clock=T, start=graph.start, engine="interpreted", jitter=0.03)
         return rms(error(found))
@@ -369,7 +369,7 @@ def test_the_inverse_of_the_jacobian_alone_is_five_times_better_than_its_transpo
     assert 0.9 < rms(error(found)) < 1.2
 
 
-def test_on_a_fast_clock_an_encoder_asks_for_the_mean_of_several_rows() -> None:
+def test_on_a_fast_clock_an_encoder_requires_the_mean_of_several_rows() -> None:
     assert rms(error(run(FAST, 16.0, delay=1, encoder=True))) < 0.3
     alone = run(FAST, 16.0, "inverse.average=1", "inverse.stride=1", delay=1, encoder=True)
     assert rms(error(alone)) > 0.5
@@ -418,8 +418,8 @@ def test_results_hold_the_estimate_and_leave_its_memory_out() -> None:
     assert recorded["inverse.theta"].shape == (11, SERVO.size)
     assert "inverse.rows" not in recorded.states
     graph = Graph.read(SLOW, ["inverse.replay=2"])
-    asked = simulate(
+    logged = simulate(
         graph.diagram, 3 * T, clock=T, start=graph.start, engine="interpreted", log=Log(signals=("inverse.rows",))
     )
-    assert asked["inverse.rows"].shape == (4, 2 * SERVO.size)
-    assert "inverse.theta" not in asked.states
+    assert logged["inverse.rows"].shape == (4, 2 * SERVO.size)
+    assert "inverse.theta" not in logged.states

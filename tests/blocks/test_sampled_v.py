@@ -1,4 +1,4 @@
-"""V of the sampled law along a run: against NumPy, against faults, and what is said where an assumption fails."""
+"""V of the sampled law along a run: against NumPy, against faults, and the report where an assumption fails."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a theorem does not allow is refused, and the reason is told."""
+"""What a theorem does not allow is refused with the reason."""
 
 from __future__ import annotations
 
