@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -17,8 +18,8 @@ _UNREAD: Final = 1e-13
 def without_memory(Phi: Array) -> Array:
     r"""Transition without stored values that no state reads: a smaller matrix, same eigenvalues but for some at zero.
 
-    States that copy another, and those that they copy, form delay lines. With :math:`c_d` the inputs of all lines d ticks
-    ago, :math:`x` the other states, and :math:`c_0^+` like :math:`x^+`,
+    States that copy another, and those that they copy, form delay lines. With :math:`c_d` the inputs of all lines d
+    ticks ago, :math:`x` the other states, and :math:`c_0^+` like :math:`x^+`,
 
     .. math:: x^+ = F x + \sum_d R_d c_d.
 
@@ -35,7 +36,7 @@ def without_memory(Phi: Array) -> Array:
     rows, at = [moved[: len(core)]], len(core)
     for mine, V, sizes in groups:
         rows.append(V @ moved[len(core) + mine])
-        for size, following in zip(sizes, sizes[1:], strict=False):
+        for size, following in pairwise(sizes):
             rows.append(np.eye(following, moved.shape[1], at))
             at += size
         at += sizes[-1]
