@@ -1,4 +1,4 @@
-"""What a live page evaluates, held to what a run, the interpreter and the verdict say."""
+"""What a live page evaluates, checked against a run, the interpreter and the verdict."""
 
 from __future__ import annotations
 

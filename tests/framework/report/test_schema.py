@@ -15,7 +15,7 @@ from dmframe.config import load_experiment
 VALIDATOR = Draft202012Validator(verdict_schema())
 
 
-def told(name):
+def summary_of(name):
     graph = load_experiment(name)
     diagram = graph.diagram()
     return summary(graph.name, verify(diagram, uncertain=intervals(diagram, graph.file.uncertain)))
