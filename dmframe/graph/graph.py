@@ -17,15 +17,18 @@ from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, ValueFault, raise_all
 from dmframe.graph.arguments import listed, seconds
 from dmframe.graph.named import Named
-from dmframe.graph.progress import Bar, progress_line, shown
-from dmframe.results.run import Run
+from dmframe.graph.progress import progress_line, shown
 from dmframe.units import plain, to_unit
 
 if TYPE_CHECKING:
     from dmframe.drawing import Drawing
     from dmframe.drive import Rehearsal, Replay
+    from dmframe.graph.progress import Bar
     from dmframe.page import Page
-    from dmframe.report import Analysis, Explanation, Verification
+    from dmframe.report.analysis import Analysis
+    from dmframe.report.explanation import Explanation
+    from dmframe.report.verification import Verification
+    from dmframe.results.run import Run
     from dmframe.runtime import Controller
     from dmframe.simulate import Recording
     from dmframe.simulate.engine import Choice
@@ -180,6 +183,8 @@ class Graph:
             An unreachable start pose, an integrator that fails at once, or a run too long to store. A run that
             diverges is not a fault: `Run.divergence` gives the place.
         """
+        from dmframe.results.run import Run
+
         graph = self if until is None else self.until(until)
         with shown(progress, graph.name, graph.duration) as bar:
             recording = graph.experiment.simulate(self.diagram, engine=engine, progress=bar)
@@ -238,7 +243,7 @@ class Graph:
         seed
             Of the random points and primes.
         """
-        from dmframe.report import Verification
+        from dmframe.report.verification import Verification
 
         if isinstance(seed, bool) or not isinstance(seed, int):
             raise ValueFault(f"seed: expected a whole number, found {seed!r:.40}")
@@ -262,7 +267,7 @@ class Graph:
         """
         from dmframe.analysis import analyse
         from dmframe.config.places import placed
-        from dmframe.report import Analysis
+        from dmframe.report.analysis import Analysis
 
         experiment, diagram, until = self.experiment, self.diagram, seconds("horizon", horizon)
         try:
@@ -348,6 +353,7 @@ class Graph:
             The graph drives no robot, the file has faults, or the graph may not drive a real robot.
         """
         from dmframe.drive import driven, load_limits
+        from dmframe.results.run import Run
 
         recording = driven(
             self.experiment,
@@ -413,7 +419,7 @@ class Graph:
 
     def explain(self) -> Explanation:
         """Explain the law, signals and certificate of each block; the graph is proved for it."""
-        from dmframe.report import Explanation
+        from dmframe.report.explanation import Explanation
 
         return Explanation(self.experiment, self.diagram, self.verify().verdict)
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 from dmframe.config.document import Document
 from dmframe.config.experiment import Experiment
 from dmframe.files import encoded, write_text, writing
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.results.resolved import companions, resolved_text
 
 if TYPE_CHECKING:

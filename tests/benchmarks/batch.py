@@ -29,7 +29,8 @@ def in_simd(size: int, seconds: float, step: float) -> dict[str, Any]:
     """`dmframe.batch`: the error's figures and the last pose are kept; values, starts and steps are in its time."""
     from dataclasses import replace
 
-    from dmframe.batch import Batch, Wanted
+    from dmframe.batch.batch import Batch
+    from dmframe.batch.figures import Wanted
     from dmframe.config.experiment import load_experiment
 
     loaded = load_experiment(GRAPH)

@@ -15,8 +15,8 @@ from dmframe.certify import Verdict, verify
 from dmframe.cli import main
 from dmframe.config.experiment import load_experiment
 from dmframe.errors import DmframeError
-from dmframe.report import Verification
 from dmframe.report.linear import LinearView
+from dmframe.report.verification import Verification
 from dmframe.simulate import Recording, simulate
 
 LAWS = {

@@ -6,9 +6,9 @@ import pytest
 
 from dmframe.catalogue import graphs
 from dmframe.config import load_experiment
-from dmframe.report import Verification
 from dmframe.report.content import Content, gather
 from dmframe.report.linear import LinearView
+from dmframe.report.verification import Verification
 
 LIAR = '''
 from __future__ import annotations

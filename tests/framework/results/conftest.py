@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dmframe.config.experiment import load_experiment
-from dmframe.results import Run
+from dmframe.results.run import Run
 from dmframe.simulate import Divergence, Recording, simulate
 
 
