@@ -83,8 +83,8 @@ def check(graph: OneGraph, overrides: Overrides = NOTHING, trust: Trust = False)
     from dmframe.cli.graphs import one_graph
 
     loaded = one_graph(graph, overrides, trust=trust)
-    loaded.experiment.intervals(loaded.diagram)
-    loaded.experiment.check_units(loaded.diagram)
+    loaded.intervals()
+    loaded.check_units()
     tell(str(loaded))
     try:
         notices = loaded.check_laws()

@@ -14,7 +14,7 @@ from dmframe.errors import UnknownNameError
 from dmframe.files import write_text
 
 if TYPE_CHECKING:
-    from dmframe.graph.named import Named
+    from dmframe.config.named import Named
 
 SCHEMA = "dmframe.schema.json"
 """Schema file next to a new graph; the YAML server of an editor finds it by the graph's first line."""

@@ -44,7 +44,7 @@ def verify_graphs(
         check_file(claim)
     for graph in graphs:  # report faults of all graphs before the first proof
         _ = graph.diagram
-    labels = labels_of([(graph.name, graph.experiment) for graph in graphs])
+    labels = labels_of([(graph.name, graph) for graph in graphs])
     found = [replace(graph.verify(seed=seed), label=label) for graph, label in zip(graphs, labels, strict=True)]
     status = 0 if all(each.proved for each in found) else NOT_PROVED
     proved_at = datetime.now(UTC).isoformat(timespec="seconds")

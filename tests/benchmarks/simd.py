@@ -54,7 +54,7 @@ def timed(graph: str, width: int) -> dict[str, Any]:
 
     os.environ["CC"] = f"cc {WIDTHS[width]}".strip()
     loaded = dm.load(graph)
-    batch = Batch.of(loaded.diagram, SECONDS, engine="compiled", **loaded.experiment.settings)
+    batch = Batch.of(loaded.diagram, SECONDS, engine="compiled", **loaded.settings)
     runs = 8 * width
     block = next(name for name, held in loaded.blocks.items() if hasattr(held, "Gamma"))
     values = {f"{block}.Gamma": np.linspace(0.9, 1.1, runs)}

@@ -91,7 +91,7 @@ def test_without_a_bound_the_block_has_nothing_to_remember() -> None:
         name: np.zeros(3) for name in ("q", "dq_r", "dq_column", "dq_full", "q_column", "q_full", "lag", "epsilon")
     }
     memory = {"errors": np.zeros((3, 10)), "sent": np.zeros((3, 1))}
-    arm = dm.load("ur10_slow_supervised").experiment.robot
+    arm = dm.load("ur10_slow_supervised").robot
     bare, bound = (
         block(**options).evaluate({**given, "T": T}, memory, robot=arm) for options in ({}, {"demand_max": 1.0})
     )

@@ -19,10 +19,10 @@ from dmframe.analysis.rank_bound import MatrixBound, _norm, _size, _spread, _sum
 from dmframe.analysis.rank_problem import rank_problem
 from dmframe.analysis.rank_region import RankRegion
 from dmframe.analysis.rank_search import RankSearch
-from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import MissingError, StartError, ValueFault
 from dmframe.exact.enclosure import Enclosure
+from dmframe.graph.graph import Graph
 from dmframe.simulate import start_state
 
 TUBE = 0.02
@@ -60,14 +60,14 @@ def arm2(folder: Any, q1: float, q2: float, **options: Any) -> RankRegion:
     z = L1 * math.sin(q1) + L2 * math.sin(q1 + q2)
     path = folder / f"arm_{q1:g}_{q2:g}.yaml"
     path.write_text(ARM2.format(q1=q1, q2=q2, x=repr(x), z=repr(z), geometry="kinematics"))
-    graph = load_experiment(path)
-    return rank_region(graph.diagram(), graph.start, duration=10, **options)
+    graph = Graph.read(path)
+    return rank_region(graph.diagram, graph.start, duration=10, **options)
 
 
 @cache
 def packaged(name: str, *overrides: str) -> tuple[Diagram, Any]:
-    graph = load_experiment(name, overrides)
-    return graph.diagram(), graph
+    graph = Graph.read(name, overrides)
+    return graph.diagram, graph
 
 
 def region(name: str, *overrides: str, **options: Any) -> RankRegion:

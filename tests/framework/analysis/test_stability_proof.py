@@ -24,11 +24,11 @@ from dmframe.analysis.linear import without_memory
 from dmframe.analysis.moves import split_moves
 from dmframe.analysis.set_point import frozen
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import EngineError
 from dmframe.exact.ball_matrix import exactly, middles, radii
 from dmframe.exact.balls import UndecidedError, ball
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Box, Interval, Real, Scalar
 from dmframe.port import PERIOD, Access, Input, Output, Side, State
 from dmframe.simulate import Solver
@@ -143,8 +143,8 @@ def proof(diagram: Diagram, clock: float | None) -> Any:
 
 @cache
 def packaged(name: str) -> tuple[Diagram, Any]:
-    graph = load_experiment(name)
-    return graph.diagram(), graph
+    graph = Graph.read(name)
+    return graph.diagram, graph
 
 
 @pytest.mark.parametrize("r", [0.0, 0.7])

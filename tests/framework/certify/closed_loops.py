@@ -16,9 +16,9 @@ import pinocchio as pin
 from dmframe.block import AbstractBlock
 from dmframe.catalogue import block_types
 from dmframe.certify import Claim
-from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
+from dmframe.graph.graph import Graph
 from dmframe.port import Side
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.library import load
@@ -96,7 +96,7 @@ class PackagedLoop(Built):
 
     @cached_property
     def _graph(self) -> Any:
-        return load_experiment(self.name)
+        return Graph.read(self.name)
 
     @property
     def robot(self) -> Any:  # type: ignore[override]

@@ -9,7 +9,7 @@ from scalar_blocks import scalar_loop
 
 from dmframe.certificate import Assumption, Certificate, Consumed, Driven, Square
 from dmframe.certify import verify
-from dmframe.config import load_experiment
+from dmframe.graph.graph import Graph
 
 
 def concluded(verdict) -> set[str]:
@@ -32,7 +32,7 @@ THEOREMS = {
 
 @pytest.mark.parametrize("graph", THEOREMS)
 def test_each_theorem_ends_in_its_conclusion_with_nothing_open(graph):
-    verdict = verify(load_experiment(graph, []).diagram())
+    verdict = verify(Graph.read(graph, []).diagram)
     assert verdict.outcome == "proved"
     assert concluded(verdict) == THEOREMS[graph]
     assert verdict.states is not None
@@ -42,21 +42,21 @@ def test_each_theorem_ends_in_its_conclusion_with_nothing_open(graph):
 
 
 def test_the_conclusion_of_a_task_assumes_the_rank_that_it_uses():
-    verdict = verify(load_experiment("theorem_3", []).diagram())
+    verdict = verify(Graph.read("theorem_3", []).diagram)
     (conclusion,) = (item for item in verdict.statements if item.signal == "x - x_d" and item.concludes)
     assert conclusion.assumes == ("J_hat keeps full row rank, uniformly",)
 
 
 def test_the_servos_true_gains_bound_the_command_without_a_box_on_the_estimates():
     changes = ["inverse.w_P_box=null", "inverse.w_I_box=null", "inverse.w_box=null"]
-    verdict = verify(load_experiment("theorem_4", changes).diagram())
+    verdict = verify(Graph.read("theorem_4", changes).diagram)
     assert verdict.outcome == "proved"
     assert "q_c - q_tie" in said(verdict, "is bounded")
     assert not any("exponentially stable" in item.text for item in verdict.assumptions)
 
 
 def test_indirect_adaptation_does_not_call_the_robot_stable():
-    verdict = verify(load_experiment("torque_indirect_pi", []).diagram())
+    verdict = verify(Graph.read("torque_indirect_pi", []).diagram)
     assert verdict.outcome == "proved"
     assert concluded(verdict) == set()
     assert verdict.states is not None
@@ -65,7 +65,7 @@ def test_indirect_adaptation_does_not_call_the_robot_stable():
 
 
 def test_a_posture_task_that_reads_q_leaves_the_self_motion_open():
-    verdict = verify(load_experiment("ur10_posture", []).diagram())
+    verdict = verify(Graph.read("ur10_posture", []).diagram)
     assert verdict.states is not None
     assert "arm.q" in verdict.states.open
 
@@ -231,7 +231,7 @@ def test_growth_is_never_proved_to_vanish():
 def test_two_loops_in_one_diagram_each_pay_for_their_own():
     from dmframe.diagram import Diagram
 
-    one = load_experiment("known_tracking_pi", []).diagram()
+    one = Graph.read("known_tracking_pi", []).diagram
     blocks = {f"{name}_{k}": block for k in (1, 2) for name, block in one.blocks.items()}
     wires = {}
     for (name, port), source in one.sources.items():

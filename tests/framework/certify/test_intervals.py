@@ -120,7 +120,7 @@ def camera(low: str, high: str) -> Verdict:
     own = graph.diagram.models["camera"].values["position"]
     pairs = [(str(x + float(Fraction(low))), str(x + float(Fraction(high)))) for x in own]
     with SYMBOLIC:
-        return verify(graph.diagram, uncertain={"camera.position": over(*pairs)}, start=graph.experiment.start)
+        return verify(graph.diagram, uncertain={"camera.position": over(*pairs)}, start=graph.start)
 
 
 def test_a_weight_that_is_called_positive_is_held_to_the_whole_interval() -> None:
@@ -200,6 +200,6 @@ def test_an_estimate_has_to_start_inside_every_box_of_an_interval(low: str, hold
     """It starts at 2 inside the graph's own box, and the true value is 4: lower ends up to 3 exclude the start."""
     graph = dm.load("arm2_joint")
     ends = over(("0.5", low), ("0.5", low), ("20", "20"), ("20", "20"))
-    found = verify(graph.diagram, uncertain={"inverse.w_I_box": ends}, start=graph.experiment.start)
+    found = verify(graph.diagram, uncertain={"inverse.w_I_box": ends}, start=graph.start)
     assert (found.outcome == "proved") is holds
     assert ("inverse.w_I: starts inside the box" in found.reason) is not holds

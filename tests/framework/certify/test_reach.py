@@ -89,9 +89,9 @@ def test_a_path_that_leaves_the_reach_later_is_told_with_the_time(farthest: floa
 
 
 def test_a_sampled_law_may_not_follow_what_is_out_of_reach_either() -> None:
-    from dmframe.config.experiment import load_experiment
+    from dmframe.graph.graph import Graph
 
-    diagram = load_experiment("ur10_slow_sampled", ("path.radius=3",)).diagram()
+    diagram = Graph.read("ur10_slow_sampled", ("path.radius=3",)).diagram
     (said,) = [item.name for item in reach_conditions(claim_of(diagram))]
     assert said.startswith("path.x_d is ")
 

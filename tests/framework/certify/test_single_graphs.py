@@ -89,7 +89,7 @@ def box_of(diagram: Diagram, start: dict[str, Any], label: str, rows: np.ndarray
 def disagreements(name: str, labels: int = LABELS) -> Iterator[tuple[str, str]]:
     """Each comparison: which numbers moved, and ``agrees``, ``open``, or what was false."""
     graph = dm.load(name)
-    diagram, start = graph.diagram, dict(graph.experiment.start)
+    diagram, start = graph.diagram, dict(graph.start)
     rng = np.random.default_rng(zlib.crc32(name.encode()))
     with SYMBOLIC:
         nominal = verify(diagram, start=start)
@@ -126,7 +126,7 @@ def test_what_is_said_of_many_numbers_single_graphs_say() -> None:
 
 def test_the_ends_of_an_interval_are_those_of_the_graph_that_writes_them() -> None:
     graph, label = dm.load("arm2_joint"), "inverse.w_I_box"
-    diagram, start = graph.diagram, dict(graph.experiment.start)
+    diagram, start = graph.diagram, dict(graph.start)
     # the first reads the same whichever ends are written as a row; of the second only the ends as written hold
     rows = np.array([[[0.5, 2.5], [2.5, 20]], [[0.5, 0.6], [20, 20]]])
     with SYMBOLIC:

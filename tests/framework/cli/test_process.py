@@ -263,7 +263,7 @@ def test_ctrl_c_before_anything_was_computed_leaves_nothing(moment: str, tmp_pat
 
 def test_ctrl_c_in_the_second_graph_keeps_the_first(tmp_path: Path) -> None:
     hook = (
-        "import signal, dmframe.config.experiment as run\n"
+        "import signal, dmframe.config.graph as run\n"
         "simulate, count = run.simulate, []\n"
         "def hooked(*args, **kw):\n"
         "    count.append(1)\n"

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from dmframe.config import load_experiment
 from dmframe.errors import ValueFault
+from dmframe.graph.graph import Graph
 from dmframe.results.place import FIGURES, OF_EACH
 
 CONTRACT = {"graph", "duration", "clock", "diverged", "error", "engine", "wall_time", "real_time_factor", "out"}
@@ -116,7 +116,7 @@ def test_set_changes_the_run_and_stands_in_its_graph(dmframe: Any, tmp_path: Pat
     )
     assert told["clock"] == 0.002
     assert told["error"]["rms_final"] < plain["error"]["rms_final"]
-    kept = load_experiment(tmp_path / "mine" / "graph.yaml")
+    kept = Graph.read(tmp_path / "mine" / "graph.yaml")
     assert kept.blocks["task"].alpha_bar == 8  # type: ignore[attr-defined]
     assert kept.file.clock == 0.002
 

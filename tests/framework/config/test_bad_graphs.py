@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from dmframe.config.experiment import Experiment, load_experiment
 from dmframe.config.places import placed
 from dmframe.errors import DmframeError, Faults
+from dmframe.graph.graph import Graph
 from dmframe.simulate import simulate
 
 GOOD = """\
@@ -103,10 +103,10 @@ GRAPHS, BLOCKS = list(cases("bad_graphs.txt")), list(cases("bad_blocks.txt"))
 def complaint(text: str, overrides: list[str] | None = None) -> str:
     """What is said of a graph file g.yaml in the current folder."""
     Path("g.yaml").write_text(text, encoding="utf-8")
-    graph: Experiment | None = None
+    graph: Graph | None = None
     try:
-        graph = load_experiment("g.yaml", overrides or ())
-        diagram = graph.diagram()
+        graph = Graph.read("g.yaml", overrides or ())
+        diagram = graph.diagram
         graph.intervals(diagram)
         simulate(diagram, graph.file.duration, clock=graph.file.clock, solver=graph.solver, start=graph.start)
     except DmframeError as error:
@@ -139,8 +139,8 @@ def test_a_graph_of_ten_megabytes_is_not_read(tmp_path: Path, monkeypatch: pytes
 def test_the_good_graph_is_good(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("g.yaml").write_text(GOOD, encoding="utf-8")
-    graph = load_experiment("g.yaml")
-    assert simulate(graph.diagram(), 0.02, clock=graph.file.clock, start=graph.start).divergence is None
+    graph = Graph.read("g.yaml")
+    assert simulate(graph.diagram, 0.02, clock=graph.file.clock, start=graph.start).divergence is None
 
 
 def test_several_faults_are_told_in_the_order_of_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -148,7 +148,7 @@ def test_several_faults_are_told_in_the_order_of_the_file(tmp_path: Path, monkey
     bad = GOOD.replace("arm2", "amr2").replace("gamma", "gama").replace("4 ms", "4 kg").replace("[60, 30]", "[60, -3]")
     Path("g.yaml").write_text(bad, encoding="utf-8")
     with pytest.raises(Faults) as caught:
-        load_experiment("g.yaml")
+        Graph.read("g.yaml")
     assert [fault.location for fault in caught.value.faults] == [
         "g.yaml:3:8",
         "g.yaml:4:8",

@@ -13,7 +13,6 @@ import pytest
 import dmframe as dm
 from dmframe.catalogue import find_reality, realities
 from dmframe.cli.graphs import graphs_of
-from dmframe.config import load_experiment
 from dmframe.config.document import read_file
 from dmframe.config.given import node_of
 from dmframe.config.reality import SET
@@ -109,7 +108,7 @@ def test_a_set_can_be_changed_in_the_file_and_from_outside() -> None:
     assert tuple(added(graph)) == (*(name for name in UR if name != "command_ramp"), "measurement_delay")
     encoder: Any = graph.blocks["encoder"]
     assert (encoder.step, encoder.window) == (1e-4, 0.008)
-    outside = load_experiment("ur10_slow", ["encoder.step=2e-4", "reality=ur", "reality.transport_delay.samples=3"])
+    outside = Graph.read("ur10_slow", ["encoder.step=2e-4", "reality=ur", "reality.transport_delay.samples=3"])
     assert outside.blocks["encoder"].step == 2e-4
     assert outside.blocks["transport_delay"].samples == 3
     inside = dm.load(TEXT).set({"encoder.window": "2 ms", "reality": "ur"})
@@ -156,7 +155,7 @@ def test_what_was_put_in_before_goes_when_another_is_asked_for(capsys: pytest.Ca
 
 
 def test_a_study_asks_for_it_anew_too(capsys: pytest.CaptureFixture[str]) -> None:
-    filed = dm.load(f"{TEXT}reality: {{like: ur, command_ramp: null}}\n").experiment
+    filed = dm.load(f"{TEXT}reality: {{like: ur, command_ramp: null}}\n")
     sets = {
         "none": [("reality", "none")],
         "ur": [("encoder.step", 0.5), ("reality", "ur")],
@@ -164,7 +163,7 @@ def test_a_study_asks_for_it_anew_too(capsys: pytest.CaptureFixture[str]) -> Non
     made = {}
     for name, values in sets.items():
         givens = [Given(label, node_of(value, (label,), name), name) for label, value in values]
-        made[name] = Graph(changed(filed, givens))
+        made[name] = changed(filed, givens)
     assert [tuple(added(graph)) for graph in made.values()] == [(), UR]
     assert made["ur"].blocks["encoder"].step == 0.5
     assert not capsys.readouterr().err
@@ -220,7 +219,7 @@ def test_what_is_wrong_is_told_with_its_place(section: str, text: str) -> None:
 )
 def test_a_fault_inside_a_value_names_what_was_written(text: str, told: str) -> None:
     with pytest.raises(DmframeError) as caught:
-        load_experiment("arm2_joint", [f"reality={text}"])
+        Graph.read("arm2_joint", [f"reality={text}"])
     assert str(caught.value).endswith(told)
 
 
@@ -230,5 +229,5 @@ def test_a_block_that_fits_nowhere_is_refused() -> None:
 
 
 def test_data_says_it_as_a_file_does() -> None:
-    data: Mapping[str, Any] = {**load_experiment("arm2_joint").data, "reality": "ur"}
+    data: Mapping[str, Any] = {**Graph.read("arm2_joint").data, "reality": "ur"}
     assert tuple(added(dm.load(data))) == UR

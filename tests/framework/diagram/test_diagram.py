@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.wiring import Derived, Time, Wire, Zero
 from dmframe.errors import (
@@ -26,6 +25,7 @@ from dmframe.errors import (
     UnknownNameError,
     WiringError,
 )
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Diagonal, Positive, Real, Scalar
 from dmframe.port import TIME, Access, Input, Output, Side, State
 from dmframe.simulate import Solver, simulate
@@ -345,8 +345,8 @@ def test_derived_derivatives_of_first_and_second_order_are_those_of_the_trajecto
 
 
 def test_the_reference_acceleration_of_the_ur10_is_the_derivative_of_its_reference() -> None:
-    graph = load_experiment("ur10_fast")
-    diagram = graph.diagram()
+    graph = Graph.read("ur10_fast")
+    diagram = graph.diagram
     run = simulate(diagram, 0.5, solver=Solver(method="cvodes", output=0.002, tolerance=1e-11), start=graph.start)
     loop, model = diagram.loop, diagram.models["model"]
     assert "ddq_ref" in model.inputs

@@ -15,7 +15,6 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.catalogue import block_types
 from dmframe.certificate import Certificate, Square
 from dmframe.certify import NotApplicableError, claim_of
-from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import BlockError
 from dmframe.formula import laws_of, printed
@@ -23,6 +22,7 @@ from dmframe.formula.alone import law_of_type, options_of, plainest, read_type, 
 from dmframe.formula.points import agree, in_balls
 from dmframe.formula.tree import Applied, Name, Node, Unprinted
 from dmframe.formula.where import where
+from dmframe.graph.graph import Graph
 from dmframe.names import unicode_name
 from dmframe.naming import named
 from dmframe.parameter import Diagonal, Positive
@@ -175,7 +175,7 @@ def test_an_option_prints_exactly_when_it_is_switched_on():
 
 
 def test_what_nobody_drives_does_not_print():
-    law = printed(load_experiment("known_tracking_pid").diagram(), "dynamics")
+    law = printed(Graph.read("known_tracking_pid").diagram, "dynamics")
     assert {line.name: line.right.text for line in law.outputs} == {"tau_dc": "Y_d a_d_hat"}
 
 

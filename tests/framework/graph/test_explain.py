@@ -41,7 +41,7 @@ def explained(name: str) -> Explanation:
     graph = dm.load(name)
     if name in PROVED:
         return graph.explain()
-    return Explanation(graph.experiment, graph.diagram, Verdict("not_applicable", Text(), claim_of(graph.diagram)))
+    return Explanation(graph, graph.diagram, Verdict("not_applicable", Text(), claim_of(graph.diagram)))
 
 
 def said(name: str, block: str = "") -> str:
@@ -64,8 +64,8 @@ def test_a_block_stands_behind_those_whose_outputs_its_own_need(name: str) -> No
 
 
 def test_the_order_is_that_of_the_signals_and_not_that_of_the_file() -> None:
-    experiment = dm.load("pendulum").experiment
-    backwards = dict(reversed(experiment.blocks.items()))
+    experiment = dm.load("pendulum")
+    backwards = dict(reversed(list(experiment.blocks.items())))
     assert next(iter(backwards)) == "arm"
     found = order(Diagram.build(backwards, robot=experiment.robot))
     assert found == ["path", "task", "model", "dynamics", "inverse", "servo", "arm"]

@@ -37,7 +37,7 @@ def found(pendulum: dm.Graph) -> Verification:
 
 def test_a_graph_comes_from_its_name_a_path_a_text_and_data() -> None:
     named = dm.load("pendulum")
-    data = named.experiment.document.data
+    data = named.document.data
     others = [dm.load(graphs()["pendulum"]), dm.load(str(graphs()["pendulum"])), dm.load(TEXT), dm.load(data)]
     assert {other.diagram.fingerprint for other in others} == {named.diagram.fingerprint}
     assert dm.load(named) is named
@@ -45,7 +45,7 @@ def test_a_graph_comes_from_its_name_a_path_a_text_and_data() -> None:
 
 
 def test_data_may_hold_arrays_tuples_and_numbers_of_numpy() -> None:
-    data = dict(dm.load("arm2_joint").experiment.document.data)
+    data = dict(dm.load("arm2_joint").document.data)
     servo = next(name for name, block in data["blocks"].items() if block["type"] == "pi_servo")
     data["blocks"] = data["blocks"] | {servo: data["blocks"][servo] | {"K_P": np.array([60.0, 60.0])}}
     data["duration"] = np.float64(0.5)
@@ -77,14 +77,26 @@ def test_a_value_that_is_set_gives_another_graph_and_leaves_this_one(pendulum: d
     assert (other.clock, pendulum.clock) == (0.002, None)
     assert other.blocks["dynamics"].Gamma == 3.0  # type: ignore[attr-defined]
     assert pendulum.blocks["dynamics"].Gamma != 3.0  # type: ignore[attr-defined]
-    assert other.experiment.overrides == ('duration="0.5 s"', "dynamics.Gamma=3", 'clock="2 ms"')
+    assert other.overrides == ('duration="0.5 s"', "dynamics.Gamma=3", 'clock="2 ms"')
 
 
 def test_what_is_set_is_what_the_command_line_would_set(pendulum: dm.Graph) -> None:
-    from dmframe.config import load_experiment
-
     set_here = pendulum.set({"dynamics.Gamma": 3, "start": {"q": [0.2]}, "inverse.w_box": [0, 2]})
-    assert load_experiment("pendulum", set_here.experiment.overrides).data == set_here.experiment.data
+    assert dm.Graph.read("pendulum", set_here.overrides).data == set_here.data
+
+
+def test_former_names_of_a_graph_give_it_with_a_notice(pendulum: dm.Graph) -> None:
+    run = dm.Run(pendulum, pendulum.simulate())
+    with pytest.warns(DeprecationWarning, match=r"graph\.experiment is now the graph itself"):
+        assert pendulum.experiment is pendulum
+    with pytest.warns(DeprecationWarning, match=r"run\.experiment is now run\.graph"):
+        assert run.experiment is pendulum
+
+
+def test_each_changed_copy_is_a_graph_with_the_same_methods(pendulum: dm.Graph) -> None:
+    copies = [pendulum.set({"dynamics.Gamma": 3}), pendulum.until(1), pickle.loads(pickle.dumps(pendulum))]
+    copies.append(dm.load("theorem_3").baseline())
+    assert {type(copy) for copy in copies} == {dm.Graph}
 
 
 @pytest.mark.parametrize(
@@ -115,20 +127,18 @@ def test_a_run_keeps_the_graphs_clock_solver_start_and_log() -> None:
     graph = dm.load("arm2_joint").set(
         {"clock": "2 ms", "solver.step": 0.0005, "start": {"q": [0.7, 1.0]}, "log.signals": ["arm.q"], "duration": 0.02}
     )
-    run, file = graph.run(), graph.experiment.file
+    run, file = graph.run(), graph.file
     assert (run.recording.clock, run.recording.solver.step) == (0.002, 0.0005)
     assert run["arm.q"].values[0].tolist() == [0.7, 1.0]
     assert "arm.dq" not in run
-    by_hand = simulate(
-        graph.diagram, file.duration, clock=file.clock, solver=graph.experiment.solver, start={"q": [0.7, 1.0]}
-    )
+    by_hand = simulate(graph.diagram, file.duration, clock=file.clock, solver=graph.solver, start={"q": [0.7, 1.0]})
     assert np.array_equal(run["arm.q"].values, by_hand["arm.q"])
 
 
 @pytest.mark.parametrize("until", [0.2, "0.2 s", "200 ms", np.float64(0.2)])
 def test_a_run_lasts_as_long_as_it_is_asked_to(pendulum: dm.Graph, until: Any) -> None:
     run = pendulum.run(until)
-    assert (run.time[-1], run.experiment.file.duration) == (0.2, 0.2)
+    assert (run.time[-1], run.graph.file.duration) == (0.2, 0.2)
 
 
 @pytest.mark.parametrize("until", [0, "-1 s", "soon", np.inf, True])
@@ -299,7 +309,7 @@ def test_a_graph_and_a_run_survive_pickling_and_a_graph_equals_one_of_the_same_t
     assert again == pendulum
     assert hash(again) == hash(pendulum)
     assert again != pendulum.set({"dynamics.Gamma": 3})
-    assert again.experiment.overrides == pendulum.experiment.overrides
+    assert again.overrides == pendulum.overrides
     run = pendulum.run()
     read = pickle.loads(pickle.dumps(run))
     assert read.data.identical(run.data)

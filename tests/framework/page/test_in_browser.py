@@ -154,7 +154,7 @@ def test_the_command_that_a_page_shows_gives_the_same_numbers(tab: Browser, tmp_
     assert words[3::2] == ["--set"] * 6
     (graph,) = graphs_of(["arm2_joint"], words[4::2], trust=False)
     place = content("arm2_joint")["pose"]["at"]
-    start = start_state(graph.diagram, graph.experiment.start)[place : place + 2]
+    start = start_state(graph.diagram, graph.start)[place : place + 2]
     expected = np.array(content("arm2_joint")["state"])[place : place + 2] + np.array([0.2, -0.1])
     np.testing.assert_allclose(start, expected, atol=1e-5)
     assert (graph.clock, graph.duration) == (0.001, 20.0)

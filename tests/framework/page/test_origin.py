@@ -30,12 +30,12 @@ def test_a_licence_beside_a_urdf_is_carried_and_a_robot_without_one_is_said_to_h
     own.parent.mkdir(parents=True)
     shutil.copyfile(urdf, own)
     graph = dm.load("pendulum").set({"robot.model": str(own)})
-    found = origin_of(graph.experiment)
+    found = origin_of(graph)
     assert found is not None
     assert found["licences"] == []
     assert "are unknown: no SOURCE.md and no licence file found" in found["text"]
     (own.parents[1] / "LICENSE").write_text("Do as you like.\n")
-    again = origin_of(graph.experiment)
+    again = origin_of(graph)
     assert again is not None
     assert again["licences"] == [{"name": "robot/LICENSE", "text": "Do as you like.\n"}]
 

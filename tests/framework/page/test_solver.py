@@ -16,8 +16,8 @@ from dmframe.units import plain
 
 
 def simulated(graph: Graph, seconds: float, **options: Any) -> Recording:
-    file = graph.experiment.file
-    given = {"clock": file.clock, "solver": graph.experiment.solver, "start": graph.experiment.start} | options
+    file = graph.file
+    given = {"clock": file.clock, "solver": graph.solver, "start": graph.start} | options
     return simulate(graph.diagram, seconds, **given)
 
 
@@ -57,7 +57,7 @@ def test_a_start_is_put_onto_a_path_that_moved_and_then_shifted() -> None:
     found = asked(data, runs=[{"p": p, "horizon": 0.01}, {"p": p, "shift": [0.1, -0.2], "horizon": 0.01}])["answers"]
     graph = dm.load("arm2_joint").set({"path.center": p[:2]})
     place = data["pose"]["at"]
-    expected = start_state(graph.diagram, graph.experiment.start)
+    expected = start_state(graph.diagram, graph.start)
     np.testing.assert_allclose(found[0]["states"][0], expected, atol=1e-8)
     np.testing.assert_allclose(found[1]["start"], expected[place : place + 2] + np.array([0.1, -0.2]), atol=1e-8)
 
@@ -66,7 +66,7 @@ def test_a_start_is_put_onto_a_path_that_moved_and_then_shifted() -> None:
 def sought() -> Graph:
     """A robot whose start pose is not given, but follows from the path of its tool."""
     held = dm.load("ur10_fast_kinematic").set({"start": {"near": [1.5, -1.0, 1.0]}})
-    assert held.experiment.start == {"near": [1.5, -1.0, 1.0]}
+    assert held.start == {"near": [1.5, -1.0, 1.0]}
     return held
 
 
@@ -78,7 +78,7 @@ def test_a_pose_for_a_tools_place_is_found_from_the_files_pose_on(sought: Graph)
     far[at] += 3.0
     near, away = asked(data, runs=[{"p": p, "horizon": 0.01}, {"p": far, "horizon": 0.01}])["answers"]
     moved = sought.set({"path.center": p[at : at + 3]})
-    np.testing.assert_allclose(near["states"][0], start_state(moved.diagram, moved.experiment.start), atol=1e-7)
+    np.testing.assert_allclose(near["states"][0], start_state(moved.diagram, moved.start), atol=1e-7)
     assert near["notices"] == []
     assert "no pose within the joints' limits is on the path's start" in away["notices"][0]
     assert np.all(np.array(away["start"]) >= data["pose"]["lower"])

@@ -12,12 +12,12 @@ import pytest
 
 import dmframe.results.folder as folder_module
 import dmframe.results.run as run_module
-from dmframe.config.experiment import load_experiment
+from dmframe.config.resolved import resolved_text
 from dmframe.errors import OutputError
 from dmframe.files import hidden_name, write_bytes
+from dmframe.graph.graph import Graph
 from dmframe.results.folder import safe_name, write_data, write_run
 from dmframe.results.place import reserved
-from dmframe.results.resolved import resolved_text
 from dmframe.results.run import Run
 from dmframe.seal import seal_of
 from dmframe.simulate import simulate
@@ -52,16 +52,16 @@ def test_signals_come_back_with_their_units(tmp_path, ur10):
 def test_the_resolved_graph_loads_again_and_gives_the_same_run(tmp_path, make_result, name):
     result = make_result(name, 0.2, "clock=10 ms")
     write_run(tmp_path / "out", [result], plots=False)
-    again = load_experiment(tmp_path / "out" / "graph.yaml")
-    run = simulate(again.diagram(), again.file.duration, clock=again.file.clock, solver=again.solver, start=again.start)
-    assert resolved_text(again) == resolved_text(result.experiment)
+    again = Graph.read(tmp_path / "out" / "graph.yaml")
+    run = simulate(again.diagram, again.file.duration, clock=again.file.clock, solver=again.solver, start=again.start)
+    assert resolved_text(again) == resolved_text(result.graph)
     assert run.clock == 0.01
     for label in (*run.states, *run.outputs):
         assert np.array_equal(run[label], result.recording[label])
 
 
 def test_overrides_and_defaults_stand_in_the_resolved_graph(make_result):
-    text = resolved_text(make_result("ur10_fast", 0.05, "dynamics.Gamma=7", "inverse.w_box=[0, 0.004]").experiment)
+    text = resolved_text(make_result("ur10_fast", 0.05, "dynamics.Gamma=7", "inverse.w_box=[0, 0.004]").graph)
     assert "Gamma: 7.0" in text
     assert "w_box: [0.0, 0.004]" in text
     assert "method: rk4" in text  # a default
@@ -69,7 +69,7 @@ def test_overrides_and_defaults_stand_in_the_resolved_graph(make_result):
 
 
 def test_a_graph_with_a_users_block_and_urdf_takes_them_along(tmp_path, make_result):
-    source = load_experiment("pendulum")
+    source = Graph.read("pendulum")
     block = "from dmframe_blocks.joint_tracking import JointTracking\n\n\nclass MyTracking(JointTracking):\n    pass\n"
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "mine.py").write_text(block, encoding="utf-8")
@@ -82,9 +82,9 @@ def test_a_graph_with_a_users_block_and_urdf_takes_them_along(tmp_path, make_res
     result = make_result(tmp_path / "own.yaml", 0.1)
     write_run(tmp_path / "out", [result], plots=False)
     assert {"mine.py", "arm.urdf"} < {item.name for item in (tmp_path / "out").iterdir()}
-    again = load_experiment(tmp_path / "out" / "graph.yaml")
+    again = Graph.read(tmp_path / "out" / "graph.yaml")
     assert type(again.blocks["task"]).__name__ == "MyTracking"
-    assert resolved_text(again) == resolved_text(result.experiment)
+    assert resolved_text(again) == resolved_text(result.graph)
 
 
 def test_several_graphs_have_a_folder_each_with_distinct_names(tmp_path, kinematic, pendulum):
@@ -202,7 +202,7 @@ def test_hdf5_never_meets_the_disk_itself(tmp_path, ur10, monkeypatch):
 
 
 def test_results_of_a_diverged_run_are_written(tmp_path, ur10, blow_up):
-    write_run(tmp_path / "out", [Run(ur10.experiment, blow_up(ur10.recording, 0.4))], plots=False)
+    write_run(tmp_path / "out", [Run(ur10.graph, blow_up(ur10.recording, 0.4))], plots=False)
     told = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert told["diverged"]
     assert told["error"]["rms_by_eighth"][4:] == [None] * 4

@@ -148,7 +148,7 @@ def test_rounding_of_the_states_moves_v_by_less_than_its_bound(sampled: dm.Run) 
         for label, rows in sampled.recording.states.items()
     }
     assert (bound < 1e-9 * V).all()  # it hides nothing that would be seen
-    moved = dm.Run(sampled.experiment, replace(sampled.recording, states=states))
+    moved = dm.Run(sampled.graph, replace(sampled.recording, states=states))
     assert np.all(np.abs(np.asarray(moved["V"]) - V) <= bound)
     assert np.any(np.asarray(moved["V"]) != V)
 

@@ -18,18 +18,18 @@ from dmframe.build.library import address
 from dmframe.codegen import loop_source
 from dmframe.codegen.function import written
 from dmframe.codegen.source import shipped
-from dmframe.config.experiment import load_experiment
 from dmframe.diagram.parts import Parts
 from dmframe.errors import DmframeError, EngineError, UnknownNameError, ValueFault
+from dmframe.graph.graph import Graph
 from dmframe.results.metrics import tracking_error
 from dmframe.simulate import Log, Recording, Solver, simulate
 from dmframe.simulate.run import prepare
 
 
 def ran(name: str, engine: Any, duration: float, **options: Any) -> Recording:
-    graph = load_experiment(name)
+    graph = Graph.read(name)
     return simulate(
-        graph.diagram(),
+        graph.diagram,
         duration,
         clock=graph.file.clock,
         solver=graph.solver,
@@ -68,8 +68,8 @@ def test_auto_compiles_a_long_run_and_interprets_a_short_one() -> None:
 
 
 def test_an_adaptive_solver_is_interpreted_and_says_so_where_it_was_asked_to_be_compiled() -> None:
-    graph = load_experiment("pendulum")
-    diagram, solver = graph.diagram(), Solver("cvodes", tolerance=1e-6)
+    graph = Graph.read("pendulum")
+    diagram, solver = graph.diagram, Solver("cvodes", tolerance=1e-6)
     asked, chosen = (simulate(diagram, 0.1, solver=solver, start=graph.start, engine=e) for e in ("compiled", "auto"))
     assert (asked.engine, chosen.engine) == ("interpreted", "interpreted")
     assert any("cvodes runs interpreted" in notice for notice in asked.notices)
@@ -102,8 +102,8 @@ def test_the_error_by_eighths_hardly_changes_with_what_is_kept() -> None:
 
 @pytest.mark.parametrize("engine", ["compiled", "interpreted"])
 def test_a_divergence_between_kept_instants_is_found_at_its_tick(engine: Any) -> None:
-    graph = load_experiment("arm2_joint", ["inverse.w_box=null", "dynamics.Gamma=1e9"])
-    diagram = graph.diagram()
+    graph = Graph.read("arm2_joint", ["inverse.w_box=null", "dynamics.Gamma=1e9"])
+    diagram = graph.diagram
     runs = [
         simulate(diagram, 50, clock=graph.file.clock, start=graph.start, engine=engine, log=Log(every))
         for every in (None, 1.0)
@@ -115,8 +115,8 @@ def test_a_divergence_between_kept_instants_is_found_at_its_tick(engine: Any) ->
 
 
 def test_an_hour_at_8_ms_keeps_at_most_160_megabytes() -> None:
-    graph = load_experiment("ur10_fast")
-    prepared = prepare(graph.diagram(), 3600, clock=0.008, solver=Solver(), log=Log())
+    graph = Graph.read("ur10_fast")
+    prepared = prepare(graph.diagram, 3600, clock=0.008, solver=Solver(), log=Log())
     assert prepared.ticks == 450_000
     numbers = prepared.keeping.rows(prepared.ticks) * prepared.keeping.kept.size
     assert numbers * 8 < 165e6
@@ -143,8 +143,8 @@ def test_more_than_memory_holds_is_refused_with_what_would_do() -> None:
 
 
 def test_no_name_but_the_entry_is_seen_outside_and_all_begin_alike() -> None:
-    graph = load_experiment("ur10_fast")
-    source = loop_source(prepare(graph.diagram(), 1, clock=0.008, solver=Solver(), log=Log()).step.parts)
+    graph = Graph.read("ur10_fast")
+    source = loop_source(prepare(graph.diagram, 1, clock=0.008, solver=Solver(), log=Log()).step.parts)
     found = re.findall(r"^(static inline |static |DM_EXPORT )\w+ (\w+)\(", source, re.MULTILINE)
     assert {name for _, name in found} >= {"dm_run", "dm_rate", "dm_sample", "dm_tanh"}
     assert all(name.startswith("dm_") for _, name in found)

@@ -8,8 +8,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from dmframe.config.experiment import load_experiment
 from dmframe.diagram.closed_loop import Signal
+from dmframe.graph.graph import Graph
 from dmframe.results.summary import summary
 from dmframe.simulate import Recording, simulate
 from dmframe.simulate.rank import NEAR, Rank, ranks
@@ -29,8 +29,8 @@ def graph(folder: Path, goal: str, start: str) -> Path:
 
 
 def run(file: Path | str, duration: float) -> Recording:
-    loaded = load_experiment(str(file))
-    return simulate(loaded.diagram(), duration, clock=loaded.file.clock, solver=loaded.solver, start=loaded.start)
+    loaded = Graph.read(str(file))
+    return simulate(loaded.diagram, duration, clock=loaded.file.clock, solver=loaded.solver, start=loaded.start)
 
 
 def matrix(rows: int, columns: int) -> Signal:

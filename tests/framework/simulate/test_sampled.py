@@ -12,9 +12,9 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import Certificate
 from dmframe.certify import verify
 from dmframe.certify.unproved import unproved_along
-from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Box, Interval, Real, Scalar
 from dmframe.port import PERIOD, Access, Input, Output, Side, State
 from dmframe.runtime import Controller
@@ -320,12 +320,12 @@ class LateCommand(AbstractBlock):
 
 
 def test_a_proved_loop_with_a_delay_in_it_is_neither_proved_nor_drawn_with_v() -> None:
-    graph = load_experiment("arm2_joint")
+    graph = Graph.read("arm2_joint")
     late = Diagram.build({**graph.blocks, "line": LateCommand()}, {"servo.dq_c": "line.dq_late"}, graph.robot)
     run = simulate(late, 0.1, clock=0.002)
     assert unproved_along(run, {}, {}) is None
     assert verify(late).reason.startswith("line.held is a sampled state")
-    straight = graph.diagram()
+    straight = graph.diagram
     assert unproved_along(simulate(straight, 0.1, clock=0.002), {}, {}) is not None
     assert not np.allclose(run["arm.q"], simulate(straight, 0.1, clock=0.002)["arm.q"], atol=1e-9)
 

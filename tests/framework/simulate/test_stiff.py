@@ -11,9 +11,9 @@ import pytest
 import scipy
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import ValueFault
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Real, Scalar
 from dmframe.port import TIME, Access, Output, Side, State
 from dmframe.simulate import Log, Recording, Solver, simulate, simulate_many
@@ -172,8 +172,8 @@ def test_van_der_pols_oscillator_is_that_of_scipys_radau_at_thousands_of_times_r
 
 @pytest.mark.parametrize(("name", "bound"), [("arm2_joint", 2e-7), ("theorem_1", 1e-8), ("computed_torque", 1e-8)])
 def test_a_packaged_graph_is_that_of_cvodes_and_nearer_at_half_the_step(name: str, bound: float) -> None:
-    graph = load_experiment(name)
-    diagram = graph.diagram()
+    graph = Graph.read(name)
+    diagram = graph.diagram
 
     def q(solver: Solver) -> np.ndarray:
         run = simulate(diagram, 0.4, clock=graph.file.clock, solver=solver, start=graph.start, engine="interpreted")
@@ -190,8 +190,8 @@ def test_a_packaged_graph_is_that_of_cvodes_and_nearer_at_half_the_step(name: st
     [("arm2_joint", []), ("ur10_fast", []), ("theorem_1", [])],
 )
 def test_both_engines_compute_it_alike(name: str, changes: list[str]) -> None:
-    graph = load_experiment(name, changes)
-    diagram, solver = graph.diagram(), Solver("ros34pw2", 1e-3)
+    graph = Graph.read(name, changes)
+    diagram, solver = graph.diagram, Solver("ros34pw2", 1e-3)
     compiled, interpreted = (
         simulate(diagram, 0.2, clock=graph.file.clock, solver=solver, start=graph.start, engine=engine)
         for engine in ("compiled", "interpreted")
@@ -214,8 +214,8 @@ def test_a_library_that_computes_it_wrongly_is_not_loaded(
 
 
 def test_a_panda_of_h_lambda_46_is_run_compiled_where_rk4_cannot_and_cvodes_is_interpreted() -> None:
-    graph = load_experiment("panda_full", PANDA)
-    diagram = graph.diagram()
+    graph = Graph.read("panda_full", PANDA)
+    diagram = graph.diagram
 
     def run(solver: Solver) -> Recording:
         return simulate(diagram, 0.4, clock=graph.file.clock, solver=solver, start=graph.start, engine="compiled")
@@ -233,8 +233,8 @@ def test_a_panda_of_h_lambda_46_is_run_compiled_where_rk4_cannot_and_cvodes_is_i
 
 def test_one_of_its_steps_costs_at_most_twice_and_a_quarter_of_rk4s() -> None:
     for name in ("arm2_joint", "ur10_full"):
-        graph = load_experiment(name)
-        prepared = prepare(graph.diagram(), 1, clock=graph.file.clock, solver=graph.solver, log=Log())
+        graph = Graph.read(name)
+        prepared = prepare(graph.diagram, 1, clock=graph.file.clock, solver=graph.solver, log=Log())
 
         def of_a_step(method: Any, prepared: Prepared = prepared, period: float = graph.file.clock or 0.0) -> int:
             whole, halves = (prepared.solved_by(Solver(method, period / k)).step for k in (1, 2))
@@ -253,8 +253,8 @@ def test_a_step_whose_system_has_lost_its_digits_ends_the_run_instead_of_passing
 
 
 def test_a_smaller_share_of_the_stable_step_is_a_smaller_error() -> None:
-    graph = load_experiment("ur10_fast", ["servo.K_D=[2400, 2400, 1200]", "arm.viscous=0", "arm.coulomb=0"])
-    diagram = graph.diagram()
+    graph = Graph.read("ur10_fast", ["servo.K_D=[2400, 2400, 1200]", "arm.viscous=0", "arm.coulomb=0"])
+    diagram = graph.diagram
 
     def run(solver: Solver) -> Recording:
         return simulate(diagram, 0.4, clock=0.002, solver=solver, start=graph.start)
@@ -296,9 +296,9 @@ def test_a_run_of_rk4_that_becomes_stiff_later_is_done_again_at_shorter_steps() 
 
 
 def test_a_batch_shares_one_library_of_each_method(cache: Path) -> None:
-    graph = load_experiment("arm2_joint")
+    graph = Graph.read("arm2_joint")
     variants = [{}, *({"arm.viscous": [1.0, viscous]} for viscous in (800.0, 1e5, 1e6))]
-    runs = simulate_many(graph.diagram(), variants, 0.1, clock=graph.file.clock, start=graph.start, engine="compiled")
+    runs = simulate_many(graph.diagram, variants, 0.1, clock=graph.file.clock, start=graph.start, engine="compiled")
     methods = [run.solver.method for run in runs if isinstance(run, Recording)]
     assert methods == ["rk4", "rk4", "ros34pw2", "ros34pw2"]
     assert len(list(cache.iterdir())) == 2
