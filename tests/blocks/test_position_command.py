@@ -12,7 +12,7 @@ import scipy
 from dmframe.catalogue import graphs
 from dmframe.certify import verify
 from dmframe.errors import AccessError
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.results.metrics import tracking_error
 from dmframe.simulate import Recording, simulate
 

@@ -14,9 +14,9 @@ from dmframe.certificate import SX
 from dmframe.certify import Verdict, verify
 from dmframe.cli import main
 from dmframe.errors import DmframeError
-from dmframe.graph import Graph
-from dmframe.report import Verification
+from dmframe.graph.graph import Graph
 from dmframe.report.linear import LinearView
+from dmframe.report.verification import Verification
 from dmframe.simulate import Recording, simulate
 
 LAWS = {

@@ -25,7 +25,7 @@ from dmframe import plotting
 from dmframe.catalogue import graphs
 from dmframe.cli import main
 from dmframe.config.document import read_document, read_file
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.results import estimate_figure
 from dmframe.study import proof
 

@@ -26,7 +26,7 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certify.true_values import true_values
 from dmframe.diagram import Diagram
 from dmframe.errors import EngineError, MissingError, ShapeError, ValueFault
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Diagonal, Positive
 from dmframe.port import Access, Input, Output, Side, State
 from dmframe.simulate import Solver, simulate

@@ -16,7 +16,7 @@ from dmframe.analysis.joint_path import JointPath, Reach, joint_path, period_of
 from dmframe.analysis.path_tube import PathTube, path_tube
 from dmframe.errors import MissingError
 from dmframe.exact.enclosure import Enclosure
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 
 L1, L2 = 0.45, 0.40
 START = np.array([0.3, 1.2])

@@ -22,7 +22,7 @@ from dmframe.analysis.rank_search import RankSearch
 from dmframe.diagram import Diagram
 from dmframe.errors import MissingError, StartError, ValueFault
 from dmframe.exact.enclosure import Enclosure
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.simulate import start_state
 
 TUBE = 0.02

@@ -18,7 +18,7 @@ from dmframe.catalogue import block_types
 from dmframe.certify import Claim
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.port import Side
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.library import load

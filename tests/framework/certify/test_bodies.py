@@ -22,7 +22,7 @@ from dmframe.diagram.closed_loop import ClosedLoop
 from dmframe.diagram.projection import Bodies, Projection
 from dmframe.eigen import eigen, positive_part
 from dmframe.errors import DmframeError, StartError
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Positive, Real, Scalar
 from dmframe.port import Input, Output, State
 from dmframe.simulate import start_state

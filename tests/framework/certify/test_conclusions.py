@@ -9,7 +9,7 @@ from scalar_blocks import scalar_loop
 
 from dmframe.certificate import Assumption, Certificate, Consumed, Driven, Square
 from dmframe.certify import verify
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 
 
 def concluded(verdict) -> set[str]:

@@ -22,7 +22,7 @@ from dmframe.diagram import Diagram
 from dmframe.diagram.projection import Ball, Box
 from dmframe.errors import StartError
 from dmframe.exact.rational import Interval
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Around, Diagonal, Positive, Real, Scalar
 from dmframe.parameter import Ball as Sphere
 from dmframe.parameter import Box as Range

@@ -89,7 +89,7 @@ def test_a_path_that_leaves_the_reach_later_is_reported_with_the_time(farthest: 
 
 
 def test_a_sampled_law_may_not_follow_what_is_out_of_reach_either() -> None:
-    from dmframe.graph import Graph
+    from dmframe.graph.graph import Graph
 
     diagram = Graph.read("ur10_slow_sampled", ("path.radius=3",)).diagram
     (said,) = [item.name for item in reach_conditions(claim_of(diagram))]

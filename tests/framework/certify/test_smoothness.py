@@ -24,7 +24,7 @@ from dmframe.certify.claim import flow_part
 from dmframe.certify.smoothness import Smoothness, is_smooth_over, smoothness, smoothness_faults
 from dmframe.diagram import Diagram
 from dmframe.exact import Tape
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.program import KINKS
 from dmframe.text import Text
 

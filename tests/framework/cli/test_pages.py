@@ -18,8 +18,10 @@ import jsonschema
 import numpy as np
 import pinocchio as pin
 import pytest
+import typer
 
 from dmframe.catalogue import block_types, graphs
+from dmframe.cli.app import app, app_for
 from dmframe.config.document import read_document, read_file
 from dmframe.report.linear import LinearView
 from dmframe.robot.library import find_robot
@@ -47,6 +49,16 @@ def test_help_lists_every_command_of_the_contract(dmframe: Any) -> None:
     assert said.status == 0
     assert said.err == ""
     assert all(f"\n  {command} " in said.out for command in COMMANDS)
+
+
+def test_each_command_alone_has_the_parameters_that_it_has_among_all() -> None:
+    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]  # a group
+    assert set(COMMANDS) < set(commands)
+    for name, command in commands.items():
+        alone = typer.main.get_command(app_for([name, "--help"])).commands  # type: ignore[attr-defined]
+        assert list(alone) == [name]
+        assert [vars(each)["name"] for each in alone[name].params] == [vars(each)["name"] for each in command.params]
+    assert app_for(["nosuch"]) is app_for([]) is app
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from dmframe.errors import ValueFault
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.results.place import FIGURES, OF_EACH
 
 CONTRACT = {"graph", "duration", "clock", "diverged", "error", "engine", "wall_time", "real_time_factor", "out"}

@@ -15,7 +15,7 @@ import pytest
 
 from dmframe.config.places import placed
 from dmframe.errors import DmframeError, Faults
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.simulate import simulate
 
 GOOD = """\

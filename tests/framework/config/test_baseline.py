@@ -10,7 +10,7 @@ import pytest
 from dmframe.catalogue import graphs
 from dmframe.config.resolved import resolved_text
 from dmframe.errors import DmframeError, MissingError
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 
 GRAPH = """\
 dmframe: 1

@@ -13,7 +13,7 @@ from dmframe.config.grammar import GraphFile
 from dmframe.config.overrides import overridden
 from dmframe.config.places import placed
 from dmframe.errors import DmframeError, Faults
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.simulate import Solver, simulate
 
 PENDULUM = graphs()["pendulum"].read_text()

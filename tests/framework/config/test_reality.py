@@ -17,7 +17,7 @@ from dmframe.config.document import read_file
 from dmframe.config.given import node_of
 from dmframe.config.reality import SET
 from dmframe.errors import DmframeError
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.study.grid import Given, changed
 
 pytestmark = pytest.mark.usefixtures("without_v")

@@ -14,7 +14,7 @@ import pytest
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.config.resolved import resolved
 from dmframe.errors import BlockError, DmframeError, Faults
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.port import Output
 
 pytestmark = pytest.mark.usefixtures("without_v")

@@ -25,7 +25,7 @@ from dmframe.errors import (
     UnknownNameError,
     WiringError,
 )
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Diagonal, Positive, Real, Scalar
 from dmframe.port import TIME, Access, Input, Output, Side, State
 from dmframe.simulate import Solver, simulate

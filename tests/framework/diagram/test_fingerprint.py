@@ -19,10 +19,11 @@ from dmframe.certify.summary import summary
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
 from dmframe.errors import BlockError, DmframeError
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Positive, Real, Scalar
 from dmframe.port import TIME, Input, Output, Side, State
-from dmframe.results import Run, write_run
+from dmframe.results.folder import write_run
+from dmframe.results.run import Run
 from dmframe.simulate import simulate
 
 

@@ -16,7 +16,7 @@ from dmframe.diagram.elimination import MOST_FACTORS, Elimination, residual_smal
 from dmframe.diagram.rosenbrock import ROS34PW2, Rosenbrock
 from dmframe.diagram.slopes import Slopes
 from dmframe.errors import EngineError
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.robot.chain import pin_configuration
 from dmframe.simulate import Log, Solver
 from dmframe.simulate.run import prepare

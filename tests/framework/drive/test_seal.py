@@ -133,7 +133,7 @@ def test_a_graph_of_a_folder_that_was_edited_is_loaded_with_a_notice(
 
 
 def test_several_runs_share_a_seal(tmp_path: Path, drive: Run) -> None:
-    from dmframe.results import write_run
+    from dmframe.results.folder import write_run
 
     write_run(tmp_path / "out", [drive, replace(drive, label="again")], plots=False)
     assert again(tmp_path / "out" / "again").identical

@@ -22,7 +22,7 @@ from dmframe.formula.alone import law_of_type, options_of, plainest, read_type, 
 from dmframe.formula.points import agree, in_balls
 from dmframe.formula.tree import Applied, Name, Node, Unprinted
 from dmframe.formula.where import where
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.names import unicode_name
 from dmframe.naming import named
 from dmframe.parameter import Diagonal, Positive

@@ -12,8 +12,8 @@ import dmframe as dm
 from dmframe.certify import Verdict
 from dmframe.certify.claim import claim_of
 from dmframe.diagram import Diagram
-from dmframe.report import Explanation
 from dmframe.report.exchange import exchange_of
+from dmframe.report.explanation import Explanation
 from dmframe.report.flow import order
 from dmframe.text import Text
 

@@ -18,8 +18,8 @@ from PIL import Image
 import dmframe as dm
 from dmframe.catalogue import graphs
 from dmframe.errors import DmframeError, OutputError, UnknownNameError, ValueFault
-from dmframe.report import Verification
 from dmframe.report.linear import LinearView
+from dmframe.report.verification import Verification
 from dmframe.simulate import simulate
 
 TEXT = graphs()["pendulum"].read_text(encoding="utf-8")
@@ -267,6 +267,16 @@ def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
 
 def test_importing_it_imports_nothing_heavy() -> None:
     code = "import sys, dmframe; print(sorted({'casadi', 'numpy', 'pydantic', 'xarray'} & sys.modules.keys()))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
+def test_a_proof_imports_no_run_report_or_plotting_module() -> None:
+    code = (
+        "import sys, dmframe as dm; dm.load('pendulum').verify()\n"
+        "heavy = 'dmframe.batch', 'dmframe.results', 'dmframe.regressor', 'dmframe.report.content', 'scipy'\n"
+        "print([name for name in heavy if name in sys.modules])"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
 

@@ -19,7 +19,7 @@ import dmframe as dm
 from dmframe import notebook
 from dmframe.cli.graphs import graphs_of
 from dmframe.page.page import assembled, policy
-from dmframe.results import Run
+from dmframe.results.run import Run
 from dmframe.simulate.start import start_state
 
 HEADLINE = "document.getElementById('headline').textContent"

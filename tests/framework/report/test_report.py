@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 
 from dmframe.errors import OutputError
-from dmframe.report import check_place, write_report
 from dmframe.report.page import as_html, as_markdown
-from dmframe.report.write import as_data
+from dmframe.report.write import as_data, check_place, write_report
 
 NAMES = ("proved", "refuted", "failing", "silent")
 SECTIONS = (

@@ -10,7 +10,7 @@ from dmframe.certify import verify
 from dmframe.certify.schema import verdict_schema
 from dmframe.certify.summary import summary
 from dmframe.certify.uncertain import intervals
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 
 VALIDATOR = Draft202012Validator(verdict_schema())
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dmframe.certify.claim import claim_of
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Spec
 from dmframe.report.terms import parameter_text, shown, terms_of
 

@@ -8,7 +8,7 @@ from dmframe.block import AbstractBlock, Equations
 from dmframe.catalogue import block_types
 from dmframe.diagram import Diagram
 from dmframe.errors import BlockError
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.port import Element, Output
 from dmframe.results.dataset import dataset, element_labels, elements
 from dmframe.robot.library import load

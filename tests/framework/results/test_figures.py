@@ -11,11 +11,11 @@ from PIL import Image
 from dmframe.certify.along import along
 from dmframe.errors import UnknownNameError
 from dmframe.plotting import FORMATS, files_of, look, styled, thin
-from dmframe.results import write_run
 from dmframe.results.command_figure import command_figure
 from dmframe.results.effort_figure import effort_figure
 from dmframe.results.error_figure import error_figure
 from dmframe.results.estimate_figure import estimate_figure
+from dmframe.results.folder import write_run
 from dmframe.results.path_figure import last_lap, magnification, path_figure
 from dmframe.results.signal_figure import signal_figure
 from dmframe.results.storage_figure import storage_figure

@@ -8,8 +8,8 @@ import pinocchio as pin
 import pytest
 
 import dmframe as dm
-from dmframe.results import summary, tracking_error, turn_error
-from dmframe.results.metrics import eighth_of, euclidean, rms_by_eighth
+from dmframe.results.metrics import eighth_of, euclidean, rms_by_eighth, tracking_error, turn_error
+from dmframe.results.summary import summary
 
 
 def test_rms_of_a_staircase_is_each_of_its_steps():

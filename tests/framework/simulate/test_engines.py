@@ -20,7 +20,7 @@ from dmframe.codegen.function import written
 from dmframe.codegen.source import shipped
 from dmframe.diagram.parts import Parts
 from dmframe.errors import DmframeError, EngineError, UnknownNameError, ValueFault
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.results.metrics import tracking_error
 from dmframe.simulate import Log, Recording, Solver, simulate
 from dmframe.simulate.run import prepare

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dmframe.diagram.closed_loop import Signal
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.results.summary import summary
 from dmframe.simulate import Recording, simulate
 from dmframe.simulate.rank import NEAR, Rank, ranks

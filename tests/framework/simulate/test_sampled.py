@@ -14,7 +14,7 @@ from dmframe.certify import verify
 from dmframe.certify.unproved import unproved_along
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Box, Interval, Real, Scalar
 from dmframe.port import PERIOD, Access, Input, Output, Side, State
 from dmframe.runtime import Controller

@@ -12,7 +12,7 @@ import scipy
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, EngineError, ValueFault
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Box, Interval, Real, Scalar
 from dmframe.port import TIME, Access, Input, Output, Side, State
 from dmframe.simulate import Recording, Solver, simulate

@@ -15,7 +15,7 @@ import pytest
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.diagram import Diagram
 from dmframe.errors import StartError, ValueFault
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.port import Input, Output, Side, State
 from dmframe.simulate import simulate, start_state
 from dmframe.simulate.start import goal_and_place, joint_goal, on_path

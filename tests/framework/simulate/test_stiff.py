@@ -13,7 +13,7 @@ import scipy
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.diagram import Diagram
 from dmframe.errors import ValueFault
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Real, Scalar
 from dmframe.port import TIME, Access, Output, Side, State
 from dmframe.simulate import Log, Recording, Solver, simulate, simulate_many
