@@ -8,7 +8,8 @@ next to results contain it. No wires are needed, since these blocks replace the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, final
@@ -18,7 +19,7 @@ from dmframe.catalogue import block_modules, find_block, find_reality
 from dmframe.config.document import Document, Kind, Node, mapping_of, read_file
 from dmframe.config.given import node_of
 from dmframe.config.places import placed
-from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault, raise_all
+from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault, raise_all, visible
 from dmframe.port import Side
 
 KEY: Final = "reality"
@@ -26,9 +27,25 @@ LIKE: Final = "like"
 NONE: Final = "none"
 """Instead of a set: the ideal channel, for comparison."""
 SET: Final = Kind("reality", "title: ...")
-Find = Callable[[str, Path, str], type[AbstractBlock]]
 Entries = dict[str, tuple[Node, Node]]
 Kinds = Mapping[str, type[AbstractBlock]]
+
+
+Step = Callable[[Document], Document]
+"""A function that sets a value in a document; it can be pickled."""
+
+
+@final
+@dataclass(frozen=True)
+class Stating:
+    """A document that still has its key ``reality``, and the later changes, so that the key can be changed again."""
+
+    document: Document
+    later: tuple[Step, ...] = ()
+
+    def then(self, *steps: Step) -> Stating:
+        """The same with further changes."""
+        return replace(self, later=(*self.later, *steps))
 
 
 @final
@@ -40,8 +57,8 @@ class Expanded:
     notices: tuple[str, ...] = ()
 
 
-def with_reality(document: Document, base: Path, find: Find = find_block) -> Expanded:
-    """Insert the blocks of the key ``reality`` into a graph; `find` gives the class of a type of the graph's blocks.
+def with_reality(document: Document, base: Path) -> Expanded:
+    """Insert the blocks of the key ``reality`` into a graph.
 
     Raises
     ------
@@ -57,7 +74,7 @@ def with_reality(document: Document, base: Path, find: Find = find_block) -> Exp
         wanted = _wanted(requested)
         key, blocks = entries.get("blocks", (Node(1, 1, "blocks"), Node(1, 1, {})))
         held = dict(blocks.value) if isinstance(blocks.value, dict) else {}
-        work = _Work(held, _kinds(held, base, find))
+        work = _Work(held, _kinds(held, base))
         for name, (at, node) in wanted.items():
             work.put(name, at, node)
         if requested.value == NONE and (own := work.replacing()):
@@ -124,13 +141,13 @@ def _set(name: str, path: tuple[str, ...]) -> Entries:
     return dict(node.value) if isinstance(node.value, dict) else {}
 
 
-def _kinds(blocks: Entries, base: Path, find: Find) -> dict[str, type[AbstractBlock]]:
+def _kinds(blocks: Entries, base: Path) -> dict[str, type[AbstractBlock]]:
     """The classes of a graph's blocks; one that cannot be found is reported where blocks are created."""
     found = dict[str, type[AbstractBlock]]()
     for name, (_, node) in blocks.items():
         kind = mapping_of(node).get("type")
         try:
-            found[name] = find(str(kind), base, "type")
+            found[name] = find_block(str(kind), base, "type")
         except DmframeError:
             continue
     return found
@@ -220,3 +237,21 @@ def split(values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """The values of the key ``reality``, and all others."""
     real = {label: value for label, value in values.items() if names_reality(str(label))}
     return real, {label: value for label, value in values.items() if label not in real}
+
+
+def after(document: Document, steps: Sequence[Step], faults: list[DmframeError]) -> Document:
+    """The document after some steps; the faults of each are added to `faults`."""
+    for step in steps:
+        try:
+            document = step(document)
+        except DmframeError as error:
+            faults += error.faults
+    return document
+
+
+def expanded(document: Document) -> Document:
+    """The document with the blocks of its key ``reality``; blocks that are left out are reported on stderr."""
+    found = with_reality(document, Path(document.name).parent)
+    for notice in found.notices:
+        sys.stderr.write(f"{visible(notice)}\n")
+    return found.document

@@ -21,8 +21,6 @@ from dmframe.errors import DmframeError, ValueFault
 Names = Mapping[str, Mapping[str, str]]
 """Former and new names, by block."""
 SECTIONS = ("blocks", "baseline")
-Find = Callable[[str, Path, str], type[AbstractBlock]]
-"""Like `find_block`: the class of a block type from the type, the graph's folder, and the place that names it."""
 
 
 @final
@@ -35,9 +33,9 @@ class Renamed:
     faults: tuple[DmframeError, ...] = ()
 
 
-def with_new_names(document: Document, base: Path, find: Find = find_block) -> Renamed:
-    """Replace former names; block files are searched in the folder `base`, and `find` gives the class of a type."""
-    kinds = _kinds(document.data, base, find)
+def with_new_names(document: Document, base: Path) -> Renamed:
+    """Replace former names; block files are searched in the folder `base`."""
+    kinds = _kinds(document.data, base)
     if not any(kind.renamed for section in kinds.values() for kind in section.values()):
         return Renamed(document)
     work = _Work(document.name, kinds)
@@ -45,7 +43,7 @@ def with_new_names(document: Document, base: Path, find: Find = find_block) -> R
     return Renamed(Document(document.name, mapping_of(root), root), tuple(work.notices), tuple(work.faults))
 
 
-def _kinds(data: Mapping[str, Any], base: Path, find: Find) -> dict[str, dict[str, type[AbstractBlock]]]:
+def _kinds(data: Mapping[str, Any], base: Path) -> dict[str, dict[str, type[AbstractBlock]]]:
     """The classes of the blocks of both sections; one that cannot be found is reported where blocks are created."""
     found = dict[str, dict[str, type[AbstractBlock]]]()
     for section in SECTIONS:
@@ -54,7 +52,7 @@ def _kinds(data: Mapping[str, Any], base: Path, find: Find) -> dict[str, dict[st
         for name, spec in entries.items() if isinstance(entries, dict) else ():
             kind = spec.get("type") if isinstance(spec, dict) else None
             try:
-                found[section][name] = find(str(kind), base, "type")
+                found[section][name] = find_block(str(kind), base, "type")
             except DmframeError:
                 continue
     return found

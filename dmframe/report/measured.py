@@ -11,7 +11,7 @@ import numpy as np
 from dmframe.certify import Verdict
 from dmframe.certify.along import Along, along
 from dmframe.certify.along_steps import sampled_along
-from dmframe.config import Experiment
+from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
 from dmframe.exact.rational import as_float
@@ -56,7 +56,7 @@ class Measured:
 
 
 def measure(
-    experiment: Experiment, diagram: Diagram, verdict: Verdict, tell: Callable[[str], None] = lambda _: None
+    experiment: BaseGraph, diagram: Diagram, verdict: Verdict, tell: Callable[[str], None] = lambda _: None
 ) -> Measured:
     """Simulate the graph for the duration in its file, and evaluate V along the run if it is defined."""
     clock = experiment.file.clock

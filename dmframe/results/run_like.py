@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from dmframe.config import Experiment
+from dmframe.config import BaseGraph
 from dmframe.results.storage import Storage
 from dmframe.simulate import Recording
 
 
 class RunLike(Protocol):
-    """Experiment with its recording, e.g. `dmframe.results.run.Run`."""
+    """BaseGraph with its recording, e.g. `dmframe.results.run.Run`."""
 
     @property
     def name(self) -> str:
         """Name in tables and legends."""
 
     @property
-    def experiment(self) -> Experiment:
+    def graph(self) -> BaseGraph:
         """Graph of the run."""
 
     @property

@@ -19,7 +19,7 @@ def summary_of(run: RunLike, out: str | None = None) -> dict[str, Any]:
         storage = run.storage.summary
     except DmframeError as error:
         storage = no_storage(error)
-    data = summary(run.experiment.name, run.recording, out)
+    data = summary(run.graph.name, run.recording, out)
     out = data.pop("out")
     return {**data, "storage": storage, "notices": list(run.notices), "out": out}
 

@@ -1,4 +1,4 @@
-"""What a live page evaluates, held to what a run, the interpreter and the verdict say."""
+"""What a live page evaluates, checked against a run, the interpreter and the verdict."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dmframe.codegen import loop_module
 from dmframe.diagram.closed_loop import stack
 from dmframe.exact.rational import as_float
 from dmframe.page.functions import Functions, functions_of
-from dmframe.report import Verification
+from dmframe.report.verification import Verification
 from dmframe.results.metrics import tracking_error
 from dmframe.simulate import simulate
 from dmframe.simulate.start import start_state
