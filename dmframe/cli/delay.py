@@ -7,7 +7,7 @@ from dataclasses import asdict
 
 from dmframe.analysis.delay import recorded_delay, signals_of
 from dmframe.cli.streams import tell
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.simulate.keep import Log
 
 NOT_FOUND = 1

@@ -14,7 +14,7 @@ from dmframe.cli.signals import held_off
 from dmframe.cli.streams import tell
 from dmframe.drive.robots import kind_of
 from dmframe.errors import DmframeError, DriveError, ValueFault
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.results.folder import drawing, write_data
 from dmframe.results.place import SAMPLES, complete
 from dmframe.results.run import table_of

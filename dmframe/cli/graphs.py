@@ -13,7 +13,7 @@ from pathlib import Path
 
 from dmframe.catalogue import find_graph
 from dmframe.errors import DmframeError, UnknownNameError, ValueFault
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.trust import remember
 
 _FREE = ("title",)

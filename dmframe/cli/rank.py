@@ -11,7 +11,7 @@ from dmframe.analysis.rank_region import RankRegion, rank_region
 from dmframe.analysis.rank_report import option_value, proved, rank_summary
 from dmframe.cli.streams import tell
 from dmframe.columns import columns
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.graph.progress import progress_line
 from dmframe.units import plain
 

@@ -15,10 +15,11 @@ from dmframe.cli.signals import held_off
 from dmframe.cli.streams import tell
 from dmframe.copies import shared
 from dmframe.errors import OutputError
-from dmframe.graph import Graph
 from dmframe.graph.doubts import doubts
+from dmframe.graph.graph import Graph
+from dmframe.graph.labels import labels_of
 from dmframe.graph.progress import Bars
-from dmframe.graph.runs import labelled, labels_of
+from dmframe.graph.runs import labelled
 from dmframe.results.folder import drawing, folders_of, safe_name, write_data
 from dmframe.results.place import PAGE, Place, complete, reserved
 from dmframe.results.run import Run, notes_of, numbers_of

@@ -13,15 +13,18 @@ from dmframe.config import BaseGraph
 from dmframe.config.given import listed
 from dmframe.errors import DmframeError, ValueFault, raise_all
 from dmframe.graph.doubts import doubts
-from dmframe.graph.progress import Bar, progress_line, shown
-from dmframe.results.run import Run
+from dmframe.graph.progress import progress_line, shown
 from dmframe.units import plain, seconds, to_unit
 
 if TYPE_CHECKING:
     from dmframe.drawing import Drawing
     from dmframe.drive import Rehearsal, Replay
+    from dmframe.graph.progress import Bar
     from dmframe.page import Page
-    from dmframe.report import Analysis, Explanation, Verification
+    from dmframe.report.analysis import Analysis
+    from dmframe.report.explanation import Explanation
+    from dmframe.report.verification import Verification
+    from dmframe.results.run import Run
     from dmframe.runtime import Controller
     from dmframe.simulate.engine import Choice
     from dmframe.virtual import VirtualRobot
@@ -93,6 +96,8 @@ class Graph(BaseGraph):
             An unreachable start pose, an integrator that fails at once, or a run too long to store. A run that
             diverges is not a fault: `Run.divergence` gives the place.
         """
+        from dmframe.results.run import Run
+
         graph = self if until is None else self.until(until)
         with shown(progress, graph.name, graph.duration) as bar:
             recording = graph.simulate(self.diagram, engine=engine, progress=bar)
@@ -122,7 +127,7 @@ class Graph(BaseGraph):
         seed
             Of the random points and primes.
         """
-        from dmframe.report import Verification
+        from dmframe.report.verification import Verification
 
         if isinstance(seed, bool) or not isinstance(seed, int):
             raise ValueFault(f"seed: expected a whole number, found {seed!r:.40}")
@@ -145,7 +150,7 @@ class Graph(BaseGraph):
             No equilibrium, or no goal to follow.
         """
         from dmframe.analysis import analyse
-        from dmframe.report import Analysis
+        from dmframe.report.analysis import Analysis
 
         until = seconds("horizon", horizon)
         with progress_line(self.name) as tell, SYMBOLIC, self.placing():
@@ -228,6 +233,7 @@ class Graph(BaseGraph):
             The graph drives no robot, the file has faults, or the graph may not drive a real robot.
         """
         from dmframe.drive import driven, load_limits
+        from dmframe.results.run import Run
 
         recording = driven(
             self,
@@ -293,7 +299,7 @@ class Graph(BaseGraph):
 
     def explain(self) -> Explanation:
         """Explain the law, signals and certificate of each block; the graph is proved for it."""
-        from dmframe.report import Explanation
+        from dmframe.report.explanation import Explanation
 
         return Explanation(self, self.diagram, self.verify().verdict)
 

@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final, overload
 
 from dmframe import notebook
-from dmframe.batch.runner import numbers_between
 from dmframe.config import BaseGraph
 from dmframe.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault, raise_all
-from dmframe.files import made_distinct
 from dmframe.graph.doubts import doubts
 from dmframe.graph.graph import Graph
+from dmframe.graph.labels import labels_of
 from dmframe.graph.load import load
 from dmframe.graph.progress import Bars
 from dmframe.plotting import FORMATS
@@ -167,6 +166,8 @@ def compare(
 
 def ran_together(graphs: Sequence[Graph], engine: Choice) -> list[Run] | None:
     """Runs of graphs that share one closed loop and its settings, in one build; None if they differ in more."""
+    from dmframe.batch.runner import numbers_between
+
     base = graphs[0]
     found = [numbers_between(base, graph) if _same_settings(base, graph) else None for graph in graphs]
     numbers = [each for each in found if each is not None]
@@ -192,22 +193,6 @@ def labelled(runs: Sequence[Run]) -> Runs:
     """Runs with unique labels: the graph's name, and the values that were set if several have one name."""
     labels = labels_of([(run.name, run.graph) for run in runs])
     return Runs(tuple(Run(run.graph, run.recording, label) for run, label in zip(runs, labels, strict=True)))
-
-
-def labels_of(items: Sequence[tuple[str, BaseGraph]]) -> list[str]:
-    """Names, made distinct by the values set in their graphs, or by a number."""
-    labels = list[str]()
-    for name, graph in items:
-        alike = [set(other.overrides) for called, other in items if called == name]
-        own = [text for text in graph.overrides if not all(text in others for others in alike)]
-        labels.append(f"{name} {', '.join(map(_short, own))}".strip())
-    return made_distinct(labels, lambda label, count: f"{label} {count}")
-
-
-def _short(override: str) -> str:
-    """``dynamics.Gamma=1`` as ``Gamma=1``."""
-    label, _, value = override.partition("=")
-    return f"{label.rpartition('.')[2]}={shorten(value, 20)}"
 
 
 def _set_in(run: Run) -> dict[str, Any]:

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 import numpy as np
 
-from dmframe.batch import Measured, Runner, Runs, Wanted
 from dmframe.batch.columns import FIGURES, PREFIX, error_figures, limits_in, units_of
-from dmframe.batch.figures import ERROR, TURN, merged
+from dmframe.batch.figures import ERROR, TURN, Measured, Wanted, merged
+from dmframe.batch.runner import Runner, Runs
 from dmframe.config.given import listed
 from dmframe.errors import DmframeError, ValueFault, raise_all
 from dmframe.graph.graph import Graph

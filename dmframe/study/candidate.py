@@ -20,7 +20,7 @@ from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
 from dmframe.errors import DmframeError, NeedsDiagramError, ValueFault
 from dmframe.exact.rational import Interval
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.robot.rational import decimal
 from dmframe.study.box import box_of, has_bounds, hull
 from dmframe.study.grid import changed, given_of

@@ -16,7 +16,7 @@ from dmframe.config.overrides import put_at
 from dmframe.config.reality import names_reality
 from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault, raise_all
 from dmframe.files import made_distinct
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.study.grammar import own_name
 from dmframe.study.varied import SETTINGS, Factor
 from dmframe.units import shorten

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from dmframe.config.resolved import companions, resolved, robot_source
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.study.design import Spread
 from dmframe.version import version
 

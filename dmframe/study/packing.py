@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 from dmframe.config.document import Document
 from dmframe.config.resolved import companions, resolved_text
 from dmframe.files import encoded, write_text, writing
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 
 if TYPE_CHECKING:
     from dmframe.study.plan import Study

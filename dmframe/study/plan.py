@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from dmframe.batch import Runner
 from dmframe.batch.columns import Column, Columns, row_of
+from dmframe.batch.runner import Runner
 from dmframe.config.document import Document
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, ValueFault, raise_all
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording
 from dmframe.study.design import Design
 from dmframe.study.grammar import StudyFile, raise_placed

@@ -13,7 +13,7 @@ from dmframe.certify.over import NEEDED
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
 from dmframe.errors import DmframeError
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.study.box import Box, box_of, hull
 from dmframe.study.drawn import Drawn, drawn_of
 from dmframe.study.plan import Study

@@ -16,7 +16,7 @@ from dmframe.config.given import document_of
 from dmframe.config.grammar import fault_of
 from dmframe.errors import DmframeError, UnknownNameError, ValueFault
 from dmframe.files import expanded
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.study.grammar import STUDY, StudyFile, keys_at, own_name, raise_placed
 from dmframe.study.grid import Axis, Given, axis_of, changed, scaled, with_values_of
 from dmframe.study.journal import begun_as

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dmframe.batch import Runs, Wanted
 from dmframe.batch.columns import Column, Columns, columns_of, joined, limits_in, rows_of, units_of
-from dmframe.batch.figures import ERROR, TURN
+from dmframe.batch.figures import ERROR, TURN, Wanted
+from dmframe.batch.runner import Runs
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, UnknownNameError
 from dmframe.study.grammar import raise_placed

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 from dmframe.analysis.period import TOLERANCE, sampled_radius
 from dmframe.errors import MissingError
 from dmframe.files import write_bytes, write_text, writing
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.study.cautions import LONGER, notices, with_unit
 from dmframe.study.packing import write_graph
 from dmframe.study.plan import Study
@@ -21,7 +21,7 @@ from dmframe.study.trials import Trial, front_of
 from dmframe.study.tune import Tuning
 
 if TYPE_CHECKING:
-    from dmframe.report import Verification
+    from dmframe.report.verification import Verification
 
 MOST: Final = 3
 """Points of the front that are validated and proved."""

@@ -12,7 +12,7 @@ import numpy as np
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, UnknownNameError, ValueFault
 from dmframe.gain import Prior
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.parameter import PAIRS, specs
 from dmframe.study.design import Spread, columns_of
 from dmframe.study.grammar import Distribution, Variation, own_name

@@ -22,7 +22,7 @@ HEIGHT: Final = 860
 
 def graph_of(source: str | Path, settings: str = "") -> Graph:
     """A graph, by name or file, with settings as a command line has them, ``dynamics.Gamma=20 clock='2 ms'``."""
-    from dmframe.graph import Graph
+    from dmframe.graph.graph import Graph
 
     return Graph.read(source, shlex.split(settings)) if settings else dm.load(source)
 

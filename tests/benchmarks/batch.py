@@ -29,8 +29,9 @@ def in_simd(size: int, seconds: float, step: float) -> dict[str, Any]:
     """`dmframe.batch`: the error's figures and the last pose are kept; values, starts and steps are in its time."""
     from dataclasses import replace
 
-    from dmframe.batch import Batch, Wanted
-    from dmframe.graph import Graph
+    from dmframe.batch.batch import Batch
+    from dmframe.batch.figures import Wanted
+    from dmframe.graph.graph import Graph
 
     loaded = Graph.read(GRAPH)
     settings = {**loaded.settings, "solver": replace(loaded.solver, step=step)}
@@ -47,7 +48,7 @@ def whole(size: int, seconds: float, step: float) -> dict[str, Any]:
     """`simulate_many`, a run kept as its last pose."""
     from dataclasses import replace
 
-    from dmframe.graph import Graph
+    from dmframe.graph.graph import Graph
     from dmframe.simulate import simulate_many
 
     loaded = Graph.read(GRAPH)

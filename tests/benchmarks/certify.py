@@ -18,7 +18,7 @@ from typing import Any
 from dmframe.certify import Verdict, verify
 from dmframe.certify.assemble import assembled
 from dmframe.config.document import read_document
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.prove import identity as exact
 
 ROBOTS = {

@@ -57,7 +57,7 @@ blocks:
 def cost(n: int, stages: Sequence[str]) -> dict[str, Any]:
     """Seconds of each requested stage; building comes first in any case. The step is one tick of 8 ms."""
     from dmframe.certify import verify
-    from dmframe.graph import Graph
+    from dmframe.graph.graph import Graph
     from dmframe.simulate import simulate
 
     with TemporaryDirectory() as folder:

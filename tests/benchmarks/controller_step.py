@@ -36,7 +36,7 @@ NOTES = {
 
 def in_c(graph: str) -> dict[str, Any]:
     """Seconds of a step of ours in the compiled loop: a run with no plant steps, its log switched to one column."""
-    from dmframe.graph import Graph
+    from dmframe.graph.graph import Graph
     from dmframe.simulate import start_state
     from dmframe.simulate.engine import Compiled
     from dmframe.simulate.keep import Log
@@ -70,7 +70,7 @@ def in_c(graph: str) -> dict[str, Any]:
 
 def in_python(graph: str) -> dict[str, Any]:
     """Seconds of a step of ours, called from Python as a real-time loop does."""
-    from dmframe.graph import Graph
+    from dmframe.graph.graph import Graph
     from dmframe.runtime import Controller
 
     loaded = Graph.read(graph)

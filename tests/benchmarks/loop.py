@@ -117,7 +117,7 @@ class Loop:
     @classmethod
     def read(cls, name: str | Path) -> Loop:
         """The loop of a packaged graph."""
-        from dmframe.graph import Graph
+        from dmframe.graph.graph import Graph
         from dmframe.simulate import start_state
 
         graph = Graph.read(name, TIMED.get(str(name), ()))

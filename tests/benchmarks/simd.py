@@ -50,7 +50,7 @@ def timed(graph: str, width: int) -> dict[str, Any]:
         loaded.run(engine="compiled")
         best = min(loaded.run(engine="compiled").recording.wall_time for _ in range(5))
         return {"rate": SECONDS / best}
-    from dmframe.batch import Batch
+    from dmframe.batch.batch import Batch
 
     os.environ["CC"] = f"cc {WIDTHS[width]}".strip()
     loaded = dm.load(graph)

@@ -45,7 +45,7 @@ WAYS = (
 
 def section(seconds: float = 4.0, progress: Callable[[str], None] = lambda text: None) -> Section:
     """One loop, all methods, in one process."""
-    from dmframe.graph import Graph
+    from dmframe.graph.graph import Graph
     from dmframe.simulate import Recording, Solver, simulate
 
     graph = Graph.read(GRAPH, [FRICTION])

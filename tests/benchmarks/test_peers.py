@@ -82,7 +82,7 @@ def test_the_scalar_torques_are_the_regressors() -> None:
 
 
 def test_a_generated_chain_has_its_joints_and_builds_a_loop(tmp_path: Path) -> None:
-    from dmframe.graph import Graph
+    from dmframe.graph.graph import Graph
 
     (tmp_path / "chain.urdf").write_text(chains.urdf(4), encoding="utf-8")
     (tmp_path / "chain.yaml").write_text(chains.graph(4), encoding="utf-8")

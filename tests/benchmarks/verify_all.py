@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from dmframe.certify import Verdict, verify
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 
 ROBOTS = {
     "ur10, 3 joints": (

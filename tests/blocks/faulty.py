@@ -8,7 +8,7 @@ from typing import Any
 
 from dmframe.certify import Verdict, verify
 from dmframe.diagram import Diagram
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 
 
 def faulty(block: type[Any], **functions: Callable[..., Any]) -> type[Any]:

@@ -12,7 +12,7 @@ import pytest
 from dmframe.certificate import Certificate
 from dmframe.diagram import Diagram
 from dmframe.diagram.view import view
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 
 ROBOTS = {
     "arm2": ("robot: arm2", "{center: [0.5, 0.3], radius: 0.1}", 2),

@@ -20,7 +20,7 @@ from dmframe.certify import Verdict, verify
 from dmframe.config.document import read_document
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.results.metrics import tracking_error
 from dmframe.robot.library import find_robot
 from dmframe.simulate import Recording, simulate

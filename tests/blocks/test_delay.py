@@ -13,7 +13,7 @@ from dmframe.analysis.delay import FittedDelay, fitted_delay, recorded_delay
 from dmframe.catalogue import block_types
 from dmframe.diagram import Diagram
 from dmframe.errors import ValueFault
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording, simulate
 
 

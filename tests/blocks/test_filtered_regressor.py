@@ -9,7 +9,7 @@ import scipy
 
 from dmframe.certify import Verdict, verify
 from dmframe.errors import DmframeError
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.robot.chain import SerialChain, pin_configuration
 from dmframe.simulate import Solver, simulate
 

@@ -17,7 +17,7 @@ from dmframe.certify import Verdict, verify
 from dmframe.certify.along import along
 from dmframe.errors import DmframeError
 from dmframe.formula.docstring import check_docstring
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.report.terms import terms_of
 from dmframe.simulate import Recording, simulate
 from dmframe_blocks.adaptive_kinematics import AdaptiveKinematics

@@ -10,7 +10,7 @@ from faulty import verdict_with
 from dmframe.certify import Verdict, verify
 from dmframe.certify.uncertain import intervals
 from dmframe.cli import main
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 
 COULOMB = (
     "the plant has Coulomb friction (arm.coulomb), and the regressor has no column for it: add coulomb to friction"

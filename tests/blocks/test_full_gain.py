@@ -20,7 +20,7 @@ from dmframe.config.schema import json_schema
 from dmframe.diagram.projection import Ball, Box
 from dmframe.diagram.values import with_values
 from dmframe.errors import DmframeError
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.report.linear import LinearView
 from dmframe.robot.pseudo_inertia import natural_gain
 from dmframe.simulate import simulate, simulate_many

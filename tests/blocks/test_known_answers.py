@@ -15,7 +15,7 @@ from dmframe.block.model import model_block
 from dmframe.block.sizes import bind_sizes, parameter_arrays
 from dmframe.catalogue import find_block
 from dmframe.errors import DmframeError
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.robot.library import load
 from dmframe.robot.symbolic import SymbolicRobot
 from dmframe.simulate import simulate

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dmframe.block.model import symbols_in
 from dmframe.certify import Verdict, verify
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording, simulate
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ import pytest
 
 from dmframe.certify import Verdict, verify
 from dmframe.diagram import Diagram
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording, simulate
 from dmframe_plants.arm2 import closed_form
 

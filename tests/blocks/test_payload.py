@@ -20,7 +20,7 @@ from dmframe.certify.projections import outside
 from dmframe.config.document import read_document
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.port import TIME, Output, Side
 from dmframe.results.shown import felt
 from dmframe.robot.library import find_robot

@@ -20,8 +20,8 @@ from dmframe.certify.closure import Closure
 from dmframe.certify.limits import Goal, Made, Vanishing, combined
 from dmframe.errors import DmframeError
 from dmframe.exact import zero_test
-from dmframe.graph import Graph
-from dmframe.results import turn_error
+from dmframe.graph.graph import Graph
+from dmframe.results.metrics import turn_error
 from dmframe.robot.library import load
 from dmframe.simulate import Solver, simulate
 from dmframe_blocks._quaternions import left, right, turn_from

@@ -14,7 +14,7 @@ from dmframe.catalogue import find_block
 from dmframe.certify import verify
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording, Solver, simulate
 
 SERVOS = {

@@ -10,7 +10,7 @@ import pytest
 from faulty import verdict_with
 
 from dmframe.certify.true_values import true_values
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.robot.library import load
 
 EVERYTHING = {"friction": ("coulomb", "viscous"), "gravity": "apart", "bias": True, "nominal": 0.5}

@@ -20,7 +20,7 @@ from dmframe.certify.hypotheses import BETWEEN
 from dmframe.config.document import read_document
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.robot.library import find_robot
 from dmframe_blocks.gripper import Gripper
 from dmframe_blocks.payload import Payload

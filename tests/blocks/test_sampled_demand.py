@@ -10,7 +10,7 @@ from sampled_by_hand import rms
 
 import dmframe as dm
 from dmframe.catalogue import block_types
-from dmframe.results import Run
+from dmframe.results.run import Run
 
 T, MOST, K_P, K_I, QUIET, FORGET = 0.09, 1.0, 1.8, 1.2, 0.01, 2.0
 PER_LAG = 1 + K_P * T / 2 + K_I * T**2 / 4

@@ -16,7 +16,7 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.catalogue import block_types
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.port import Access, Input, Output, Side, State
 from dmframe.robot.library import find_robot
 from dmframe.robot.parameters import DynamicParameters

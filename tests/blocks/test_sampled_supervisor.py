@@ -16,7 +16,7 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certify import verify
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, WiringError
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.port import Input, Output, Side, State
 from dmframe.simulate import Recording, simulate
 from dmframe_blocks.sampled_supervisor import SampledSupervisor

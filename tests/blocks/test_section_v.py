@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.simulate import simulate
 
 RMS = {  # [mm], norm of the task error over the last eighth

@@ -12,7 +12,7 @@ import pytest
 from dmframe.block import AbstractBlock, type_name
 from dmframe.block.prose import about
 from dmframe.catalogue import block_types, graphs
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.parameter import specs
 from dmframe.port import Access, Side, Signal, State
 from dmframe.simulate import simulate

@@ -12,7 +12,7 @@ import pytest
 
 from dmframe.certify import Verdict, verify
 from dmframe.certify.along import Along, along
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording, simulate
 
 THEOREMS = ("theorem_1", "theorem_2", "theorem_3", "theorem_4")

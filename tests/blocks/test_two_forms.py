@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dmframe.certify import Verdict, verify
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 
 GENERATORS = {
     "joint": (

@@ -25,7 +25,7 @@ from dmframe import plotting
 from dmframe.catalogue import graphs
 from dmframe.cli import main
 from dmframe.config.document import read_document, read_file
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.results import estimate_figure
 from dmframe.study import proof
 
@@ -91,7 +91,7 @@ def written(text: str, shared: Page) -> bool:
 
 def run_python(text: str, shared: Page, where: str) -> None:
     if not written(text, shared):
-        exec(compile(text, where, "exec"), shared.names)
+        exec(compile(text, where, "exec", dont_inherit=True), shared.names)  # a reader's own file has no __future__
 
 
 def build_yaml(text: str, shared: Page) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.study.plan import Study, load_study
 
 ROOT = Path(__file__).parents[2]

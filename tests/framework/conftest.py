@@ -8,7 +8,7 @@ import pytest
 
 from dmframe.build import library
 from dmframe.errors import ValueFault
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording, simulate
 
 sys.path.insert(0, str(Path(__file__).parent))  # what several folders share

@@ -18,7 +18,7 @@ class Loop(Peer):
     engine: ClassVar[Literal["interpreted", "compiled"]] = "interpreted"
 
     def build(self) -> None:
-        from dmframe.graph import Graph
+        from dmframe.graph.graph import Graph
 
         self.graph = Graph.read(self.loop.graph, TIMED.get(self.loop.graph, ()))
         self.diagram = self.graph.diagram

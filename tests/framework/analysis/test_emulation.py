@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dmframe.analysis import emulation_limits, equilibrium, frozen
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.robot.chain import pin_configuration
 from dmframe.simulate import simulate
 

@@ -19,7 +19,7 @@ from dmframe.diagram import Diagram
 from dmframe.exact.ball_matrix import exactly, middles
 from dmframe.exact.rounded import Rounded, falls, similar
 from dmframe.exact.rows import dense, sparse
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Positive, Real, Scalar
 from dmframe.port import PERIOD, Access, Input, Output, Side, State
 from dmframe.program import read

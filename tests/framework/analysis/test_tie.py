@@ -17,7 +17,7 @@ from dmframe.certify import verify
 from dmframe.certify.uncertain import intervals
 from dmframe.errors import ValueFault
 from dmframe.exact.rational import Interval
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 
 gain = st.floats(1e-3, 1e4)
 pair = st.tuples(gain, gain).map(lambda ends: (min(ends), max(ends)))

@@ -15,7 +15,8 @@ import pytest
 import dmframe as dm
 import dmframe.batch.batch
 import dmframe.batch.simd
-from dmframe.batch import Batch, Measured, Wanted
+from dmframe.batch.batch import Batch
+from dmframe.batch.figures import Measured, Wanted
 from dmframe.batch.starts import starts_of
 from dmframe.batch.values import columns_of, parameters_of, varied
 from dmframe.block import AbstractBlock, Equations, Signals

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 import dmframe as dm
-from dmframe.batch import Batch, Measured, Runner, Runs, Wanted, runner
-from dmframe.batch.figures import merged
+from dmframe.batch import runner
+from dmframe.batch.batch import Batch
+from dmframe.batch.figures import Measured, Wanted, merged
+from dmframe.batch.runner import Runner, Runs
 from dmframe.errors import ValueFault
 
 WANTED = Wanted(("arm.q",))

@@ -1,4 +1,4 @@
-"""What a projection onto bodies needs to be proved, and what of it is told to be false."""
+"""What a projection onto bodies needs to be proved, and which false statements of it are refuted."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from dmframe.diagram.closed_loop import ClosedLoop
 from dmframe.diagram.projection import Bodies, Projection
 from dmframe.eigen import eigen, positive_part
 from dmframe.errors import DmframeError, StartError
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Positive, Real, Scalar
 from dmframe.port import Input, Output, State
 from dmframe.simulate import start_state

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from dmframe.certify import claim_of, verify
 from dmframe.certify.assemble import assembled
 from dmframe.exact import ZeroTest
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.prove import identity as exact
 from dmframe.robot.library import load
 

@@ -13,7 +13,7 @@ from closed_loops import field_of, loop_of, loops, states_of
 from dmframe.certify import claim_of
 from dmframe.certify.assemble import assembled
 from dmframe.diagram import Diagram
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.prove.identity import identity
 from dmframe.robot.library import load
 from dmframe.simulate import Solver, simulate

@@ -24,7 +24,7 @@ from dmframe.certify.claim import flow_part
 from dmframe.certify.smoothness import Smoothness, is_smooth_over, smoothness, smoothness_faults
 from dmframe.diagram import Diagram
 from dmframe.exact import Tape
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.program import KINKS
 from dmframe.text import Text
 
@@ -191,7 +191,7 @@ def test_a_path_made_of_a_state_is_refused() -> None:
     assert "path_r.r moves with s; a desired trajectory is a function of time and parameters alone" in fault
 
 
-def test_a_rate_that_jumps_is_told_as_an_assumption() -> None:
+def test_a_rate_that_jumps_is_listed_as_an_assumption() -> None:
     diagram = scalar_loop(
         "y",
         lambda x, u, p: {"y": -ca.sign(x.y)},

@@ -24,7 +24,7 @@ from dmframe.codegen.wasm_arithmetic import ARITHMETIC
 from dmframe.codegen.wasm_binary import I32, Function, Whole, module, number, signed, unsigned, whole
 from dmframe.diagram import Diagram
 from dmframe.errors import EngineError
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Real, Scalar
 from dmframe.port import PERIOD, Access, Input, Output, Side, State
 from dmframe.program import OPERATIONS

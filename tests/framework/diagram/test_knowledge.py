@@ -13,14 +13,14 @@ from structures import structures
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import Known, known_truths
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Positive, Scalar
 from dmframe.port import Access, Input, Output, Side, State
 from dmframe.robot.library import load
 
 
 class Arm(AbstractBlock):
-    """dq = v; K is handed out, its twice is hidden."""
+    """dq = v; K is an output, its double is hidden."""
 
     side = Side.PLANT
     inputs = (Input("v", "n", "rad/s"),)

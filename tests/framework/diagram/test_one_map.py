@@ -30,7 +30,7 @@ from dmframe.drive.rehearse import Condition, rehearsed
 from dmframe.errors import DmframeError
 from dmframe.export.c import source
 from dmframe.export.program import program_of
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.page.functions import functions_of
 from dmframe.parameter import Positive, Scalar
 from dmframe.port import Access, Input, Output, Side, State

@@ -6,7 +6,7 @@ import pytest
 
 from dmframe.diagram.wiring import Derived, Wire
 from dmframe.drawing import mermaid
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.names import unicode_name
 from dmframe.port import Side
 

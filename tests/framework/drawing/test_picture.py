@@ -6,7 +6,7 @@ import pytest
 
 from dmframe.diagram.wiring import Wire
 from dmframe.drawing import svg
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.names import unicode_name
 
 SVG = "{http://www.w3.org/2000/svg}"

@@ -87,8 +87,8 @@ def test_a_replay_compares_each_signal_that_it_names(drive: Run, tmp_path: Path,
     values = np.array(recording[label])
     values[5:] = values[5]
     if label in recording.beside:
-        beside = {**recording.beside, label: replace(recording.beside[label], values=values)}
-        changed = replace(recording, beside=beside)
+        series = {**recording.beside, label: replace(recording.beside[label], values=values)}
+        changed = replace(recording, beside=series)
     elif label in recording.outputs:
         changed = replace(recording, outputs={**recording.outputs, label: values})
     else:
@@ -133,7 +133,7 @@ def test_a_graph_of_a_folder_that_was_edited_is_loaded_with_a_notice(
 
 
 def test_several_runs_share_a_seal(tmp_path: Path, drive: Run) -> None:
-    from dmframe.results import write_run
+    from dmframe.results.folder import write_run
 
     write_run(tmp_path / "out", [drive, replace(drive, label="again")], plots=False)
     assert again(tmp_path / "out" / "again").identical

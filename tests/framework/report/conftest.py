@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 
 from dmframe.catalogue import graphs
-from dmframe.graph import Graph
-from dmframe.report import Verification
+from dmframe.graph.graph import Graph
 from dmframe.report.content import Content, gather
 from dmframe.report.linear import LinearView
+from dmframe.report.verification import Verification
 
 LIAR = '''
 from __future__ import annotations

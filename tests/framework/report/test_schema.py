@@ -10,12 +10,12 @@ from dmframe.certify import verify
 from dmframe.certify.schema import verdict_schema
 from dmframe.certify.summary import summary
 from dmframe.certify.uncertain import intervals
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 
 VALIDATOR = Draft202012Validator(verdict_schema())
 
 
-def told(name):
+def summary_of(name):
     graph = Graph.read(name)
     diagram = graph.diagram
     return summary(graph.name, verify(diagram, uncertain=intervals(diagram, graph.file.uncertain)))

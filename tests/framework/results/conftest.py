@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dmframe.graph import Graph
-from dmframe.results import Run
+from dmframe.graph.graph import Graph
+from dmframe.results.run import Run
 from dmframe.simulate import Divergence, Recording, simulate
 
 

@@ -14,7 +14,7 @@ from dmframe.build import compiler as compilers
 from dmframe.catalogue import graphs
 from dmframe.diagram import Diagram
 from dmframe.errors import EngineError, ValueFault
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.runtime import Controller
 from dmframe.simulate import Recording, simulate
 

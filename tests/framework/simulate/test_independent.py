@@ -13,7 +13,7 @@ import pytest
 import scipy
 from numpy.typing import NDArray
 
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.robot.library import find_robot
 from dmframe.simulate import Recording, Solver, simulate
 

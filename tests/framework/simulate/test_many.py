@@ -14,7 +14,7 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
 from dmframe.errors import DmframeError, UnknownNameError, ValueFault
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Diagonal, Gain, Positive, PositiveDefinite, Real, Scalar
 from dmframe.port import Output, Side, State
 from dmframe.results.metrics import tracking_error

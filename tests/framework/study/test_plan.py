@@ -13,7 +13,7 @@ from ruamel.yaml import YAML
 
 from dmframe.batch.columns import joined
 from dmframe.errors import DmframeError
-from dmframe.graph import load
+from dmframe.graph.load import load
 from dmframe.results.metrics import tracking_error
 from dmframe.study.grammar import study_schema
 from dmframe.study.plan import Study

@@ -20,8 +20,8 @@ from dmframe.analysis.linear import linearise
 from dmframe.analysis.period import linearised_period
 from dmframe.cli.tune import tune_study
 from dmframe.errors import DmframeError, OutputError
-from dmframe.graph import load
-from dmframe.report import Verification
+from dmframe.graph.load import load
+from dmframe.report.verification import Verification
 from dmframe.study import candidate as candidates
 from dmframe.study import tune as tuning_module
 from dmframe.study.cautions import near_end
