@@ -9,7 +9,7 @@ from typing import Any, final
 import numpy as np
 
 from dmframe.certify import Verdict
-from dmframe.config import Experiment
+from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
 from dmframe.exact.rational import as_float
@@ -55,7 +55,7 @@ class Measured:
 
 
 def measure(
-    experiment: Experiment, diagram: Diagram, verdict: Verdict, tell: Callable[[str], None] = lambda _: None
+    experiment: BaseGraph, diagram: Diagram, verdict: Verdict, tell: Callable[[str], None] = lambda _: None
 ) -> Measured:
     """Simulate the graph for the duration in its file, and evaluate V along the run if it is defined."""
     clock = experiment.file.clock

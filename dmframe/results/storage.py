@@ -10,7 +10,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.certify.claim import Claim
-from dmframe.config import Experiment
+from dmframe.config import BaseGraph
 from dmframe.errors import DmframeError, listed
 from dmframe.results.along import Along
 from dmframe.results.claimed import claimed_along
@@ -143,10 +143,10 @@ class Storage:
         }
 
 
-def storage_of(recording: Recording, experiment: Experiment) -> Storage:
+def storage_of(recording: Recording, graph: BaseGraph) -> Storage:
     """V of a run; raises `DmframeError` if it is not defined."""
-    intervals = experiment.intervals(recording.diagram)
-    return Storage(*claimed_along(recording, intervals, experiment.start), recording)
+    intervals = graph.intervals(recording.diagram)
+    return Storage(*claimed_along(recording, intervals, graph.start), recording)
 
 
 def no_storage(error: DmframeError) -> dict[str, Any]:

@@ -366,14 +366,14 @@ def test_a_memory_starts_positive_semidefinite(start: list[float], holds: bool) 
     assert ("learner: start of G" in found.reason) is not holds
 
 
-def test_a_memory_that_grows_by_itself_and_a_box_without_the_truth_are_told() -> None:
+def test_a_memory_that_grows_by_itself_and_a_box_without_the_truth_are_reported() -> None:
     assert "retention of the steps of theta" in verdict(retention=1.01).reason
     assert "true value of theta inside its box" in verdict(most=1.5).reason
 
 
 @pytest.mark.parametrize("lie", ["", "another_relation"])
 def test_rows_are_compared_with_the_plants_motion_whatever_relation_is_stated(lie: str) -> None:
-    """dy/dt = v is true of the plant, and says nothing of its mass."""
+    """dy/dt = v is true of the plant, and does not depend on its mass."""
     found = verdict(lie=lie)
     assert found.outcome == "proved"
     assert not found.rows_assumed
