@@ -13,9 +13,9 @@ points than there are constants, with the parameters at the graph's own numbers.
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from fractions import Fraction
 from typing import final
 
 import casadi as ca
@@ -23,26 +23,12 @@ import casadi as ca
 from dmframe.certificate import SX, Potential, Square, soft_clip
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
-from dmframe.certify.symbols import Symbols, exact_values, symbols_of
+from dmframe.certify.symbols import Group, exact_values, symbols_of
 from dmframe.exact import Tape
 from dmframe.exact.linear import rank
 from dmframe.exact.shift import Shift, ZeroDivision
 from dmframe.linalg import solve_spd
 from dmframe.text import Text, around, listed_text, name_of, sentence
-
-
-@final
-@dataclass(frozen=True)
-class Own:
-    """The graph's own numbers, and the field in which constants are solved for; `free` are those in intervals."""
-
-    values: Mapping[str, Sequence[Fraction]]
-    prime: int
-    seed: int
-    free: frozenset[str] = frozenset()
-
-
-_SOFT = r"\operatorname{soft\_clip}({})"
 
 MORE = 3
 """Points beyond the number of constants, each a further test."""
@@ -104,26 +90,25 @@ def combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Van
 
 
 def _combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Vanishing]) -> Made | None:
-    symbols = symbols_of(claim, closure.uncertain)
-    own = Own(exact_values(claim.diagram), closure.prime, closure.seed, closure.uncertain)
+    field = Combinations(claim, closure.prime, closure.seed, closure.uncertain)
     for block, item in closure.driving:
         if goal.of in item.of and any(
             ca.is_equal(goal.vector, z) for z in item.vectors if z.shape == goal.vector.shape
         ):
-            inputs = [_made_of(own, symbols, rest, vanishing) for rest in closure.remainders(block, item)]
+            inputs = [field.made_of(rest, vanishing) for rest in closure.remainders(block, item)]
             if None not in inputs:
                 names = dict.fromkeys(name for names in inputs for name in names or ())
                 made = listed_text(list(names))
                 return Made(Text("a stable linear equation drives it, and its input, made of ", made, ", vanishes"))
-    used = _made_of(own, symbols, goal.vector, vanishing)
+    used = field.made_of(goal.vector, vanishing)
     if used is not None:
         return Made(Text("it is made of ", listed_text(used)))
     for name, R in full_rank(claim):
-        if not _can_have(own, symbols, R):
+        if not field.can_have(R):
             continue
         if R.shape[0] == goal.vector.shape[0]:
             seen = R.T @ goal.vector
-            used = _made_of(own, symbols, seen, vanishing)
+            used = field.made_of(seen, vanishing)
             if used is not None:
                 whole = around(goal.of, f"{name}'({{}})", rf"{name.latex}^\top ({{}})", f"{name.unicode}ᵀ({{}})")
                 how = "goes to zero" if used == [whole] else Text("is made of ", listed_text(used))
@@ -131,7 +116,7 @@ def _combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Va
                 return Made(step, (_keeps_rank(name),))
         if R.shape[0] > goal.vector.shape[0]:
             for gone in vanishing:
-                if _made_of(own, symbols, goal.vector, list(_parts(gone, R, goal.vector.numel()))) is not None:
+                if field.made_of(goal.vector, list(_parts(gone, R, goal.vector.numel()))) is not None:
                     transposed = around(name, "{}'", r"{}^\top", "{}ᵀ")
                     text = "it is part of what {R} takes to {gone}, and {name} has full row rank"
                     return Made(sentence(text, R=transposed, gone=gone.of, name=name), (_keeps_rank(name),))
@@ -161,69 +146,71 @@ def full_rank(claim: Claim) -> Iterator[tuple[Text, SX]]:
                 yield Text(name_of(port.name), f" ({name})" * (given.count(port.name) > 1)), R
 
 
-def _can_have(own: Own, symbols: Symbols, R: SX) -> bool:
-    """True for a matrix whose rows are independent at a random point, as almost everywhere then."""
-    sampled, (rows, width) = _sampled(own, symbols, [R], 1), R.shape
-    if sampled is None:
-        return False
-    prime, (values,) = sampled
-    found = rank([[values[column * rows + row] for column in range(width)] for row in range(rows)], prime)
-    return bool(found == rows)
+@final
+class Combinations:
+    """Constant coefficients, solved for at random points of a prime field with the graph's own parameters.
 
+    Parameters
+    ----------
+    uncertain
+        Labels of parameters in intervals, which are free.
+    """
 
-def _made_of(own: Own, symbols: Symbols, target: SX, vanishing: Sequence[Vanishing]) -> list[Text] | None:
-    """The names of those of which the target is a combination with constant coefficients, element by element."""
-    size = target.numel()
-    pieces = [
-        (item.of, item.vector[start : start + size])
-        for item in vanishing
-        if item.vector.numel() % size == 0
-        for start in range(0, item.vector.numel(), size)
-    ]
-    if not pieces:
-        return None
-    chosen = list(range(len(pieces)))
-    rows = _sampled(own, symbols, [target, *(piece for _, piece in pieces)], len(pieces) + 1 + MORE)
-    if rows is None or not _spans(rows, size, chosen):
-        return None
-    for k in range(len(pieces) - 1, -1, -1):  # the fewest that still do
-        if _spans(rows, size, [other for other in chosen if other != k]):
-            chosen.remove(k)
-    return list(dict.fromkeys(pieces[k][0] for k in chosen))
+    def __init__(self, claim: Claim, prime: int, seed: int, uncertain: frozenset[str] = frozenset()) -> None:
+        self._symbols, self._seed, self._shift = symbols_of(claim, uncertain), seed, Shift(prime, random.Random(seed))
+        self._own = {k: x for k, x in exact_values(claim.diagram).items() if k not in uncertain}
 
-
-def _spans(rows: tuple[int, list[list[int]]], size: int, chosen: Sequence[int]) -> bool:
-    """At every element: is the first column a combination of the chosen ones, over all sampled points?"""
-    prime, points = rows
-    for element in range(size):
-        columns = [[point[size * (1 + k) + element] for point in points] for k in chosen]
-        target = [point[element] for point in points]
-        if not columns or rank([*columns, target], prime) != rank(columns, prime):
+    def can_have(self, R: SX) -> bool:
+        """True for a matrix whose rows are independent at a random point, as almost everywhere then."""
+        points, (rows, width) = self._sampled([R], 1), R.shape
+        if points is None:
             return False
-    return True
+        columns = [[points[0][column * rows + row] for column in range(width)] for row in range(rows)]
+        return bool(rank(columns, self._shift.prime) == rows)
 
+    def made_of(self, target: SX, vanishing: Sequence[Vanishing]) -> list[Text] | None:
+        """The names of those of which the target is a combination with constant coefficients, element by element."""
+        size = target.numel()
+        pieces = [
+            (item.of, item.vector[start : start + size])
+            for item in vanishing
+            if item.vector.numel() % size == 0
+            for start in range(0, item.vector.numel(), size)
+        ]
+        if not pieces:
+            return None
+        chosen = list(range(len(pieces)))
+        points = self._sampled([target, *(piece for _, piece in pieces)], len(pieces) + 1 + MORE)
+        if points is None or not self._spans(points, size, chosen):
+            return None
+        for k in range(len(pieces) - 1, -1, -1):  # the fewest that still do
+            if self._spans(points, size, [other for other in chosen if other != k]):
+                chosen.remove(k)
+        return list(dict.fromkeys(pieces[k][0] for k in chosen))
 
-def _sampled(own: Own, symbols: Symbols, expressions: Sequence[SX], count: int) -> tuple[int, list[list[int]]] | None:
-    """All elements at random points that share their parameters."""
-    tape = Tape.from_function(symbols.function("made", [ca.vec(ca.densify(x)) for x in expressions]))
-    rng = random.Random(own.seed)
-    shift = Shift(own.prime, rng)
-    fixed = {
-        group.label: [
-            shift.random() if group.label in own.free else shift.residue(value) for value in own.values[group.label]
-        ]
-        for group in symbols.groups
-        if group.kind == "parameter"
-    }
-    points = list[list[int]]()
-    for _ in range(4 * count):
-        point = [
-            fixed.get(group.label) or [shift.random() for _ in range(group.symbol.numel())] for group in symbols.groups
-        ]
-        try:
-            points.append(shift.values(tape, point))
-        except ZeroDivision:
-            continue
-        if len(points) == count:
-            return shift.prime, points
-    return None
+    def _spans(self, points: Sequence[Sequence[int]], size: int, chosen: Sequence[int]) -> bool:
+        """At every element: is the first column a combination of the chosen ones, over all sampled points?"""
+        for element in range(size):
+            columns = [[point[size * (1 + k) + element] for point in points] for k in chosen]
+            target, prime = [point[element] for point in points], self._shift.prime
+            if not columns or rank([*columns, target], prime) != rank(columns, prime):
+                return False
+        return True
+
+    def _sampled(self, expressions: Sequence[SX], count: int) -> list[list[int]] | None:
+        """All elements at random points that share their parameters."""
+        groups, shift = self._symbols.groups, self._shift
+        tape = Tape.from_function(self._symbols.function("made", [ca.vec(ca.densify(x)) for x in expressions]))
+
+        def drawn(group: Group) -> list[int]:
+            return [shift.random() for _ in range(group.symbol.numel())]
+
+        known = {label: [shift.residue(value) for value in values] for label, values in self._own.items()}
+        fixed = {g.label: known.get(g.label) or drawn(g) for g in groups if g.kind == "parameter"}
+        points = list[list[int]]()
+        for _ in range(4 * count):
+            with suppress(ZeroDivision):
+                points.append(shift.values(tape, [fixed.get(group.label) or drawn(group) for group in groups]))
+            if len(points) == count:
+                return points
+        return None

@@ -19,7 +19,6 @@ from dmframe.certify.smoothness import slope
 from dmframe.certify.symbols import Symbols
 from dmframe.diagram.closed_loop import Variable
 from dmframe.diagram.projection import Bodies
-from dmframe.exact import zero_test
 from dmframe.names import symbol
 from dmframe.text import Label, Text, Written, around, name_of, sentence, square_of, text_of
 
@@ -375,5 +374,4 @@ def _is_spent(claim: Claim, square: Square, symbols: Symbols, signs: Signs) -> b
 def _same(square: Square, term: Square, symbols: Symbols) -> bool:
     if square.vector.shape == term.vector.shape and ca.is_equal(square.vector, term.vector):
         return True
-    difference = symbols.function("difference", [square.vector - term.vector])
-    return bool(zero_test(difference, values=symbols.fixed, trials=1).zero)
+    return symbols.vanishes("difference", square.vector - term.vector, trials=1)
