@@ -91,7 +91,7 @@ class Trial:
 
     def call(self, name: str, *arguments: int) -> int:
         """The value of a function at numbers that need not be reduced."""
-        given = tuple(argument % self.prime for argument in arguments)
+        given = tuple([argument % self.prime for argument in arguments])
         if name in ("cos", "sin"):
             return self.cos_sin(given[0])[name == "sin"]
         if name in ("sign", "fabs"):
