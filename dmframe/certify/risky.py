@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
 import casadi as ca
@@ -12,14 +12,24 @@ from dmframe.certify.sign import SIGNED, Sign, sign_after
 from dmframe.program import DIVISIONS, OPERATIONS, POWERS, read
 
 
+def instructions(expressions: Iterable[SX]) -> Iterator[tuple[SX, list[SX]]]:
+    """Each instruction of expressions once, with its operands."""
+    todo = [element for item in expressions for element in ca.vertsplit(ca.vec(ca.densify(item)))]
+    seen = set[int]()
+    while todo:
+        x = todo.pop()
+        if x.element_hash() not in seen and x.n_dep():
+            seen.add(x.element_hash())
+            parts = [x.dep(k) for k in range(x.n_dep())]
+            yield x, parts
+            todo += parts
+
+
 def risky(outputs: Sequence[SX]) -> Iterator[tuple[int, SX]]:
     """Instructions that divide or are not defined everywhere, with what must keep away from a bad value."""
     column = ca.veccat(ca.SX(0, 1), *map(ca.densify, outputs))
     function = ca.Function("risky", [], [column], {"allow_free": True})
-    program, expressions = (
-        read(function),
-        function.instructions_sx(),
-    )  # SX.dep takes ten times as long
+    program, expressions = read(function), function.instructions_sx()  # SX.dep takes ten times as long
     todo, seen = [*program.sources[0]], set[int]()
     while todo:
         place = todo.pop()

@@ -106,7 +106,7 @@ def test_a_pi_servo_on_a_pure_inertia_has_the_textbooks_poles_and_margins() -> N
     assert joint.port is None
 
 
-def test_a_double_real_pole_is_told_as_one_and_a_pair_as_a_pair() -> None:
+def test_a_double_real_pole_is_reported_as_one_and_a_pair_as_a_pair() -> None:
     def loop(A: list[list[float]]) -> Linear:
         none = np.zeros((2, 0))
         whole = np.array(A)
@@ -295,13 +295,13 @@ def test_estimates_that_are_no_states_are_refused() -> None:
         equilibrium(frozen(diagram), {"arm.q": 0})
 
 
-def test_a_loop_that_cannot_rest_is_told() -> None:
+def test_a_loop_without_an_equilibrium_is_reported() -> None:
     diagram, _ = packaged("arm2_joint")
     with pytest.raises(EngineError, match=r"set-point: expected an equilibrium .* found none; \S+ still moves at"):
         equilibrium(frozen(diagram), {"inverse.w_I": 0})
 
 
-def test_a_search_that_leaves_the_numbers_is_told_as_a_loop_that_cannot_rest() -> None:
+def test_a_search_that_overflows_is_reported_as_a_loop_without_an_equilibrium() -> None:
     with pytest.raises(
         EngineError, match=r"found none; .* leads to where the rate of leak\.h, or its slope, overflows"
     ):
@@ -321,7 +321,7 @@ class Leak(AbstractBlock):
         return {"h": 0.5}
 
 
-def test_a_diagram_without_a_servo_or_a_goal_is_told() -> None:
+def test_a_diagram_without_a_servo_or_a_goal_is_refused() -> None:
     wheel = Diagram.build({"arm": Flywheel(J=(J,)), "servo": PiServo(K_P=1, K_I=1), "push": Still()})
     with pytest.raises(EngineError, match="largest stable period: expected a goal to follow, such as x_d for x, found"):
         simulated_period(wheel, 0.01)

@@ -117,7 +117,7 @@ def test_a_path_that_jumps_has_no_joint_path(way: Way, when: float) -> None:
     assert found.leave.jump > 0.01
 
 
-def test_what_has_no_enclosure_is_not_proved_and_the_reason_is_told() -> None:
+def test_what_has_no_enclosure_is_not_proved_and_the_reason_is_reported() -> None:
     found = follow(lambda t: 0.01 * ca.log(1 + t), duration=5.0)
     assert found.doubt is not None
     assert (found.doubt.reason, found.until) == (

@@ -237,12 +237,12 @@ def _loaded(robot: Any) -> Loop:
 
 
 def _grasping(robot: Any) -> Loop:
-    """The same where a gripper tells of the load, and what it is."""
-    told: dict[str, Spec] = {
+    """The same where a gripper reports the load and its parameters."""
+    gripper: dict[str, Spec] = {
         "dynamics": ("reset_compensator", {"Gamma": 3, "clearing": 2}),
         "gripper": ("gripper", {"at": [1, 2], "mass": [0.5, 0]}),
     }
-    return Loop(f"{robot.name} grasping PI", robot, {**_loaded(robot).specs, **told})
+    return Loop(f"{robot.name} grasping PI", robot, {**_loaded(robot).specs, **gripper})
 
 
 FULL = "full gains"

@@ -1,4 +1,4 @@
-"""What a projection onto bodies needs to be proved, and what of it is told to be false."""
+"""What a projection onto bodies needs to be proved, and which false statements of it are refuted."""
 
 from __future__ import annotations
 

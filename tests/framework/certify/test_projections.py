@@ -176,7 +176,7 @@ def test_a_start_that_a_graph_gives_goes_before_the_blocks(key: str) -> None:
         assert [item.holds for item in checked if "starts inside" in item.name] == [holds]
 
 
-def test_a_start_that_the_plant_decides_is_told_as_an_assumption() -> None:
+def test_a_start_that_the_plant_decides_is_listed_as_an_assumption() -> None:
     checked, assumed = conditions(diagram(Says(by_plant=True, w_box=[0, 1])))
     assert not [item for item in checked if "starts inside" in item.name]
     assert [item.text for item in assumed] == [
@@ -334,7 +334,7 @@ def test_a_box_without_width_is_no_fault() -> None:
     assert check_law(built.loop.projections[0], built.loop).holds
 
 
-def test_every_packaged_projection_is_held_to_the_lemma() -> None:
+def test_every_packaged_projection_is_checked_against_the_lemma() -> None:
     count = 0
     for name in structures():
         loop = Graph.read(name).diagram.loop

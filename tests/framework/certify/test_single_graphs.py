@@ -1,4 +1,4 @@
-"""What is said of many numbers at once is what `verify` says of each graph by itself: boxes, counts, and moved numbers.
+"""A verdict over many numbers at once is what `verify` says of each graph by itself: boxes, counts, and moved numbers.
 
 Of each packaged graph some numbers and starts are drawn, those that are zero too. Whenever the box, the count of a
 study or the margins of a page say that the proof holds, or that it fails, `verify` of that single graph has to agree.
@@ -98,13 +98,13 @@ def disagreements(name: str, labels: int = LABELS) -> Iterator[tuple[str, str]]:
             if rows is None:
                 continue
             moved = written(diagram, label, rows)
-            told = {"page": held_at(diagram, start, {label: moved}, POINTS, nominal)}
+            verdicts = {"page": held_at(diagram, start, {label: moved}, POINTS, nominal)}
             box = box_of(diagram, start, label, rows)
             if box is not None:
-                told["count"] = held_at(diagram, start, {label: moved}, POINTS, box)
-                told["box"] = np.full(POINTS, HOLDS) if box.outcome == "proved" else None
+                verdicts["count"] = held_at(diagram, start, {label: moved}, POINTS, box)
+                verdicts["box"] = np.full(POINTS, HOLDS) if box.outcome == "proved" else None
             for point in range(POINTS):
-                says = {kind: int(found[point]) for kind, found in told.items() if found is not None}
+                says = {kind: int(found[point]) for kind, found in verdicts.items() if found is not None}
                 if not {HOLDS, FAILS} & set(says.values()):
                     yield label, "open"
                     continue
@@ -120,7 +120,7 @@ def false(name: str, labels: int) -> list[tuple[str, str]]:
     return [(label, what) for label, what in disagreements(name, labels) if "falsely" in what]
 
 
-def test_what_is_said_of_many_numbers_single_graphs_say() -> None:
+def test_single_graphs_agree_with_the_verdict_over_many_numbers() -> None:
     assert false("arm2_joint", 1) == []
 
 

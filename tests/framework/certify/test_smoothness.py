@@ -191,7 +191,7 @@ def test_a_path_made_of_a_state_is_refused() -> None:
     assert "path_r.r moves with s; a desired trajectory is a function of time and parameters alone" in fault
 
 
-def test_a_rate_that_jumps_is_told_as_an_assumption() -> None:
+def test_a_rate_that_jumps_is_listed_as_an_assumption() -> None:
     diagram = scalar_loop(
         "y",
         lambda x, u, p: {"y": -ca.sign(x.y)},

@@ -1,7 +1,7 @@
 """Bad graphs and their messages, word for word: `bad_graphs.txt`, and `bad_blocks.txt` for a user's own blocks.
 
 In those files ``== name`` begins a case; ``- old`` and ``+ new`` change `GOOD`, ``$`` is an override, ``|`` a line of a
-graph of its own, ``> file`` begins a file beside it whose lines follow after a colon (``> Mine``: the body of a block
+graph of its own, ``> file`` begins a file next to it whose lines follow after a colon (``> Mine``: the body of a block
 class Mine in mine.py), and what remains is the whole message, in which ``{block types}`` lists the packaged ones.
 """
 
@@ -101,7 +101,7 @@ GRAPHS, BLOCKS = list(cases("bad_graphs.txt")), list(cases("bad_blocks.txt"))
 
 
 def complaint(text: str, overrides: list[str] | None = None) -> str:
-    """What is said of a graph file g.yaml in the current folder."""
+    """The error for a graph file g.yaml in the current folder."""
     Path("g.yaml").write_text(text, encoding="utf-8")
     graph: Graph | None = None
     try:
@@ -115,7 +115,7 @@ def complaint(text: str, overrides: list[str] | None = None) -> str:
 
 
 @pytest.mark.parametrize("case", [*GRAPHS, *BLOCKS], ids=lambda case: case.name)
-def test_a_bad_graph_is_told_what_is_wrong_where_and_what_is_right(
+def test_a_bad_graph_is_refused_with_fault_place_and_remedy(
     case: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -143,7 +143,7 @@ def test_the_good_graph_is_good(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert simulate(graph.diagram, 0.02, clock=graph.file.clock, start=graph.start).divergence is None
 
 
-def test_several_faults_are_told_in_the_order_of_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_several_faults_are_reported_in_the_order_of_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     bad = GOOD.replace("arm2", "amr2").replace("gamma", "gama").replace("4 ms", "4 kg").replace("[60, 30]", "[60, -3]")
     Path("g.yaml").write_text(bad, encoding="utf-8")

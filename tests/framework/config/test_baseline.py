@@ -65,7 +65,7 @@ def test_a_baseline_stays_one_when_it_is_changed_cut_or_pickled(tmp_path: Path) 
     assert list(again.blocks) == blocks
 
 
-def test_a_block_of_the_baseline_is_set_where_it_stands_in_the_file(tmp_path: Path) -> None:
+def test_a_block_of_the_baseline_is_set_at_its_place_in_the_file(tmp_path: Path) -> None:
     own = "baseline: {dynamics: {type: dynamic_compensator, Gamma: 5}}\n"
     path = written(tmp_path, GRAPH + own)
     changed = Graph.read(path).baseline().set({"dynamics.Gamma": 7, "task.alpha_bar": 2})
@@ -103,7 +103,7 @@ def test_without_the_key_there_is_nothing_to_compare_with(tmp_path: Path) -> Non
         ("{inverse: 3}", "baseline.inverse: expected keys with values, found 3"),
     ],
 )
-def test_a_bad_baseline_is_told_when_the_graph_is_read(tmp_path: Path, baseline: str, text: str) -> None:
+def test_a_bad_baseline_is_reported_when_the_graph_is_read(tmp_path: Path, baseline: str, text: str) -> None:
     with pytest.raises(DmframeError) as caught:
         Graph.read(written(tmp_path, f"{GRAPH}baseline: {baseline}\n"))
     assert text in str(caught.value)
@@ -113,8 +113,8 @@ def test_a_bad_baseline_is_told_when_the_graph_is_read(tmp_path: Path, baseline:
 def test_each_packaged_baseline_is_the_kinematic_controller_before_the_same_robot(name: str) -> None:
     graph = Graph.read(name)
     if not graph.file.baseline:
-        beside = ("ur10_fast", "ur10_slow", "ur10_full", "arm2_joint", "pendulum")  # they have graphs beside them
-        assert "servo" not in graph.file.blocks or name.startswith(beside)
+        paired = ("ur10_fast", "ur10_slow", "ur10_full", "arm2_joint", "pendulum")  # they have baselines of their own
+        assert "servo" not in graph.file.blocks or name.startswith(paired)
         return
     other = graph.baseline()
     assert other.file.blocks["inverse"] == {"type": "kinematic_command"}

@@ -68,7 +68,7 @@ def test_an_override_goes_before_the_file() -> None:
     assert Graph.read("pendulum").data["blocks"]["task"]["alpha_bar"] == 2
 
 
-def test_a_robot_asked_for_in_the_same_words_is_not_read_again() -> None:
+def test_a_robot_requested_in_the_same_words_is_not_read_again() -> None:
     graph = Graph.read("ur10_fast")
     assert graph.set({"dynamics.Gamma": 3}).robot is graph.robot
     other = graph.set({"robot.friction_velocity": "1 mrad/s"})
@@ -128,7 +128,7 @@ def test_intervals_are_refused_where_a_proof_takes_them_and_leave_a_run_alone(ov
     assert str(caught.value).startswith("--set ")
 
 
-def test_all_that_a_run_would_refuse_is_told_at_once() -> None:
+def test_everything_that_a_run_would_refuse_is_reported_at_once() -> None:
     with pytest.raises(Faults) as caught:
         _ = Graph.read("pendulum", ["start.qq=1", "log.signals=[a, b]"]).diagram
     assert len(caught.value.faults) == 3
@@ -172,7 +172,7 @@ def test_an_override_keeps_all_of_its_one_value(written: str, value: object) -> 
     assert document.data["title"] == value
 
 
-def test_a_users_block_beside_the_graph_runs_from_any_folder(tmp_path: Path) -> None:
+def test_a_users_block_next_to_the_graph_runs_from_any_folder(tmp_path: Path) -> None:
     (tmp_path / "my_block.py").write_text(LEAKY)
     own = "  slow:     {type: my_block.py:Leaky, rate: 3}\n"
     (tmp_path / "own.yaml").write_text(PENDULUM + own)

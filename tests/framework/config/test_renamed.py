@@ -93,7 +93,7 @@ def write(tmp_path: Path) -> Callable[[str], Path]:
     return write
 
 
-def told(call: Callable[[], Any]) -> str:
+def printed(call: Callable[[], Any]) -> str:
     with pytest.raises(DmframeError) as caught:
         call()
     return str(caught.value)
@@ -173,9 +173,9 @@ def test_set_reads_old_names_wherever_a_file_may_hold_them(
     wanted = Graph.read(write(NEW), [new])
     assert capsys.readouterr().err == ""
     assert Graph.read(write(NEW), [old]).data == wanted.data
-    told = capsys.readouterr().err.splitlines()
-    assert told
-    assert all(line.startswith(f"--set {old}: notice: ") for line in told)
+    printed = capsys.readouterr().err.splitlines()
+    assert printed
+    assert all(line.startswith(f"--set {old}: notice: ") for line in printed)
 
 
 def test_set_takes_an_old_start(write: Callable[[str], Path]) -> None:
@@ -184,21 +184,21 @@ def test_set_takes_an_old_start(write: Callable[[str], Path]) -> None:
 
 def test_both_names_at_once_are_an_error_with_its_place(write: Callable[[str], Path]) -> None:
     file = write(NEW.replace("rate: 3", "rate: 3, gain: 4").replace("{cart.push", "{cart.shove: [0, 1], cart.push"))
-    text = told(lambda: Graph.read(file))
+    text = printed(lambda: Graph.read(file))
     assert f"{file}:7:43: gain is now called rate, and both are given; keep only rate" in text
     assert f"{file}:11:13: cart.shove is now called cart.push, and both are given" in text
-    text = told(lambda: Graph.read(write(NEW), ["pull.gain=1", "pull.rate=2"]))
+    text = printed(lambda: Graph.read(write(NEW), ["pull.gain=1", "pull.rate=2"]))
     assert text == "--set pull.gain=1: gain is now called rate, and both are given; keep only rate"
 
 
-def test_a_bad_value_under_an_old_name_is_told_where_it_stands(write: Callable[[str], Path]) -> None:
+def test_a_bad_value_under_an_old_name_is_reported_at_its_place(write: Callable[[str], Path]) -> None:
     file = write(NEW.replace("rate: 3", "gain: -3"))
-    assert told(lambda: Graph.read(file)).startswith(f"{file}:7:40: blocks.pull.rate: ")
-    assert "--set pull.gain=-1: blocks.pull.rate: " in told(lambda: Graph.read(write(NEW), ["pull.gain=-1"]))
+    assert printed(lambda: Graph.read(file)).startswith(f"{file}:7:40: blocks.pull.rate: ")
+    assert "--set pull.gain=-1: blocks.pull.rate: " in printed(lambda: Graph.read(write(NEW), ["pull.gain=-1"]))
 
 
 def test_a_block_of_another_type_has_no_old_names(write: Callable[[str], Path]) -> None:
-    assert "gain" in told(lambda: Graph.read(write(NEW.replace("push: 0.5", "gain: 0.5"))))
+    assert "gain" in printed(lambda: Graph.read(write(NEW.replace("push: 0.5", "gain: 0.5"))))
 
 
 def test_old_names_must_lead_to_names_that_the_block_has() -> None:

@@ -104,27 +104,27 @@ def test_another_process_finds_the_same() -> None:
 def test_what_was_proved_is_what_ran(tmp_path: Path) -> None:
     graph = Graph.read("arm2_joint", ["duration=10 ms"])
     diagram = graph.diagram
-    told = summary("arm2_joint", verify(diagram, trials=1))
+    data = summary("arm2_joint", verify(diagram, trials=1))
     run = simulate(graph.diagram, 0.01, clock=graph.file.clock, start=graph.start)
     write_run(tmp_path / "out", [Run(graph, run)], plots=False)
     written = json.loads((tmp_path / "out" / "provenance.json").read_text())
-    assert told["field_hash"] == written["field_hash"] == diagram.fingerprint
+    assert data["field_hash"] == written["field_hash"] == diagram.fingerprint
     again = Graph.read(tmp_path / "out" / "graph.yaml")
     assert again.diagram.fingerprint == diagram.fingerprint
     assert find_graph("arm2_joint") != tmp_path
 
 
 class Fickle(AbstractBlock):
-    """Its equations depend on how often they were asked."""
+    """Its equations depend on how often they were evaluated."""
 
     states = (State("y"), State("z", optional=True))
     outputs = (Output("out"),)
     how: str = ""
-    asked: ClassVar[list[int]] = []
+    calls: ClassVar[list[int]] = []
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        self.asked.append(1)
-        n = len(self.asked)
+        self.calls.append(1)
+        n = len(self.calls)
         sign = -1 if self.how != "sign" else (-1) ** n
         constant = 1 + n * 1e-12 if self.how == "constant" else 1
         rates: dict[str, Any] = {"y": sign * constant * x.y}
@@ -137,7 +137,7 @@ class Fickle(AbstractBlock):
     ("how", "what"),
     [("sign", "rate of y"), ("constant", "rate of y"), ("state", "rate of z"), ("output", "output of out")],
 )
-def test_equations_that_change_when_they_are_asked_again_are_refused(how: str, what: str) -> None:
+def test_equations_that_change_at_a_second_evaluation_are_refused(how: str, what: str) -> None:
     with pytest.raises(BlockError, match=f"block: equations\\(\\) state another {what} when evaluated again"):
         of(Fickle(how=how))
     assert of(Fickle())

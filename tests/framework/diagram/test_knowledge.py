@@ -20,7 +20,7 @@ from dmframe.robot.library import load
 
 
 class Arm(AbstractBlock):
-    """dq = v; K is handed out, its twice is hidden."""
+    """dq = v; K is an output, its double is hidden."""
 
     side = Side.PLANT
     inputs = (Input("v", "n", "rad/s"),)

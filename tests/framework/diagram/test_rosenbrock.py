@@ -133,7 +133,7 @@ def test_a_system_too_large_to_write_out_is_refused() -> None:
         Elimination.of(ca.SX.sym("A", size, size))
 
 
-def test_a_cheap_jacobian_is_used_whole_and_a_dear_one_but_for_inertia_gravity_and_coriolis_forces() -> None:
+def test_a_cheap_jacobian_is_used_whole_and_a_slow_one_without_inertia_gravity_and_coriolis_forces() -> None:
     small = prepare(Graph.read("arm2_joint").diagram, 1, clock=0.004, solver=Solver(), log=Log()).step.parts
     assert small.slopes.used is small.slopes.exact
     experiment = Graph.read("ur10_full")
@@ -167,7 +167,7 @@ def test_a_cheap_jacobian_is_used_whole_and_a_dear_one_but_for_inertia_gravity_a
     )
 
 
-def test_of_a_dear_jacobian_what_stands_in_a_square_is_left_out() -> None:
+def test_a_slow_jacobian_leaves_out_what_is_in_a_square() -> None:
     x, u, w, p = ca.SX.sym("x", 30), ca.SX.sym("u", 0), ca.SX.sym("w", 0), ca.SX.sym("p")
     rate = -p * ca.sumsqr(x) * x - 3 * ca.tanh(x)
     slopes = Slopes.of(ca.Function("rate", [x, u, w, p], [rate]), 0)

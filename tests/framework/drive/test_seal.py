@@ -87,8 +87,8 @@ def test_a_replay_compares_each_signal_that_it_names(drive: Run, tmp_path: Path,
     values = np.array(recording[label])
     values[5:] = values[5]
     if label in recording.beside:
-        beside = {**recording.beside, label: replace(recording.beside[label], values=values)}
-        changed = replace(recording, beside=beside)
+        series = {**recording.beside, label: replace(recording.beside[label], values=values)}
+        changed = replace(recording, beside=series)
     elif label in recording.outputs:
         changed = replace(recording, outputs={**recording.outputs, label: values})
     else:

@@ -1,4 +1,4 @@
-"""What `Graph.explain` says is so: each kind of sentence is held to a graph for which it would be false."""
+"""What `Graph.explain` says is so: each kind of sentence is checked against a graph for which it would be false."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Plain(AbstractBlock):
 
 
 PROVED = ("pendulum", "ur10_fast", "ur10_slow_kinematic")
-"""Graphs of whose verdict these tests speak; of others, the claim alone is asked for."""
+"""Graphs of whose verdict these tests speak; of others, only the claim is needed."""
 
 
 @cache
@@ -45,7 +45,7 @@ def explained(name: str) -> Explanation:
 
 
 def said(name: str, block: str = "") -> str:
-    """All that is said of a block, or under the last heading, of one graph, in one line."""
+    """The section of a block, or the last one, of one graph, in one line."""
     sections = explained(name).sections
     (found,) = [section for section in sections if f" {block} (" in section.heading] if block else sections[-1:]
     return " ".join([found.heading, *(item.text for item in found.said)])
@@ -294,7 +294,7 @@ def test_the_summary_is_plain_data() -> None:
     assert (data["verdict"], data["command"]) == ("proved", "dmframe verify ur10_fast")
 
 
-def test_the_printed_truth_of_an_estimate_is_held_to_the_one_that_is_proved() -> None:
+def test_the_printed_truth_of_an_estimate_is_the_one_that_is_proved() -> None:
     from dmframe.formula.law import PrintedLaw
 
     laws = {block.name: block.law for block in explained("ur10_fast").blocks}

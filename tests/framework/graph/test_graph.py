@@ -66,10 +66,10 @@ def test_data_may_hold_arrays_tuples_and_numbers_of_numpy() -> None:
         (7, "load: expected a graph's name, its path, its text or a dictionary, found int"),
     ],
 )
-def test_what_is_no_graph_is_told_with_its_place(source: Any, text: str) -> None:
-    with pytest.raises(DmframeError) as told:
+def test_text_that_is_no_graph_is_refused_with_its_place(source: Any, text: str) -> None:
+    with pytest.raises(DmframeError) as caught:
         dm.load(source)
-    assert text in str(told.value)
+    assert text in str(caught.value)
 
 
 def test_a_value_that_is_set_gives_another_graph_and_leaves_this_one(pendulum: dm.Graph) -> None:
@@ -110,17 +110,17 @@ def test_each_changed_copy_is_a_graph_with_the_same_methods(pendulum: dm.Graph) 
         ({"dynamics": 1}, "expected a parameter of a block, dynamics.parameter=value"),
     ],
 )
-def test_a_value_that_cannot_be_set_is_told_with_its_name(pendulum: dm.Graph, values: Any, text: str) -> None:
-    with pytest.raises(DmframeError) as told:
+def test_a_value_that_cannot_be_set_is_refused_with_its_name(pendulum: dm.Graph, values: Any, text: str) -> None:
+    with pytest.raises(DmframeError) as caught:
         pendulum.set(values)
-    assert text in str(told.value)
+    assert text in str(caught.value)
 
 
-def test_all_faults_of_several_values_are_told_at_once(pendulum: dm.Graph) -> None:
-    with pytest.raises(DmframeError) as told:
+def test_all_faults_of_several_values_are_reported_at_once(pendulum: dm.Graph) -> None:
+    with pytest.raises(DmframeError) as caught:
         pendulum.set({"dynamics.Gamma": -1, "inverse.K_c": 0})
-    assert "dynamics.Gamma" in str(told.value)
-    assert "inverse.K_c" in str(told.value)
+    assert "dynamics.Gamma" in str(caught.value)
+    assert "inverse.K_c" in str(caught.value)
 
 
 def test_a_run_keeps_the_graphs_clock_solver_start_and_log() -> None:
@@ -136,7 +136,7 @@ def test_a_run_keeps_the_graphs_clock_solver_start_and_log() -> None:
 
 
 @pytest.mark.parametrize("until", [0.2, "0.2 s", "200 ms", np.float64(0.2)])
-def test_a_run_lasts_as_long_as_it_is_asked_to(pendulum: dm.Graph, until: Any) -> None:
+def test_a_run_lasts_as_long_as_requested(pendulum: dm.Graph, until: Any) -> None:
     run = pendulum.run(until)
     assert (run.time[-1], run.graph.file.duration) == (0.2, 0.2)
 
@@ -262,7 +262,7 @@ def test_every_public_name_has_a_docstring_and_typed_arguments() -> None:
 
 def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="has no attribute 'simulate_all'"):
-        dm.simulate_all  # noqa: B018 - asking is the test
+        dm.simulate_all  # noqa: B018 - the attribute is the test
 
 
 def test_importing_it_imports_nothing_heavy() -> None:
@@ -292,14 +292,14 @@ def test_functions_stay_functions_when_the_rooms_are_imported() -> None:
     assert done.stdout == "[]\n"
 
 
-def test_an_unknown_engine_is_told(pendulum: dm.Graph) -> None:
+def test_an_unknown_engine_is_refused(pendulum: dm.Graph) -> None:
     with pytest.raises(ValueFault, match="engine: expected auto, compiled, interpreted, found 'fast'"):
         pendulum.run("0.1 s", engine="fast")  # type: ignore[arg-type]
 
 
 def test_a_run_says_that_its_loop_is_unstable_on_its_clock_though_it_stayed_bounded() -> None:
-    told = dm.load("ur10_slow").run("12 s").notices
-    assert any("unstable near its set-point on a clock of 90 ms, spectral radius" in notice for notice in told)
+    notices = dm.load("ur10_slow").run("12 s").notices
+    assert any("unstable near its set-point on a clock of 90 ms, spectral radius" in notice for notice in notices)
     assert dm.load("ur10_slow").run("5 s").notices == ()  # too short to be worth the look
     assert dm.load("ur10_fast").run("12 s").notices == ()
 
@@ -344,15 +344,15 @@ def test_blocks_cannot_be_exchanged_behind_a_graphs_back(pendulum: dm.Graph) -> 
         (lambda g: g.run(0.1).plot("arm.q").save("x.png"), "expected a folder, found the name of a file"),
     ],
 )
-def test_what_one_tries_first_and_does_not_work_is_told(pendulum: dm.Graph, call: Any, text: str) -> None:
-    with pytest.raises(DmframeError) as told:
+def test_common_first_mistakes_are_refused_with_a_remedy(pendulum: dm.Graph, call: Any, text: str) -> None:
+    with pytest.raises(DmframeError) as caught:
         call(pendulum)
-    assert text in str(told.value)
+    assert text in str(caught.value)
 
 
-def test_a_run_that_is_not_as_long_as_asked_says_so(pendulum: dm.Graph) -> None:
-    told = dm.load("ur10_fast").run("12 ms").notices
-    assert told == ("16 ms are simulated, not 12 ms: whole ticks of 8 ms",)
+def test_a_run_that_is_not_as_long_as_requested_gives_a_notice(pendulum: dm.Graph) -> None:
+    notices = dm.load("ur10_fast").run("12 ms").notices
+    assert notices == ("16 ms are simulated, not 12 ms: whole ticks of 8 ms",)
     assert pendulum.run("0.3 s").notices == ()
     few = pendulum.set({"log.every": 0.5}).run("0.5 s")
     assert few.notices == ("log.every keeps fewer than three instants of this run",)

@@ -1,4 +1,4 @@
-"""What a live page evaluates beside its run."""
+"""What a live page evaluates besides its run."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ def test_a_graph_that_cannot_be_simulated_says_why(proved, monkeypatch):
     assert (found.facts, found.figure) == ((), "")
 
 
-def test_a_run_that_diverged_is_told_with_its_state(proved, monkeypatch):
+def test_a_run_that_diverged_is_reported_with_its_state(proved, monkeypatch):
     run = proved.experiment.until(0.1).simulate(proved.diagram)
     states = {label: rows.copy() for label, rows in run.states.items()}
     states["arm.dq"][-1] = 1e200

@@ -15,7 +15,7 @@ from dmframe.graph.graph import Graph
 VALIDATOR = Draft202012Validator(verdict_schema())
 
 
-def told(name):
+def summary_of(name):
     graph = Graph.read(name)
     diagram = graph.diagram
     return summary(graph.name, verify(diagram, uncertain=intervals(diagram, graph.file.uncertain)))

@@ -79,7 +79,7 @@ def test_a_gain_that_is_a_matrix_is_written_out_and_so_is_its_inverse_in_v():
         (np.array([[7.0]]), "7"),
     ],
 )
-def test_a_large_matrix_is_told_by_its_size_and_what_stands_on_and_off_its_diagonal(values, expected):
+def test_a_large_matrix_is_printed_by_its_size_and_its_entries_on_and_off_the_diagonal(values, expected):
     assert shown(values) == expected
 
 
@@ -92,7 +92,7 @@ def test_a_large_matrix_is_told_by_its_size_and_what_stands_on_and_off_its_diago
         ("diagonal", [1.0, 2], "1, 2"),
     ],
 )
-def test_a_box_and_a_ball_are_told_by_both_parts_and_brackets_hold_lists_alone(form, value, expected):
+def test_a_box_and_a_ball_are_printed_by_both_parts_and_brackets_hold_lists_alone(form, value, expected):
     assert parameter_text(np.array(value), Spec("n", "", "", form)) == expected
 
 

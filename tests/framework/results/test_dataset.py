@@ -95,7 +95,7 @@ def test_a_block_of_a_users_own_names_what_it_binds():
     assert element_labels(diagram, "p", 3) == ("1", "2", "3")
 
 
-def test_an_element_that_cannot_be_named_is_told_by_the_blocks_name(monkeypatch):
+def test_an_element_that_cannot_be_named_is_labelled_by_the_blocks_name(monkeypatch):
     diagram = Diagram.build({"mine": Reduced(names=("beta_1", "beta_2"))}, {}, load("pendulum"))
     monkeypatch.setattr(Reduced, "elements", lambda self, robot: {"p": ("beta_1", "beta_2")})
     with pytest.raises(BlockError, match=r"mine: elements\(\), .*'str' object has no attribute 'name'"):

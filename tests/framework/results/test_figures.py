@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from dmframe.certify.along import along
 from dmframe.errors import UnknownNameError
 from dmframe.plotting import FORMATS, files_of, look, styled, thin
+from dmframe.results.along import along
 from dmframe.results.command_figure import command_figure
 from dmframe.results.effort_figure import effort_figure
 from dmframe.results.error_figure import error_figure
@@ -32,7 +32,7 @@ def drawn(name, run):
                 figure.draw_without_rendering()
 
 
-def test_figures_lie_beside_the_data_as_small_well_formed_svg(tmp_path, ur10, kinematic):
+def test_figures_are_written_next_to_the_data_as_small_well_formed_svg(tmp_path, ur10, kinematic):
     write_run(tmp_path / "out", [kinematic, ur10])
     files = {item.name for item in (tmp_path / "out").iterdir() if item.is_file()} - {"seal.json"}
     assert files == {f"{name}.svg" for name in NAMES}
@@ -219,7 +219,7 @@ def test_a_figure_names_the_runs_that_it_leaves_out_and_the_stretch_that_it_show
     assert note(effort_figure({"big": longer})) == "from 38 s to 50 s of 50 s; controller every 8 ms"
 
 
-def test_true_values_stand_beside_the_names_of_their_estimates(ur10):
+def test_true_values_are_written_next_to_the_names_of_their_estimates(ur10):
     figure = estimate_figure("ur10", ur10.recording)
     texts = [text.get_text() for text in figure.axes[1].get_legend().get_texts()]
     K_D = ur10.graph.blocks["servo"].K_D
@@ -280,7 +280,7 @@ def test_a_graph_of_which_nothing_would_be_proved_has_no_figure_of_v(kinematic, 
     partly = replace(pendulum, recording=replace(pendulum.recording, states=states))
     assert storage_figure("a state was not kept", partly) is None
     assert storage_figure("all is well", pendulum) is not None
-    monkeypatch.setattr("dmframe.certify.unproved.MOST", 3)
+    monkeypatch.setattr("dmframe.results.claimed.MOST", 3)
     assert storage_figure("too large to be decided on the way", replace(pendulum)) is None
 
 

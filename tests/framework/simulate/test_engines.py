@@ -67,16 +67,18 @@ def test_auto_compiles_a_long_run_and_interprets_a_short_one() -> None:
     assert ran("arm2_joint", "auto", 200).engine == "compiled"
 
 
-def test_an_adaptive_solver_is_interpreted_and_says_so_where_it_was_asked_to_be_compiled() -> None:
+def test_an_adaptive_solver_is_interpreted_and_gives_a_notice_where_compiled_was_requested() -> None:
     graph = Graph.read("pendulum")
     diagram, solver = graph.diagram, Solver("cvodes", tolerance=1e-6)
-    asked, chosen = (simulate(diagram, 0.1, solver=solver, start=graph.start, engine=e) for e in ("compiled", "auto"))
-    assert (asked.engine, chosen.engine) == ("interpreted", "interpreted")
-    assert any("cvodes runs interpreted" in notice for notice in asked.notices)
+    requested, chosen = (
+        simulate(diagram, 0.1, solver=solver, start=graph.start, engine=e) for e in ("compiled", "auto")
+    )
+    assert (requested.engine, chosen.engine) == ("interpreted", "interpreted")
+    assert any("cvodes runs interpreted" in notice for notice in requested.notices)
     assert not any("interpreted" in notice for notice in chosen.notices)
 
 
-def test_an_unknown_engine_is_told() -> None:
+def test_an_unknown_engine_is_refused() -> None:
     with pytest.raises(ValueFault, match="engine: expected auto, compiled, interpreted, found 'fast'"):
         ran("pendulum", "fast", 0.1)
 
@@ -132,7 +134,7 @@ def test_an_hour_at_8_ms_keeps_at_most_160_megabytes() -> None:
         ({"signals": ("arm.qq",)}, UnknownNameError, "log.signals: unknown signal; did you mean arm.q?"),
     ],
 )
-def test_a_log_that_cannot_be_is_told(log: dict[str, Any], kind: type[DmframeError], text: str) -> None:
+def test_an_impossible_log_is_refused(log: dict[str, Any], kind: type[DmframeError], text: str) -> None:
     with pytest.raises(kind, match=re.escape(text)):
         ran("arm2_joint", "interpreted", 0.1, log=Log(**log))
 

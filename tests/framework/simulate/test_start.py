@@ -157,7 +157,7 @@ def test_starts_are_found_in_the_order_in_which_they_need_one_another_whatever_t
     np.testing.assert_array_equal(start_state(diagram, {}), [15, 7, 3])
 
 
-def test_starts_that_wait_for_one_another_are_told() -> None:
+def test_starts_that_depend_on_one_another_are_reported() -> None:
     diagram = Diagram.build({"one": Follower(), "two": Follower()}, {"one.a": "two.b", "two.a": "one.b"})
     with pytest.raises(StartError) as caught:
         start_state(diagram, {})
@@ -186,7 +186,7 @@ def test_a_goal_of_the_joints_needs_no_search_and_is_what_scipy_finds(tmp_path: 
     [lambda q: ca.cos(q), lambda q: q[0] + q[1], lambda q: ca.vertcat(q[0] + q[1], 2 * q[0] + 2 * q[1])],
     ids=["not affine", "fewer than joints", "singular"],
 )
-def test_of_a_goal_with_no_or_with_several_poses_none_is_said(place: Any) -> None:
+def test_a_goal_with_no_or_with_several_poses_gives_no_pose(place: Any) -> None:
     q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 1)
     residual = ca.Function("residual", [q, p], [place(q)])
     goal = np.zeros(residual.numel_out(0))
@@ -200,5 +200,5 @@ def test_a_pose_of_the_joints_beyond_their_limits_is_refused(tmp_path: Path) -> 
 
 def test_a_run_to_a_goal_of_the_joints_does_not_import_the_search() -> None:
     code = "import sys, dmframe as dm; dm.load('pendulum').run(1); print('scipy' in sys.modules)"
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert told.stdout.strip() == "False"
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert process.stdout.strip() == "False"

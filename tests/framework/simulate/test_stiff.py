@@ -76,7 +76,7 @@ class Singular(Plant):
 
 
 class Square(AbstractBlock):
-    """dx = -k |x|^2 x, of which a Jacobian is dear: it is left out of what ros34pw2 solves for."""
+    """dx = -k |x|^2 x, of which a Jacobian is slow: it is left out of what ros34pw2 solves for."""
 
     side = Side.PLANT
     outputs = (Output("x", "40", "", Access.MEASURED),)
@@ -88,7 +88,7 @@ class Square(AbstractBlock):
 
 
 class Spring(AbstractBlock):
-    """x'' = -k |x|^2 x: steep in the positions alone, by a product, with a Jacobian that is dear."""
+    """x'' = -k |x|^2 x: steep in the positions alone, by a product, with a slow Jacobian."""
 
     side = Side.PLANT
     outputs = (Output("y", "40", "", Access.MEASURED),)
@@ -268,7 +268,7 @@ def test_a_smaller_share_of_the_stable_step_is_a_smaller_error() -> None:
             Solver(share=share)
 
 
-def test_a_plant_of_which_too_much_is_left_out_is_told_and_not_chosen() -> None:
+def test_a_plant_of_which_too_much_is_left_out_is_reported_and_not_chosen() -> None:
     start = {"x": [1.0] * 40}
     given: dict[str, Any] = {"clock": 0.01, "start": start}
     chosen = simulate(alone(Square(k=20.0)), 0.05, **given)
@@ -276,17 +276,17 @@ def test_a_plant_of_which_too_much_is_left_out_is_told_and_not_chosen() -> None:
     assert chosen.divergence is None
     (notice,) = chosen.notices
     assert notice.startswith("the plant is stiff: rk4 takes steps of ")
-    asked = simulate(alone(Square(k=20.0)), 0.05, solver=Solver("ros34pw2", 1e-3), **given)
-    assert "the plant is stiff in products of what moves, which ros34pw2 integrates explicitly" in asked.notices[0]
+    requested = simulate(alone(Square(k=20.0)), 0.05, solver=Solver("ros34pw2", 1e-3), **given)
+    assert "the plant is stiff in products of what moves, which ros34pw2 integrates explicitly" in requested.notices[0]
     easy = simulate(alone(Square(k=1e-3)), 0.05, solver=Solver("ros34pw2", 1e-3), **given)
     assert easy.notices == ()
 
 
-@pytest.mark.parametrize(("k", "told"), [(1e-2, False), (1e5, True)])
-def test_what_is_left_out_is_seen_where_it_acts_through_another_state(k: float, told: bool) -> None:
+@pytest.mark.parametrize(("k", "reported"), [(1e-2, False), (1e5, True)])
+def test_what_is_left_out_is_seen_where_it_acts_through_another_state(k: float, reported: bool) -> None:
     start = {"x": [1.0] * 40, "y": [0.0] * 40}
     run = simulate(alone(Spring(k=k)), 0.002, clock=0.001, solver=Solver("ros34pw2", 1e-3), start=start)
-    assert any("products of what moves" in notice for notice in run.notices) is told
+    assert any("products of what moves" in notice for notice in run.notices) is reported
 
 
 def test_a_run_of_rk4_that_becomes_stiff_later_is_done_again_at_shorter_steps() -> None:
