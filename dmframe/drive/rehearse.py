@@ -13,7 +13,7 @@ from dmframe.config.experiment import Experiment
 from dmframe.config.sections import tolerance_in
 from dmframe.diagram import Diagram
 from dmframe.drive.bar import Bar, Measured, farthest, quarters
-from dmframe.drive.drive import steered_controller
+from dmframe.drive.drive import RAMP, steered_controller
 from dmframe.drive.identity import Identity, identity
 from dmframe.drive.limits import own_limits
 from dmframe.drive.record import recording_of
@@ -222,6 +222,8 @@ def rehearsed(
     seconds: float | None = None,
     payload: float | None = None,
     limits: Limits | None = None,
+    ramp: float | None = None,
+    patience: float | None = None,
     engine: Choice = "auto",
     report: Callable[[str], None] = lambda _: None,
     tried: Sequence[Condition] | None = None,
@@ -236,6 +238,10 @@ def rehearsed(
         Point mass at the tool [kg]; by default a twentieth of the moving mass.
     limits
         Limits of the gate, as for a drive.
+    ramp
+        Time in which the first motion accelerates [s], in each run; by default `RAMP`.
+    patience
+        Timeout of a sample in the drive [s], which no simulated robot reaches.
     report
         Called with the description of each condition before its run.
     tried
@@ -249,13 +255,15 @@ def rehearsed(
     required = min(experiment.file.duration, LONGEST)
     duration = required if seconds is None else seconds
     clock, limits = clock_of(experiment), limits or own_limits(diagram.robot)
+    ramp = RAMP if ramp is None else ramp
     load = usual_payload(diagram) if payload is None else payload
     given = tried if tried is not None else conditions(clock, duration, load)
     parts = None
     if tried is None:  # before the runs, since a file may change meanwhile
-        parts = identity(experiment, steered_controller(experiment, diagram, engine), limits, load)
+        steered = steered_controller(experiment, diagram, engine)
+        parts = identity(experiment, steered, limits, payload=load, ramp=ramp, patience=patience)
     law, lacking = law_of(experiment, diagram)
-    trial = _Trial(experiment, diagram, duration, limits, engine, law)
+    trial = _Trial(experiment, diagram, Plan(duration, ramp=ramp), limits, engine, law)
     outcomes, ideal, bar = list[Outcome](), None, Bar(lacking=lacking)
     signal = unit = ""
     for condition in given:
@@ -294,7 +302,7 @@ class _Trial:
 
     experiment: Experiment
     diagram: Diagram
-    duration: float
+    plan: Plan
     limits: Limits
     engine: Choice
     law: Law | None
@@ -303,14 +311,13 @@ class _Trial:
         """Errors of the graph's controller."""
         steered = steered_controller(self.experiment, self.diagram, self.engine)
         found, robot, gate = self._driven(steered, options)
-        plan = Plan(self.duration)
         recording = recording_of(
-            self.diagram, steered, found, robot=robot.name, plan=plan, gate=gate, solver=robot.solver
+            self.diagram, steered, found, robot=robot.name, plan=self.plan, gate=gate, solver=robot.solver
         )
         error = tracking_error(recording) if recording is not None else None
         if recording is None or error is None:
             raise DriveError(f"{self.experiment.name}: expected a graph that follows a path")
-        times = recording.time / self.duration
+        times = recording.time / self.plan.until
         still = euclidean(recording[error.actual][0] - recording[error.desired])
         stopped = _stopped(found, float(recording.time[-1]))
         parts = quarters(times, error.norm, still)
@@ -325,13 +332,13 @@ class _Trial:
         journal, name = found.journal, "q" if self.law.shown is None else "x"
         times, shown = journal["reference"], journal[name]
         wanted = np.array([self.law.goal(t)[0].full().ravel() for t in times])
-        parts = quarters(times / self.duration, euclidean(shown - wanted), euclidean(shown[0] - wanted))
+        parts = quarters(times / self.plan.until, euclidean(shown - wanted), euclidean(shown[0] - wanted))
         return Measured("", "", *parts, _stopped(found, float(times[-1])))
 
     def _driven(self, steered: Any, options: dict[str, Any]) -> tuple[Driven, SimulatedRobot, Gate]:
-        robot = simulated_robot(self.experiment, self.diagram, self.duration, self.engine, **options)
+        robot = simulated_robot(self.experiment, self.diagram, self.plan.until, self.engine, **options)
         gate = Gate(self.limits, robot.period)
-        return drive(steered, robot, gate, Plan(self.duration), lambda: ""), robot, gate
+        return drive(steered, robot, gate, self.plan, lambda: ""), robot, gate
 
 
 def _stopped(found: Driven, time: float) -> str:
