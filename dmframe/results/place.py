@@ -189,10 +189,15 @@ def _locked(folder: Path, path: Path) -> int | None:
 
 
 @contextmanager
-def built(place: Place) -> Iterator[Path]:
-    """Hidden folder that replaces `place` on success and is removed on failure.
+def built(place: Place, *, seal: bool = True) -> Iterator[Path]:
+    """Hidden folder that replaces `place` on success and is removed on failure; its files are synced to the disk first.
 
     It is inside an existing `place`, since a working directory or a mount point cannot be replaced.
+
+    Parameters
+    ----------
+    seal
+        Write a seal of the data files.
     """
     building, moved = (place.folder.parent if place.new else place.folder) / hidden_name(), list[Path]()
     with writing(place.path, "folder"):
@@ -201,7 +206,8 @@ def built(place: Place) -> Iterator[Path]:
             building.parent.mkdir(parents=True, exist_ok=True)
             building.mkdir()
             yield building
-            _seal_data(building)
+            if seal:
+                _seal_data(building)
             sync_below(building)
             lock = _locked(building, place.path)  # a lock belongs to a folder, not to its name
             if lock is not None:
@@ -211,7 +217,8 @@ def built(place: Place) -> Iterator[Path]:
             if not building.exists():
                 sync(place.folder.parent)
                 return
-            (place.folder / SEAL).unlink(missing_ok=True)  # no seal until all files are moved
+            if seal:
+                (place.folder / SEAL).unlink(missing_ok=True)  # none until all files are moved
             for item in sorted(building.iterdir(), key=lambda item: item.name == SEAL):
                 target = place.folder / item.name
                 if target.exists() or target.is_symlink():  # with --force, or created meanwhile

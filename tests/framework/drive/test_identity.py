@@ -19,6 +19,7 @@ from dmframe.drive.rehearse import Condition
 from dmframe.drive.robots import Kind
 from dmframe.errors import DriveError
 
+CONDITIONS = rehearse.conditions
 ROBOTS = Path(__file__).parents[3] / "plants" / "dmframe_plants"
 BLOCK = """
 from typing import ClassVar, final
@@ -180,12 +181,18 @@ VERSIONS: dict[str, tuple[Callable[[pytest.MonkeyPatch], None], str]] = {
 
 def test_a_rehearsal_takes_the_times_of_its_drive(bench: Bench) -> None:
     slow = {"ramp": "0.05 s", "patience": "0.2 s"}
-    found = bench.rehearse(**slow)
-    kept.keep(found)
+    kept.keep(bench.rehearse(**slow))
     assert bench.drive(**slow).recording.time.size > 51  # the first motion takes longer
     with pytest.raises(DriveError, match="drive: ramp"):
         bench.drive()
-    assert found.outcomes[0].error != bench.rehearse().outcomes[0].error
+
+
+def test_a_condition_of_a_rehearsal_has_the_ramp_of_the_drive(bench: Bench) -> None:
+    assert [each.ramp for each in CONDITIONS(0.008, 40.0, 0.0, 1.5) if each.about == "a ramp of 1.5 s"] == [1.5]
+    assert not any(each.ramp for each in CONDITIONS(0.008, 40.0, 0.0, 0.0))
+    graph, tried = bench.graph(), [Condition("nothing", {}), Condition("a ramp", {}, ramp=0.05)]
+    plain, slow = rehearse.rehearsed(graph.experiment, graph.diagram, engine="interpreted", tried=tried).outcomes
+    assert plain.error != slow.error
 
 
 @pytest.mark.parametrize("what", VERSIONS)
