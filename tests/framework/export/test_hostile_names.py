@@ -28,7 +28,7 @@ STRICT = ("-Wall", "-Wextra", "-pedantic", "-Werror", "-fsyntax-only")
 GRAPH = "arm2_joint"
 NAMES = (
     "DM_PERIOD DM_FILE DM_JOINTS DM_NAMED DM_OTHER dm_z main sin memcpy NULL EOF INFINITY M_PI __LINE__ int class "
-    "pthread stdio sched endian errno alloca 1e3 true null ../../x .. %s%n ${xy} $(rm) CMAKE_C_FLAGS C all test joints"
+    "pthread stdio sched endian errno alloca 1e3 true ../../x .. %s%n ${xy} $(rm) CMAKE_C_FLAGS C all test joints"
 ).split()
 NAMES += [
     'quote"s',

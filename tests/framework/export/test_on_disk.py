@@ -16,13 +16,12 @@ import dmframe as dm
 from dmframe.errors import OutputError
 from dmframe.export.c import write_all
 
-KINDS = {"c": "arm2_joint.c", "ros2": "package.xml", "fmu": "arm2_joint.fmu"}
-OPTIONS: dict[str, Any] = {"c": "c", "ros2": "ros2", "fmu": 3}
+KINDS: dict[Any, str] = {"c": "arm2_joint.c", "ros2": "package.xml", "fmi3": "arm2_joint.fmu"}
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_everything_is_synced_to_the_disk_before_it_has_its_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: Any
 ) -> None:
     synced, renames = list[str](), list[tuple[str, int]]()
     fsync, rename = os.fsync, os.rename
@@ -37,7 +36,7 @@ def test_everything_is_synced_to_the_disk_before_it_has_its_name(
 
     monkeypatch.setattr(os, "fsync", noted)
     monkeypatch.setattr(os, "rename", named)
-    files = dm.load("arm2_joint").export(tmp_path / "out", OPTIONS[kind])
+    files = dm.load("arm2_joint").export(tmp_path / "out", kind)
     ((building, count),) = [item for item in renames if item[0].startswith(str(tmp_path))]
     written = {str(file.relative_to(tmp_path / "out")) for file in files}
     assert KINDS[kind] in written
