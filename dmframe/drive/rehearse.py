@@ -9,7 +9,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.columns import columns
-from dmframe.config.experiment import Experiment
+from dmframe.config import BaseGraph
 from dmframe.config.sections import tolerance_in
 from dmframe.diagram import Diagram
 from dmframe.drive.bar import Bar, Measured, farthest, quarters
@@ -221,7 +221,7 @@ def conditions(clock: float, duration: float, payload: float, ramp: float) -> li
 
 
 def rehearsed(
-    experiment: Experiment,
+    experiment: BaseGraph,
     diagram: Diagram,
     *,
     seconds: float | None = None,
@@ -305,7 +305,7 @@ def _why(run: Measured, ideal: Measured) -> str:
 class _Trial:
     """Simulated drives under a condition, with the graph's controller and with its rival."""
 
-    experiment: Experiment
+    experiment: BaseGraph
     diagram: Diagram
     duration: float
     limits: Limits
