@@ -191,7 +191,7 @@ def test_a_condition_of_a_rehearsal_has_the_ramp_of_the_drive(bench: Bench) -> N
     assert [each.ramp for each in CONDITIONS(0.008, 40.0, 0.0, 1.5) if each.about == "a ramp of 1.5 s"] == [1.5]
     assert not any(each.ramp for each in CONDITIONS(0.008, 40.0, 0.0, 0.0))
     graph, tried = bench.graph(), [Condition("nothing", {}), Condition("a ramp", {}, ramp=0.05)]
-    plain, slow = rehearse.rehearsed(graph.experiment, graph.diagram, engine="interpreted", tried=tried).outcomes
+    plain, slow = rehearse.rehearsed(graph, graph.diagram, engine="interpreted", tried=tried).outcomes
     assert plain.error != slow.error
 
 
@@ -227,7 +227,7 @@ def test_a_block_file_that_is_put_back_after_it_was_loaded_opens_nothing(bench: 
 def test_what_no_file_shows_is_seen_in_the_closed_loop_that_drives(bench: Bench) -> None:
     kept.keep(bench.rehearse(payload=1.0))
     graph = bench.graph()
-    experiment, diagram = graph, graph.diagram
+    diagram = graph.diagram
     loop = diagram.loop
     inertia = next(item for item in loop.parameters if item.label == "robot.inertia")
     heavier = replace(inertia, value=5 * inertia.value)
@@ -235,7 +235,7 @@ def test_what_no_file_shows_is_seen_in_the_closed_loop_that_drives(bench: Bench)
     diagram = replace(diagram, loop=replace(loop, parameters=parameters))
     limits = load_limits(bench.limits, graph.robot)
     with pytest.raises(DriveError, match=r"Changes since its rehearsal of .*: closed loop: field"):
-        driven(experiment, diagram, "real:host", limits=limits, payload=1.0, ramp=0, engine="interpreted")
+        driven(graph, diagram, "real:host", limits=limits, payload=1.0, ramp=0, engine="interpreted")
 
 
 def notes(tmp_path: Path) -> list[Path]:
