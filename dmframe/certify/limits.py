@@ -14,20 +14,19 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import casadi as ca
 
 from dmframe.certificate import SX, Potential, Square, soft_clip
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
-from dmframe.certify.symbols import Group, exact_values, symbols_of
+from dmframe.certify.symbols import Group, Symbols, exact_values, symbols_of
 from dmframe.exact import Tape
 from dmframe.exact.linear import rank
-from dmframe.exact.shift import Shift, ZeroDivision
-from dmframe.linalg import solve_spd
+from dmframe.exact.trial import Trial, ZeroDivision
+from dmframe.linalg import nodes, solve_spd
 from dmframe.text import Text, around, listed_text, name_of, sentence
 
 MORE = 3
@@ -77,20 +76,19 @@ def goals(claim: Claim, closure: Closure) -> list[Goal]:
     return list(found.values())
 
 
-def combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Vanishing]) -> Made | None:
+def combined(field: Combinations, closure: Closure, goal: Goal, vanishing: Sequence[Vanishing]) -> Made | None:
     """Why a goal goes to zero, if it does: it itself, or its soft_clip, which is zero where it is and nowhere else."""
-    made = _combined(claim, closure, goal, vanishing)
+    made = _combined(field, closure, goal, vanishing)
     if made is None and goal.width is not None:
         forces = Goal(
             Text(around(goal.of, "soft_clip({})", r"\operatorname{soft\_clip}({})")), soft_clip(goal.vector, goal.width)
         )
-        made = _combined(claim, closure, forces, vanishing)
+        made = _combined(field, closure, forces, vanishing)
         return made and Made(Text(forces.of, " goes to zero: ", made.step), made.assumes)
     return made
 
 
-def _combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Vanishing]) -> Made | None:
-    field = Combinations(claim, closure.prime, closure.seed, closure.uncertain)
+def _combined(field: Combinations, closure: Closure, goal: Goal, vanishing: Sequence[Vanishing]) -> Made | None:
     for block, item in closure.driving:
         if goal.of in item.of and any(
             ca.is_equal(goal.vector, z) for z in item.vectors if z.shape == goal.vector.shape
@@ -103,7 +101,7 @@ def _combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Va
     used = field.made_of(goal.vector, vanishing)
     if used is not None:
         return Made(Text("it is made of ", listed_text(used)))
-    for name, R in full_rank(claim):
+    for name, R in full_rank(field.claim):
         if not field.can_have(R):
             continue
         if R.shape[0] == goal.vector.shape[0]:
@@ -157,8 +155,10 @@ class Combinations:
     """
 
     def __init__(self, claim: Claim, prime: int, seed: int, uncertain: frozenset[str] = frozenset()) -> None:
-        self._symbols, self._seed, self._shift = symbols_of(claim, uncertain), seed, Shift(prime, random.Random(seed))
+        self.claim, self._uncertain, self._trial = claim, uncertain, _Free(prime, random.Random(seed))
         self._own = {k: x for k, x in exact_values(claim.diagram).items() if k not in uncertain}
+        self._parameters, self._points = dict[str, list[int]](), list[dict[str, list[int]]]()
+        self._known = dict[Any, tuple[SX, Symbols, Tape, list[list[int] | None]]]()
 
     def can_have(self, R: SX) -> bool:
         """True for a matrix whose rows are independent at a random point, as almost everywhere then."""
@@ -166,51 +166,78 @@ class Combinations:
         if points is None:
             return False
         columns = [[points[0][column * rows + row] for column in range(width)] for row in range(rows)]
-        return bool(rank(columns, self._shift.prime) == rows)
+        return bool(rank(columns, self._trial.prime) == rows)
 
     def made_of(self, target: SX, vanishing: Sequence[Vanishing]) -> list[Text] | None:
         """The names of those of which the target is a combination with constant coefficients, element by element."""
         size = target.numel()
-        pieces = [
-            (item.of, item.vector[start : start + size])
-            for item in vanishing
-            if item.vector.numel() % size == 0
-            for start in range(0, item.vector.numel(), size)
-        ]
-        if not pieces:
+        whole = [item for item in vanishing if item.vector.numel() % size == 0]
+        names = [item.of for item in whole for _ in range(item.vector.numel() // size)]
+        if not names:
             return None
-        chosen = list(range(len(pieces)))
-        points = self._sampled([target, *(piece for _, piece in pieces)], len(pieces) + 1 + MORE)
+        chosen = list(range(len(names)))
+        points = self._sampled([target, *(item.vector for item in whole)], len(names) + 1 + MORE)
         if points is None or not self._spans(points, size, chosen):
             return None
-        for k in range(len(pieces) - 1, -1, -1):  # the fewest that still do
+        for k in range(len(names) - 1, -1, -1):  # the fewest that still do
             if self._spans(points, size, [other for other in chosen if other != k]):
                 chosen.remove(k)
-        return list(dict.fromkeys(pieces[k][0] for k in chosen))
+        return list(dict.fromkeys(names[k] for k in chosen))
 
     def _spans(self, points: Sequence[Sequence[int]], size: int, chosen: Sequence[int]) -> bool:
         """At every element: is the first column a combination of the chosen ones, over all sampled points?"""
         for element in range(size):
             columns = [[point[size * (1 + k) + element] for point in points] for k in chosen]
-            target, prime = [point[element] for point in points], self._shift.prime
+            target, prime = [point[element] for point in points], self._trial.prime
             if not columns or rank([*columns, target], prime) != rank(columns, prime):
                 return False
         return True
 
     def _sampled(self, expressions: Sequence[SX], count: int) -> list[list[int]] | None:
-        """All elements at random points that share their parameters."""
-        groups, shift = self._symbols.groups, self._shift
-        tape = Tape.from_function(self._symbols.function("made", [ca.vec(ca.densify(x)) for x in expressions]))
-
-        def drawn(group: Group) -> list[int]:
-            return [shift.random() for _ in range(group.symbol.numel())]
-
-        known = {label: [shift.residue(value) for value in values] for label, values in self._own.items()}
-        fixed = {g.label: known.get(g.label) or drawn(g) for g in groups if g.kind == "parameter"}
-        points = list[list[int]]()
-        for _ in range(4 * count):
-            with suppress(ZeroDivision):
-                points.append(shift.values(tape, [fixed.get(group.label) or drawn(group) for group in groups]))
-            if len(points) == count:
-                return points
+        """All elements at random points that share their parameters; None if a denominator vanishes at most points."""
+        found = list[list[int]]()
+        for k in range(4 * count):
+            columns = [self._value(x, k) for x in expressions]
+            if None not in columns:
+                found.append([value for column in columns for value in column or ()])
+            if len(found) == count:
+                return found
         return None
+
+    def _value(self, x: SX, k: int) -> list[int] | None:
+        """All elements at the k-th point, which is the same for all expressions; None if a denominator vanishes."""
+        key = nodes(x)
+        if key not in self._known:  # with the expression, which keeps its identity
+            symbols = symbols_of(self.claim, self._uncertain)  # with the trajectories' present derivatives
+            self._known[key] = x, symbols, Tape.from_function(symbols.function("made", [ca.vec(ca.densify(x))])), []
+        _, symbols, tape, values = self._known[key]
+        for place in range(len(values), k + 1):
+            try:
+                values += tape.evaluate(self._point(place, symbols), self._trial)
+            except ZeroDivision:
+                values.append(None)
+        return values[k]
+
+    def _point(self, k: int, symbols: Symbols) -> list[list[int]]:
+        while len(self._points) <= k:
+            self._points.append({})
+        return [self._drawn(group, self._points[k]) for group in symbols.groups]
+
+    def _drawn(self, group: Group, point: dict[str, list[int]]) -> list[int]:
+        known, trial = self._parameters if group.kind == "parameter" else point, self._trial
+        if group.label not in known:
+            own = self._own.get(group.label) if group.kind == "parameter" else None
+            free = [trial.random() for _ in range(group.symbol.numel())] if not own else []
+            known[group.label] = free or [trial.residue(value) for value in own or ()]
+        return known[group.label]
+
+
+@final
+class _Free(Trial):
+    """A field in which signs and absolute values are free values too, one for each argument."""
+
+    def sign(self, value: int) -> int:
+        return self.opaque("sign", (value,))
+
+    def size(self, value: int) -> int:
+        return self.opaque("fabs", (min(value, self.prime - value),))

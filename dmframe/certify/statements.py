@@ -13,7 +13,7 @@ from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Assumption, Clipped, Driven, Gathered, Lemma, LogDet, NormSquare, Square
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.closure import Bases, Closure
-from dmframe.certify.limits import Vanishing, combined, goals
+from dmframe.certify.limits import Combinations, Vanishing, combined, goals
 from dmframe.certify.positive import Positive, Signs
 from dmframe.certify.smoothness import slope
 from dmframe.certify.symbols import Symbols
@@ -234,8 +234,9 @@ def _conclusions(claim: Claim, closure: Closure, vanishing: Sequence[Vanishing])
     yield from (Statement(item.of, "goes to zero", AGAIN) for item in rests)
     sure = [item for item in (*vanishing, *rests) if item.proved]
     names, wanted = {item.of for item in sure}, _wanted(claim, closure)
+    field = Combinations(claim, closure.prime, closure.seed, closure.uncertain)
     for goal in goals(claim, closure):
-        made = None if goal.of in names else combined(claim, closure, goal, sure)
+        made = None if goal.of in names else combined(field, closure, goal, sure)
         if made is not None:
             yield Statement(goal.of, "goes to zero", made.step, made.assumes, goal.of in wanted)
         if goal.of in wanted and (made is not None or goal.of in names):
