@@ -20,7 +20,7 @@ from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Assumption
 from dmframe.certify.claim import Claim
 from dmframe.certify.differentiated import Differentiated
-from dmframe.certify.sampler import Sampler
+from dmframe.certify.sampler import HORIZON, SAMPLES, Sampler
 from dmframe.certify.sign import Sign, sign_after
 from dmframe.certify.symbols import exact_values
 from dmframe.diagram import Diagram
@@ -35,12 +35,6 @@ from dmframe.text import Label, Text, sentence
 
 SMOOTH_ABOVE: Final = frozenset((ca.OP_SQRT, ca.OP_LOG, ca.OP_LOG1P, ca.OP_POW, ca.OP_CONSTPOW, ca.OP_HYPOT))
 """Those with an edge that are smooth wherever their operands are above zero; others, such as asin, have edges there."""
-
-HORIZON: Final = 100.0
-"""Time over which a function that cannot be followed exactly is looked at [s]."""
-
-SAMPLES: Final = 20001
-"""Instants at which it is looked at."""
 
 SUSPECTS: Final = 200
 """Steps between two of them, those that stand out most, that are narrowed down."""
@@ -172,30 +166,22 @@ def is_above(tape: Tape, place: int) -> bool:
     return all(signs[operand] is Sign.ABOVE for operand in tape.nodes[place].operands)
 
 
-def jumps(expression: SX, still: set[int]) -> bool:
-    """True for an expression with an operation that jumps, of anything but the symbols that stand still."""
+def jumps(expression: SX, still: set[int]) -> set[int]:
+    """The operations of an expression that jump, of anything but the symbols that stand still."""
     symbols = ca.symvar(expression)
     function = ca.Function("jumps", [stack(symbols)], [ca.vec(ca.densify(expression))])
     if not JUMPS & codes(function):
-        return False
+        return set()
     moving = [symbol.element_hash() not in still for symbol in symbols]
-    return any(code in JUMPS for _, code in moving_operations(Tape.from_function(function), [moving]))
+    return {code for _, code in moving_operations(Tape.from_function(function), [moving])} & JUMPS
 
 
 def _field(claim: Claim) -> Findings:
     """Where a rate jumps, solutions slide along the switching set, and their definition has to be stated."""
-    loop = claim.loop
+    loop, still = claim.loop, symbols_in(parameter.symbol for parameter in claim.loop.parameters)
     for variable in loop.variables:
-        (rate,) = loop.joined(loop.rates_of([variable]))
-        symbols = ca.symvar(rate)
-        function = ca.Function("rate", [stack(symbols)], [rate])
-        if not JUMPS & codes(function):
-            continue
-        still = symbols_in(parameter.symbol for parameter in loop.parameters)
-        moving = [symbol.element_hash() not in still for symbol in symbols]
-        jumps = {code for _, code in moving_operations(Tape.from_function(function), [moving])} & JUMPS
-        if jumps:
-            names = ", ".join(sorted(sign_of(code) for code in jumps))
+        if found := jumps(loop.joined(loop.rates_of([variable]))[0], still):
+            names = ", ".join(sorted(sign_of(code) for code in found))
             text = f" holds {names}: where it jumps, the motion is Filippov's solution"
             yield "assumed", Text(Label(f"d {variable.label}/dt"), text)
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from dmframe.block.model import SYMBOLIC
-from dmframe.config.experiment import Experiment
+from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.drive.identity import identity
 from dmframe.drive.kept import refusal
@@ -30,13 +30,13 @@ RAMP: Final = 1.0
 """Default time in which a real robot's first motion accelerates to full speed [s]."""
 
 
-def steered_controller(experiment: Experiment, diagram: Diagram, engine: Choice = "auto") -> Steered:
+def steered_controller(experiment: BaseGraph, diagram: Diagram, engine: Choice = "auto") -> Steered:
     """Controller of a graph on a robot's samples. Raises `DmframeError` if no robot can execute it."""
     return Steered(diagram, Controller(diagram, clock_of(experiment), start=experiment.start, engine=engine))
 
 
 def driven(
-    experiment: Experiment,
+    experiment: BaseGraph,
     diagram: Diagram,
     robot: str,
     *,
@@ -62,7 +62,7 @@ def driven(
     limits
         Limits of the gate; those of the robot's model by default.
     ramp
-        Time in which the first motion accelerates [s]; by default 0 for a simulated robot, else 1 s.
+        Time in which the first motion accelerates [s]; by default 0 for a simulated robot, else `RAMP`.
     patience
         Timeout of a real robot's sample [s]; the driver's default without it.
     payload
@@ -84,19 +84,20 @@ def driven(
     """
     kind, rest = kind_of(robot)
     duration = experiment.file.duration if until is None else until
-    limits = limits or own_limits(diagram.robot)
+    limits, ramp = limits or own_limits(diagram.robot), RAMP * kind.real if ramp is None else ramp
     if kind.real and not shadow:
         _check_acceleration(limits)
     steered = steered_controller(experiment, diagram, engine)  # compile before the loop
     if kind.real and not shadow and rehearsed:  # identity of the loaded controller: files may have changed since
-        parts = identity(experiment, steered, limits, usual_payload(diagram) if payload is None else payload)
+        load = usual_payload(diagram) if payload is None else payload
+        parts = identity(experiment, steered, limits, payload=load, ramp=ramp, patience=patience)
         if why := refusal(experiment.name, parts, duration):
             raise DriveError(f"{experiment.name}: {why}")
     with SYMBOLIC:
         start = _start(experiment, diagram)
     options = Options(duration, engine, max(limits.deceleration, limits.halt), patience)
     driver = kind.make(rest, experiment, diagram, options)
-    plan = Plan(duration, start, RAMP * kind.real if ramp is None else ramp, shadow)
+    plan = Plan(duration, start, ramp, shadow)
     gate = Gate(limits, driver.period)
     about: dict[str, Any] = {"graph": experiment.name, "field_hash": diagram.fingerprint, "command": steered.label}
     about |= {"engine": steered.controller.engine, "drive": drive_data(robot, plan, gate)}
@@ -124,7 +125,7 @@ def _check_acceleration(limits: Limits) -> None:
         )
 
 
-def _start(experiment: Experiment, diagram: Diagram) -> np.ndarray | None:
+def _start(experiment: BaseGraph, diagram: Diagram) -> np.ndarray | None:
     """Initial joint angles of the graph's plant."""
     column, first = start_state(diagram, experiment.start), 0
     own = {variable.label for variable in diagram.loop.plant}

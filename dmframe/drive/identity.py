@@ -1,8 +1,9 @@
 """Identity of a rehearsal: everything that can change a command, in named parts.
 
-The parts are the resolved graph, the sources of its blocks, the robot's model, the limits, the payload, the engine with
-its compiler, dmframe itself, the numeric libraries, and the resulting closed loop. The closed loop is that of the
-loaded diagram and controller, because a file may have changed since it was read.
+The parts are the resolved graph, the sources of its blocks, the robot's model, the limits, the payload, the times of
+the drive, the engine with its compiler, dmframe itself, the numeric libraries, and the resulting closed loop. The
+closed loop is that of the loaded diagram and controller, because a file may have changed since it was read. The address
+is not a part: the arm and its driver receive the command, and do not alter it.
 """
 
 from __future__ import annotations
@@ -24,10 +25,10 @@ import numpy as np
 
 from dmframe.build.compiler import FLAGS, SHARED, find_compiler, processor
 from dmframe.catalogue import loaded_digest
-from dmframe.config.experiment import Experiment
+from dmframe.config import BaseGraph
+from dmframe.config.resolved import resolved, robot_source
 from dmframe.files import encoded
 from dmframe.program import CONST, instructions
-from dmframe.results.resolved import resolved, robot_source
 from dmframe.runtime.controller import control_function, start_function
 from dmframe.runtime.gate import Limits
 from dmframe.runtime.steered import Steered
@@ -42,21 +43,34 @@ LOOP: Final = "closed loop"
 _LIBRARIES: Final = ("casadi", "numpy", "scipy")
 
 
-def identity(experiment: Experiment, steered: Steered, limits: Limits, payload: float) -> Identity:
+def identity(
+    experiment: BaseGraph,
+    steered: Steered,
+    limits: Limits,
+    *,
+    payload: float,
+    ramp: float,
+    patience: float | None,
+) -> Identity:
     """Compute all parts, in about 0.1 s.
 
     Parameters
     ----------
     payload
         Mass at the tool in the rehearsal [kg].
+    ramp
+        Time in which the first motion accelerates [s].
+    patience
+        Timeout of a sample [s]; None for the driver's.
     """
     files, libraries = _sources(experiment)
     return {
-        "graph": dict(_flat(resolved(experiment.with_duration(1.0)))),
+        "graph": dict(_flat(resolved(experiment.until(1.0)))),
         "block source": files,
         "robot model": _model(experiment),
         "limits": {key: str(value) for key, value in limits.data.items()},
         "payload": {"at the tool [kg]": repr(float(payload))},
+        "drive": {"ramp [s]": repr(float(ramp)), "patience [s]": "default" if patience is None else repr(patience)},
         "engine": _engine(steered.controller.engine),
         "dmframe": {"version": own_version(), "source": _framework()},
         "library": {name: _installed(name) for name in sorted({*_LIBRARIES, *libraries})}
@@ -101,7 +115,7 @@ def _flat(value: Any, path: str = "") -> Iterator[tuple[str, str]]:
         yield path, repr(value)
 
 
-def _model(experiment: Experiment) -> dict[str, str]:
+def _model(experiment: BaseGraph) -> dict[str, str]:
     """Digest of the robot's URDF; meshes do not change commands."""
     source = robot_source(experiment)
     return {} if source is None else {source.urdf.name: digest(source.urdf.read_bytes())}
@@ -152,7 +166,7 @@ def _digest(function: Any) -> str:
     return digest(encoded("\n".join(lines)))
 
 
-def _sources(experiment: Experiment) -> tuple[dict[str, str], set[str]]:
+def _sources(experiment: BaseGraph) -> tuple[dict[str, str], set[str]]:
     """Digests of the blocks' source files and of the local modules that they import; names of imported libraries.
 
     Other data that a block reads, such as a table of numbers, changes the part `LOOP`.

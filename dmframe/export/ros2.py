@@ -10,10 +10,21 @@ from typing import Final, NamedTuple, final
 from xml.etree import ElementTree
 from xml.sax.saxutils import escape, unescape
 
-from dmframe.config.experiment import Experiment
+from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.errors import EngineError
-from dmframe.export.c import about, c_text, commented, files_of, new_folder, origin, own_file, unit_of, write_all
+from dmframe.export.c import (
+    about,
+    c_text,
+    commented,
+    files_of,
+    filled,
+    new_folder,
+    origin,
+    own_file,
+    unit_of,
+    write_all,
+)
 from dmframe.export.program import Member, Program, program_of
 from dmframe.files import made_distinct
 from dmframe.runtime.signals import measured_as, velocity_command
@@ -23,7 +34,7 @@ from dmframe.version import version
 _WHOLE: Final = 1e-6
 
 
-def export_ros2(experiment: Experiment, diagram: Diagram, folder: str | Path) -> list[Path]:
+def export_ros2(experiment: BaseGraph, diagram: Diagram, folder: str | Path) -> list[Path]:
     """Write a graph's controller as a ROS 2 package into a new folder; returns the files.
 
     It is a chainable controller of ros2_control around the exported C: an update of the manager is one sample. Its
@@ -120,10 +131,12 @@ def _rows(parameters: Sequence[Member]) -> Iterator[_Row]:
 
 
 def _names(items: Sequence[Member]) -> list[str]:
-    """Names in ROS 2: by blocks, as in the graph."""
-    return made_distinct([item.label if _NAME.fullmatch(item.label) else item.word for item in items], "{}_{}".format)
+    """Names in ROS 2: by blocks, as in the graph, and none of the controller's own."""
+    names = [item.label if _NAME.fullmatch(item.label) else item.word for item in items]
+    return made_distinct([*_OWN, *names], "{}_{}".format)[len(_OWN) :]
 
 
+_OWN: Final = tuple(f"interfaces.{word}" for word in ("position", "velocity", "target", "scaling", "command"))
 _NAME: Final = re.compile(r"[A-Za-z]\w*(\.[A-Za-z]\w*)*", re.ASCII)
 
 
@@ -142,11 +155,8 @@ def _taken(program: Program, fields: dict[str, str]) -> Iterator[str]:
 
 
 def _called(name: str, words: dict[str, str]) -> str:
-    """A template of this package with its words replaced, longer words first, since some are prefixes of others."""
-    text = own_file(f"ros2/{name}")
-    for word in sorted(words, key=len, reverse=True):
-        text = text.replace(word, words[word])
-    return text
+    """A template of this package with its words replaced."""
+    return filled(own_file(f"ros2/{name}"), words)
 
 
 def _read_as_xml(name: str, file: str, words: dict[str, str]) -> str:

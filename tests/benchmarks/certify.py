@@ -18,7 +18,7 @@ from typing import Any
 from dmframe.certify import Verdict, verify
 from dmframe.certify.assemble import assembled
 from dmframe.config.document import read_document
-from dmframe.config.experiment import experiment_of
+from dmframe.graph.graph import Graph
 from dmframe.prove import identity as exact
 
 ROBOTS = {
@@ -81,8 +81,8 @@ class Case:
     def verdict(self) -> tuple[Verdict, float]:
         """The verdict, and the seconds from the text to it."""
         begin = time.perf_counter()
-        graph = experiment_of(read_document(self.graph(), f"{self.robot}.yaml"))
-        return verify(graph.diagram()), time.perf_counter() - begin
+        graph = Graph.of(read_document(self.graph(), f"{self.robot}.yaml"))
+        return verify(graph.diagram), time.perf_counter() - begin
 
 
 def rows(robots: Sequence[str]) -> Iterator[tuple[str, ...]]:

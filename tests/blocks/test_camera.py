@@ -15,10 +15,9 @@ from closed_robot import ClosedRobot
 import dmframe as dm
 from dmframe.analysis import linearise, linearised_period, prove_stability
 from dmframe.catalogue import find_block
-from dmframe.config.experiment import Experiment, load_experiment
-from dmframe.graph import Graph
-from dmframe.results import tracking_error
+from dmframe.graph.graph import Graph
 from dmframe.results.drawn_runs import coordinate_labels
+from dmframe.results.metrics import tracking_error
 from dmframe.simulate import Solver, simulate
 from dmframe_blocks import adaptive_camera
 from dmframe_blocks._image import image_regressor
@@ -189,8 +188,8 @@ K_1, K_2, ALPHA, GAMMA_C, GAMMA, K_C, T = 10, 8, 1000, 1.0, 10.0, 0.7, 0.008
 class ByHand:
     """`ur10_camera` in NumPy and Pinocchio: camera, reference, adaptive laws, servo and robot."""
 
-    def __init__(self, experiment: Experiment) -> None:
-        self.model = experiment.diagram().robot.model
+    def __init__(self, experiment: Graph) -> None:
+        self.model = experiment.diagram.robot.model
         self.data, self.tool = self.model.createData(), self.model.getFrameId("ee_link")
         self.robot = ClosedRobot(self.model, VISCOUS, COULOMB, K_D, K_P, K_I)
 
@@ -234,9 +233,9 @@ class ByHand:
 
 
 def test_the_packaged_loop_is_the_one_written_by_hand() -> None:
-    experiment, ticks = load_experiment("ur10_camera", [f"dynamics.Gamma={GAMMA}"]), 125
+    experiment, ticks = Graph.read("ur10_camera", [f"dynamics.Gamma={GAMMA}"]), 125
     solver = Solver(method="cvodes", tolerance=1e-10)
-    theirs = simulate(experiment.diagram(), ticks * T, clock=T, solver=solver, start=experiment.start)
+    theirs = simulate(experiment.diagram, ticks * T, clock=T, solver=solver, start=experiment.start)
     mine = ByHand(experiment).run(np.array(experiment.start["q"], dtype=float), ticks)
     assert np.max(np.abs(mine["q"] - mine["q"][0])) > 0.01, "it moves"
     np.testing.assert_allclose(theirs["arm.q"], mine["q"], atol=1e-6)
@@ -247,11 +246,11 @@ def test_the_packaged_loop_is_the_one_written_by_hand() -> None:
 
 
 def test_the_clock_of_8_ms_is_borne_and_proved_so_near_the_set_point_and_five_times_as_slow_a_one_is_not() -> None:
-    graph = dm.load("ur10_camera").experiment
-    found = linearise(graph.diagram(), start=graph.start, clock=T)
+    graph = dm.load("ur10_camera")
+    found = linearise(graph.diagram, start=graph.start, clock=T)
     period = linearised_period(found)
     assert T < period.stable < period.unstable < 5 * T
-    proof, _ = prove_stability(graph.diagram(), found, period, T)
+    proof, _ = prove_stability(graph.diagram, found, period, T)
     assert proof.radius is not None
     assert proof.radius < 1
     assert (proof.directions, proof.resting) == (20, 55)

@@ -18,9 +18,9 @@ from dmframe.block import AbstractBlock
 from dmframe.certificate import Assumption, Certificate, Driven
 from dmframe.certify import Verdict, verify
 from dmframe.config.document import read_document
-from dmframe.config.experiment import Experiment, experiment_of, load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
+from dmframe.graph.graph import Graph
 from dmframe.results.metrics import tracking_error
 from dmframe.robot.library import find_robot
 from dmframe.simulate import Recording, simulate
@@ -68,8 +68,8 @@ def wall_force(x: Array, dx: Array, stiffness: float = STIFFNESS, damping: float
 
 @cache
 def ran(until: float, *overrides: str) -> Recording:
-    graph = load_experiment("ur10_admittance", overrides)
-    return simulate(graph.diagram(), until, clock=graph.file.clock, start=graph.start)
+    graph = Graph.read("ur10_admittance", overrides)
+    return simulate(graph.diagram, until, clock=graph.file.clock, start=graph.start)
 
 
 def ticks(run: Recording, start: float, end: float) -> slice:
@@ -159,7 +159,7 @@ def test_a_stiff_wall_requires_a_damping_of_more_than_its_stiffness_times_the_pe
 
 
 def test_it_is_proved_and_what_the_environment_has_to_do_is_assumed() -> None:
-    verdict = verify(load_experiment("ur10_admittance").diagram())
+    verdict = verify(Graph.read("ur10_admittance").diagram)
     assert verdict.outcome == "proved"
     assert all(control.refuted for control in verdict.controls)
     assert "the environment's force f_ext stays bounded" in [item.text for item in verdict.assumptions]
@@ -190,13 +190,13 @@ wires: {task.x_d: compliance.x_c}
 
 
 @cache
-def small() -> Experiment:
+def small() -> Graph:
     """Two joints and a PI servo."""
-    return experiment_of(read_document(SMALL, "small"))
+    return Graph.of(read_document(SMALL, "small"))
 
 
 def test_it_is_proved_with_a_pi_servo_and_a_plane_task_too() -> None:
-    verdict = verify(small().diagram())
+    verdict = verify(small().diagram)
     assert verdict.outcome == "proved"
     assert "x - x_d" in {item.signal for item in verdict.statements if item.concludes}
 

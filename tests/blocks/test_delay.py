@@ -11,16 +11,16 @@ from test_sampled_supervisor import Line
 import dmframe as dm
 from dmframe.analysis.delay import FittedDelay, fitted_delay, recorded_delay
 from dmframe.catalogue import block_types
-from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import ValueFault
+from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording, simulate
 
 
 @functools.cache
 def run(name: str, clock: str, line: Line, *, probe: bool = True, seed: int = 1) -> Recording:
     """A packaged path, followed by the kinematic controller, its commands probing, for 3 s."""
-    graph = load_experiment(name, [f"clock={clock}"])
+    graph = Graph.read(name, [f"clock={clock}"])
     blocks, wires = {**graph.blocks, "line": line}, dict(graph.file.wires)
     if probe:
         blocks["inverse"] = block_types()["velocity_probe"]()

@@ -14,11 +14,11 @@ import scipy
 from dmframe.adaptation import Fit
 from dmframe.certificate import SX, Certificate, Gathered
 from dmframe.certify import Verdict, verify
-from dmframe.certify.along import along
-from dmframe.config.experiment import load_experiment
 from dmframe.errors import DmframeError
 from dmframe.formula.docstring import check_docstring
+from dmframe.graph.graph import Graph
 from dmframe.report.terms import terms_of
+from dmframe.results.along import along
 from dmframe.simulate import Recording, simulate
 from dmframe_blocks.adaptive_kinematics import AdaptiveKinematics
 
@@ -27,15 +27,15 @@ TOOL = "geometry.adapt=tool"
 
 
 def proof(*overrides: str, name: str = NAME) -> Verdict:
-    return verify(load_experiment(name, overrides).diagram())
+    return verify(Graph.read(name, overrides).diagram)
 
 
 honest = cache(proof)  # of code without a fault
 
 
 def run_of(seconds: float, *overrides: str) -> Recording:
-    graph = load_experiment(NAME, overrides)
-    return simulate(graph.diagram(), seconds, clock=graph.file.clock, solver=graph.solver, start=graph.start)
+    graph = Graph.read(NAME, overrides)
+    return simulate(graph.diagram, seconds, clock=graph.file.clock, solver=graph.solver, start=graph.start)
 
 
 def tool_error(run: Recording) -> np.ndarray:
@@ -155,8 +155,8 @@ def test_negative_weights_of_what_is_gathered_fail_their_conditions(monkeypatch:
 
 
 def test_v_falls_along_a_run_in_continuous_time() -> None:
-    graph = load_experiment(NAME, ["clock=continuous", "solver={output: 20 ms}", TOOL])
-    diagram = graph.diagram()
+    graph = Graph.read(NAME, ["clock=continuous", "solver={output: 20 ms}", TOOL])
+    diagram = graph.diagram
     run = simulate(diagram, 5.0, clock=None, solver=graph.solver, start=graph.start)
     verdict = verify(diagram)
     assert verdict.claim is not None
@@ -224,7 +224,7 @@ def test_for_one_estimate_it_is_the_textbooks_bounded_gain_forgetting() -> None:
 )
 def test_options_that_contradict_each_other_are_refused(overrides: list[str], text: str) -> None:
     with pytest.raises(DmframeError, match=text):
-        load_experiment(NAME, overrides).diagram()
+        _ = Graph.read(NAME, overrides).diagram
 
 
 def test_a_report_calls_the_metric_by_its_name() -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dmframe.block.model import symbols_in
 from dmframe.certify import Verdict, verify
-from dmframe.config.experiment import Experiment, load_experiment
+from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording, simulate
 
 Array = NDArray[np.float64]
@@ -62,9 +62,9 @@ def by_hand() -> Array:
 
 
 @cache
-def done(*overrides: str) -> tuple[Experiment, Recording, Verdict]:
-    graph = load_experiment("lesson_q_r_is_q_d", overrides)
-    diagram = graph.diagram()
+def done(*overrides: str) -> tuple[Graph, Recording, Verdict]:
+    graph = Graph.read("lesson_q_r_is_q_d", overrides)
+    diagram = graph.diagram
     run = simulate(diagram, graph.file.duration, clock=graph.file.clock, solver=graph.solver, start=graph.start)
     return graph, run, verify(diagram)
 

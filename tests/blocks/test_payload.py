@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 import dmframe as dm
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certify import Verdict, claim_of, verify
-from dmframe.certify.along import along
 from dmframe.certify.projections import outside
 from dmframe.config.document import read_document
-from dmframe.config.experiment import Experiment, experiment_of, load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
+from dmframe.graph.graph import Graph
 from dmframe.port import TIME, Output, Side
+from dmframe.results.along import along
 from dmframe.results.shown import felt
 from dmframe.robot.library import find_robot
 from dmframe_blocks._loads import with_body, with_held
@@ -149,7 +149,7 @@ def test_a_run_says_what_the_tool_holds_in_kilograms_and_metres() -> None:
 
 
 def test_it_is_proved_between_the_steps_of_the_load() -> None:
-    verdict = verify(load_experiment("ur10_payload").diagram())
+    verdict = verify(Graph.read("ur10_payload").diagram)
     assert verdict.outcome == "proved"
     assert all(control.refuted for control in verdict.controls)
     assumed = " / ".join(item.text for item in verdict.assumptions)
@@ -194,8 +194,8 @@ def test_v_jumps_where_the_load_does_and_nowhere_else() -> None:
     assert largest == pytest.approx([4.0, 8.0], abs=0.009)
 
 
-def small() -> Experiment:
-    return experiment_of(read_document(SMALL, "small"))
+def small() -> Graph:
+    return Graph.of(read_document(SMALL, "small"))
 
 
 def proof(**blocks: AbstractBlock) -> Verdict:

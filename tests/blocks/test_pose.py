@@ -17,12 +17,11 @@ import dmframe as dm
 from dmframe.catalogue import find_block
 from dmframe.certify import verify
 from dmframe.certify.closure import Closure
-from dmframe.certify.limits import Goal, Made, Vanishing, combined
-from dmframe.config.experiment import load_experiment
+from dmframe.certify.limits import Combinations, Goal, Made, Vanishing, combined
 from dmframe.errors import DmframeError
 from dmframe.exact import zero_test
-from dmframe.graph import Graph
-from dmframe.results import turn_error
+from dmframe.graph.graph import Graph
+from dmframe.results.metrics import turn_error
 from dmframe.robot.library import load
 from dmframe.simulate import Solver, simulate
 from dmframe_blocks._quaternions import left, right, turn_from
@@ -216,7 +215,8 @@ def test_it_goes_with_a_pi_servo_and_ends_in_position_and_orientation() -> None:
     known = cast(Closure, SimpleNamespace(uncertain=frozenset(), prime=2**127 - 1, seed=0, driven=[], driving=[]))
 
     def concluded(vector: Any) -> Made | None:
-        return combined(claim, known, Goal("it", vector), [Vanishing("b", b.vector, True)])
+        field = Combinations(claim, known.prime, known.seed)
+        return combined(field, known, Goal("it", vector), [Vanishing("b", b.vector, True)])
 
     assert concluded(e_R.vector) is not None
     assert concluded(e_R.vector + 1) is None
@@ -231,7 +231,7 @@ STILL = {"type": "setpoint", "x_d": [0.4, 0.5, 0.3], "orientation": DOWN}
 @pytest.mark.parametrize("name", ["ur10_pose", "ur10_pose_observed"])
 def test_it_is_proved_with_a_pid_servo_in_both_forms_known_and_observed(name: str, tie: str) -> None:
     graph = dm.load(name).set({"blocks.path": STILL, "dynamics.Gamma": 10, "inverse.tie": tie})
-    verdict = verify(graph.diagram, trials=1, start=graph.experiment.start)
+    verdict = verify(graph.diagram, trials=1, start=graph.start)
     assert verdict.outcome == "proved", verdict.reason
     assert len(verdict.controls) >= 25
     assert all(control.refuted for control in verdict.controls)
@@ -339,9 +339,9 @@ class ByHand:
 
 
 def test_the_packaged_loop_is_the_one_written_by_hand() -> None:
-    graph, ticks = load_experiment("ur10_pose", [f"dynamics.Gamma={GAIN}", f"path.breath={BREATH}"]), 150
+    graph, ticks = Graph.read("ur10_pose", [f"dynamics.Gamma={GAIN}", f"path.breath={BREATH}"]), 150
     solver = Solver(method="cvodes", tolerance=1e-10)
-    theirs = simulate(graph.diagram(), ticks * T, clock=T, solver=solver, start=graph.start)
+    theirs = simulate(graph.diagram, ticks * T, clock=T, solver=solver, start=graph.start)
     mine = ByHand().run(np.array(graph.start["q"], dtype=float), ticks)
     assert np.max(np.abs(mine["q"] - mine["q"][0])) > 0.01, "it moves"
     np.testing.assert_allclose(theirs["arm.q"], mine["q"], atol=1e-7)

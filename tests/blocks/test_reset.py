@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 import dmframe as dm
 from dmframe.certify import claim_of, verify
-from dmframe.certify.along import along
 from dmframe.certify.hypotheses import BETWEEN
 from dmframe.config.document import read_document
-from dmframe.config.experiment import Experiment, experiment_of
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
+from dmframe.graph.graph import Graph
+from dmframe.results.along import along
 from dmframe.robot.library import find_robot
 from dmframe_blocks.gripper import Gripper
 from dmframe_blocks.payload import Payload
@@ -54,8 +54,8 @@ TWO = SMALL.replace("pendulum", "arm2").replace("[0.5]", "[0.5, 0.9]")
 TWO = TWO.replace("[30]", "[60, 30]").replace("[120]", "[240, 120]")
 
 
-def small(text: str = SMALL) -> Experiment:
-    return experiment_of(read_document(text, "small"))
+def small(text: str = SMALL) -> Graph:
+    return Graph.of(read_document(text, "small"))
 
 
 @cache
@@ -135,7 +135,7 @@ def test_a_reset_begins_at_the_prior_leaves_friction_and_finds_the_mass() -> Non
 
 
 def test_it_is_proved_at_any_instant_of_grasping_and_the_part_of_v_that_jumps_is_named() -> None:
-    found = verify(small(TWO).diagram())
+    found = verify(small(TWO).diagram)
     assert found.outcome == "proved"
     assert not found.bounds
     assert all(control.refuted for control in found.controls)

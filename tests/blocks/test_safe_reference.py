@@ -43,8 +43,8 @@ def test_the_reference_is_never_beyond_its_bounds_whatever_is_wished(q: float, w
 
 
 def tube_of(graph: dm.Graph) -> Tube | None:
-    experiment = graph.experiment
-    diagram = experiment.diagram()
+    experiment = graph
+    diagram = experiment.diagram
     claim = claim_of(diagram)
     uncertain = experiment.intervals(diagram)
     numbers = Numbers(claim, uncertain)
@@ -53,10 +53,10 @@ def tube_of(graph: dm.Graph) -> Tube | None:
 
 def test_no_tube_is_found_in_a_loop_whose_position_moves_otherwise_than_the_proof_says() -> None:
     graph = joint_graph()
-    diagram = graph.experiment.diagram()
+    diagram = graph.diagram
     claim = claim_of(diagram)
     found = [
-        next(tubes(claim_of(other), Numbers(claim, {}), symbols_of(claim, {}), graph.experiment.start), None)
+        next(tubes(claim_of(other), Numbers(claim, {}), symbols_of(claim, {}), graph.start), None)
         for other in (diagram, with_plant_faster(diagram, 1.01))
     ]
     assert found[0] is not None

@@ -10,7 +10,7 @@ from sampled_by_hand import rms
 
 import dmframe as dm
 from dmframe.catalogue import block_types
-from dmframe.results import Run
+from dmframe.results.run import Run
 
 T, MOST, K_P, K_I, QUIET, FORGET = 0.09, 1.0, 1.8, 1.2, 0.01, 2.0
 PER_LAG = 1 + K_P * T / 2 + K_I * T**2 / 4
@@ -91,7 +91,7 @@ def test_without_a_bound_the_block_has_nothing_to_remember() -> None:
         name: np.zeros(3) for name in ("q", "dq_r", "dq_column", "dq_full", "q_column", "q_full", "lag", "epsilon")
     }
     memory = {"errors": np.zeros((3, 10)), "sent": np.zeros((3, 1))}
-    arm = dm.load("ur10_slow_supervised").experiment.robot
+    arm = dm.load("ur10_slow_supervised").robot
     bare, bound = (
         block(**options).evaluate({**given, "T": T}, memory, robot=arm) for options in ({}, {"demand_max": 1.0})
     )

@@ -15,7 +15,7 @@ from dmframe.certify import verify
 from dmframe.errors import WiringError
 
 BLOCKS = block_types()
-ARM = dm.load("ur10_slow_sampled").experiment.robot
+ARM = dm.load("ur10_slow_sampled").robot
 START = np.array([2.023732, -1.174227, 1.336627])
 T = 0.09
 LATE = {"transport_delay": {"samples": 1, "late": 0.5}}

@@ -14,9 +14,9 @@ from test_sampled_by_hand import K_D, K_I, K_P, PATH, START, T, ur10
 import dmframe as dm
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certify import verify
-from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, WiringError
+from dmframe.graph.graph import Graph
 from dmframe.port import Input, Output, Side, State
 from dmframe.simulate import Recording, simulate
 from dmframe_blocks.sampled_supervisor import SampledSupervisor
@@ -58,7 +58,7 @@ def run(
 ) -> Recording:
     """The packaged graph, configured for a delay, with a line that need not be as long."""
     delays = [f"{name}.delay={assumed}" for name in ("task", "inverse", "column", "supervisor")]
-    graph = load_experiment("ur10_slow_supervised", delays)
+    graph = Graph.read("ur10_slow_supervised", delays)
     blocks, wires = dict(graph.blocks), dict(graph.file.wires)
     if servo is not None:
         blocks["servo"] = servo

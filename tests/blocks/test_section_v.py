@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dmframe.config.experiment import load_experiment
+from dmframe.graph.graph import Graph
 from dmframe.simulate import simulate
 
 RMS = {  # [mm], norm of the task error over the last eighth
@@ -29,8 +29,8 @@ OTHERS = {  # what a graph's comment says of the form or gains that it does not 
 
 def last_eighth(name: str, *overrides: str) -> float:
     """[mm]."""
-    graph = load_experiment(name, overrides)
-    run = simulate(graph.diagram(), graph.file.duration, clock=graph.file.clock, solver=graph.solver, start=graph.start)
+    graph = Graph.read(name, overrides)
+    run = simulate(graph.diagram, graph.file.duration, clock=graph.file.clock, solver=graph.solver, start=graph.start)
     assert run.divergence is None
     error = np.linalg.norm(run["arm.x"] - run["path.x_d"], axis=1) * 1e3
     return float(np.sqrt(np.mean(error[-(len(error) // 8) :] ** 2)))

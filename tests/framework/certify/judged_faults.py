@@ -56,15 +56,21 @@ class Result:
 @contextlib.contextmanager
 def patched(mutant: Mutant) -> Iterator[None]:
     """The library with one function replaced in every module and class that holds it."""
-    holders: list[Any] = [module for name, module in sys.modules.items() if name.startswith("dmframe")]
-    holders += [SymbolicRobot, Body, AdaptingBlock]
     name = mutant.original.__name__
-    found = [holder for holder in holders if vars(holder).get(name) is mutant.original]
+
+    def holders(of: Any) -> list[Any]:
+        modules = [module for module_name, module in sys.modules.items() if module_name.startswith("dmframe")]
+        return [each for each in (*modules, SymbolicRobot, Body, AdaptingBlock) if vars(each).get(name) is of]
+
+    found = holders(mutant.original)
     assert found
-    with contextlib.ExitStack() as stack:
+    try:
         for holder in found:
-            stack.enter_context(mock.patch.object(holder, name, mutant.function))
+            setattr(holder, name, mutant.function)
         yield
+    finally:
+        for holder in holders(mutant.function):  # a module that was imported meanwhile has it too
+            setattr(holder, name, mutant.original)
 
 
 def unlabelled(stated: Mapping[str, Certificate], laws: Any) -> dict[str, Certificate]:

@@ -18,15 +18,15 @@ from dmframe.certificate import Certificate, Clipped, Gathered, Square, clip
 from dmframe.certify import claim_of, verify
 from dmframe.certify.assemble import assembled
 from dmframe.certify.checked import Checked, Numbers
-from dmframe.certify.definite import is_semidefinite
 from dmframe.certify.excess import bounds_of
 from dmframe.certify.memories import memory_starts
 from dmframe.certify.summary import summary
 from dmframe.certify.symbols import symbols_of
-from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
 from dmframe.exact.rational import as_float
+from dmframe.graph.graph import Graph
+from dmframe.prove.definite import is_semidefinite
 from dmframe.prove.faults import inject_faults
 from dmframe.report.content import Condition
 from dmframe.report.verdict_text import verdict_text
@@ -133,8 +133,8 @@ def test_a_changed_gain_is_a_seeded_fault_only_if_it_changes_a_rate() -> None:
 
 
 def test_a_sampled_condition_is_reported_as_sampled_and_not_proved() -> None:
-    graph = load_experiment("arm2_joint")
-    verdict = verify(graph.diagram())
+    graph = Graph.read("arm2_joint")
+    verdict = verify(graph.diagram)
     sampled = Checked(Text("M(q) > 0"), "200 poses", 0.1, True, Text("property P2"), "sampled")
     object.__setattr__(verdict, "conditions", (sampled,))
     (line,) = [line for line in verdict_text(graph.name, verdict).splitlines() if "M(q) > 0" in line]
@@ -155,8 +155,8 @@ PLACES = {
 def test_extreme_numbers_give_a_verdict_or_an_error_of_the_graph(name: str, place: str) -> None:
     for value in EXTREMES:
         try:
-            graph = load_experiment(name, [f"{place}={value}"])
-            verdict = verify(graph.diagram(), trials=1)
+            graph = Graph.read(name, [f"{place}={value}"])
+            verdict = verify(graph.diagram, trials=1)
         except DmframeError:
             continue
         assert verdict.outcome != "refuted"
