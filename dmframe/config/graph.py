@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -16,17 +15,17 @@ from pydantic import ValidationError
 from dmframe.block import AbstractBlock, type_name
 from dmframe.block.model import SYMBOLIC
 from dmframe.catalogue import find_graph
-from dmframe.config.document import Document, mapping_of, read_file
+from dmframe.config.document import Document, read_file
 from dmframe.config.grammar import KEYS, GraphFile, fault_of
 from dmframe.config.named import Named
 from dmframe.config.overrides import changed, overridden, put, texts_of
-from dmframe.config.places import placed
+from dmframe.config.places import placed, report
 from dmframe.config.reality import KEY, Stating, Step, after, expanded, names_reality, split
 from dmframe.config.renamed import with_new_names
 from dmframe.config.resolved import resolved_text
 from dmframe.config.sections import at_name, blocks_of, check_baseline, robot_of, start_of, tolerance_in
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError, MissingError, ValueFault, raise_all, visible
+from dmframe.errors import DmframeError, MissingError, ValueFault, raise_all
 from dmframe.exact.rational import Interval
 from dmframe.files import expanded as expanded_path
 from dmframe.files import write_text
@@ -116,11 +115,7 @@ class BaseGraph:
         than everything else. Raises the errors of `read`.
         """
         path, unexpanded = Path(document.name), Stating(document) if KEY in document.data else None
-        read = with_new_names(expanded(document), path.parent)
-        raise_all(read.faults)
-        for notice in read.notices:
-            sys.stderr.write(f"{visible(notice)}\n")
-        return replace(cls._made(read.document, path, like), unexpanded=unexpanded)
+        return replace(cls._made(with_new_names(expanded(document)), path, like), unexpanded=unexpanded)
 
     @classmethod
     def _made(cls, document: Document, path: Path, like: BaseGraph | None = None) -> Self:
@@ -319,8 +314,7 @@ class BaseGraph:
             for key, (word, node) in root.items()
             if key != "baseline"
         }
-        path, node = Path(self.document.name), replace(self.document.root, value=entries)
-        document = Document(self.document.name, mapping_of(node), node)
+        path, document = Path(self.document.name), self.document.with_root(replace(self.document.root, value=entries))
         made = self._made(document, path.with_stem(f"{path.stem}_baseline"))
         swapped = tuple(name for name in sections["baseline"] if name in kept)
         return replace(made, overrides=self.overrides, swapped=swapped)
@@ -381,5 +375,5 @@ def _report_changes(path: Path) -> None:
     folder = folder_of(path)
     if folder is not None:
         near = path.parent.resolve()
-        for text in faults(folder, lambda name: (folder / name).resolve().parent == near and not name.endswith(".nc")):
-            sys.stderr.write(f"{visible(f'{folder}: notice: {text}')}\n")
+        wrong = faults(folder, lambda name: (folder / name).resolve().parent == near and not name.endswith(".nc"))
+        report(f"{folder}: notice: {text}" for text in wrong)

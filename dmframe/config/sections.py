@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,15 @@ from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFa
 from dmframe.units import joint_place, to_unit
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+def kinds_of(section: Any, base: Path) -> dict[str, type[AbstractBlock]]:
+    """The classes of a section's blocks, by name; one that cannot be found is reported where blocks are created."""
+    found = dict[str, type[AbstractBlock]]()
+    for name, spec in section.items() if isinstance(section, dict) else ():
+        with suppress(DmframeError):
+            found[name] = find_block(str(spec.get("type") if isinstance(spec, dict) else None), base, "type")
+    return found
 
 
 def check_baseline(section: Any, stated: Any, base: Path, faults: list[DmframeError]) -> None:

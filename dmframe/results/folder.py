@@ -23,7 +23,7 @@ from dmframe.plotting import FORMATS, checked_formats
 from dmframe.results import figures
 from dmframe.results.dataset import netcdf
 from dmframe.results.place import SAMPLES, Place, built, clear_figures, complete, reserved
-from dmframe.results.run_like import RunLike
+from dmframe.results.run import Run
 from dmframe.results.summary import summary_of
 
 _PACKAGES = (
@@ -45,7 +45,7 @@ _LONGEST: Final = 150
 
 def write_run(
     path: str | Path | Place,
-    runs: Sequence[RunLike],
+    runs: Sequence[Run],
     *,
     plots: bool = True,
     formats: Sequence[str] = FORMATS[:1],
@@ -91,7 +91,7 @@ def write_run(
 
 def write_data(
     place: Place,
-    runs: Sequence[RunLike],
+    runs: Sequence[Run],
     *,
     seed: int | None = None,
     command: Sequence[str] | None = None,
@@ -114,15 +114,15 @@ def write_data(
 
 
 @contextmanager
-def drawing(runs: Sequence[RunLike], formats: Sequence[str]) -> Iterator[Callable[[Place, Sequence[RunLike]], None]]:
+def drawing(runs: Sequence[Run], formats: Sequence[str]) -> Iterator[Callable[[Place, Sequence[Run]], None]]:
     """Start drawing figures; yields a function that writes them next to the data, or raises `OutputError`."""
 
-    def named(items: Sequence[RunLike]) -> dict[str, RunLike]:
+    def named(items: Sequence[Run]) -> dict[str, Run]:
         return dict(zip(_names([run.name for run in items]), items, strict=True))
 
     with figures.drawing(named(runs), formats) as drawn:
 
-        def write(place: Place, known: Sequence[RunLike]) -> None:
+        def write(place: Place, known: Sequence[Run]) -> None:
             try:
                 with writing(place.path, "figures"):
                     for name, content in drawn(named(known)).items():
@@ -156,7 +156,7 @@ def _names(labels: Sequence[str]) -> list[str]:
 
 def _write_one(
     place: Path,
-    run: RunLike,
+    run: Run,
     data: dict[str, Any],
     seed: int | None,
     command: Sequence[str] | None,

@@ -109,9 +109,10 @@ def by_hand(servo: str, position: bool) -> np.ndarray:
 
 
 def test_the_staircase_costs_the_kinematic_controller_what_was_measured_once(tmp_path: Path) -> None:
-    text = graphs()["ur10_fast_kinematic"].read_text(encoding="utf-8")
+    before, servo, after = graphs()["ur10_fast_kinematic"].read_text(encoding="utf-8").partition("  servo:")
     file = tmp_path / "position.yaml"
-    file.write_text(text.replace("  # The truth", f"{POSITION}  # The truth"), encoding="utf-8")
+    assert servo
+    file.write_text(f"{before}{POSITION}{servo}{after}", encoding="utf-8")
     found = {}
     for name in (file, "ur10_fast_kinematic"):
         error = tracking_error(run(name, 50.3))

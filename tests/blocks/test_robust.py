@@ -152,7 +152,7 @@ def test_the_json_and_the_page_tell_the_bound(
     assert {term["kind"] for term in told["dissipation"]} == {"square", "norm_square", "lemma"}
     page = printed()
     assert "V̇ may exceed minus the dissipation by" in page
-    assert "≤ κ · 0.0258" in page
+    assert "≤ κ·0.0258" in page
 
 
 @pytest.mark.parametrize(

@@ -91,7 +91,7 @@ def written(text: str, shared: Page) -> bool:
 
 def run_python(text: str, shared: Page, where: str) -> None:
     if not written(text, shared):
-        exec(compile(text, where, "exec"), shared.names)
+        exec(compile(text, where, "exec", dont_inherit=True), shared.names)  # a reader's own file has no __future__
 
 
 def build_yaml(text: str, shared: Page) -> None:

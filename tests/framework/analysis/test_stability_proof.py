@@ -20,7 +20,7 @@ from dmframe.analysis import (
 )
 from dmframe.analysis.enclosed import EnclosedLoop
 from dmframe.analysis.least_cut import Cut
-from dmframe.analysis.linear import without_memory
+from dmframe.analysis.memory import without_memory
 from dmframe.analysis.moves import split_moves
 from dmframe.analysis.set_point import frozen
 from dmframe.block import AbstractBlock, Equations, Signals
