@@ -254,7 +254,7 @@ def test_a_matrix_keeps_its_own_rows() -> None:
 
 
 @pytest.mark.parametrize("latex", [r"\newcommand{\a}{b} \a", r"\frac{a", r"\nosuchcommand{x}"])
-def test_a_formula_that_cannot_be_set_is_told(latex: str) -> None:
+def test_a_formula_that_cannot_be_set_is_refused(latex: str) -> None:
     with pytest.raises(mathematics.MathError):
         mathematics.inline(latex)
 
@@ -280,8 +280,8 @@ def test_every_source_that_the_code_cites_is_on_the_page_of_references() -> None
 def test_the_site_installs_what_the_configuration_names() -> None:
     group = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["dependency-groups"]["docs"]
     names = {re.split(r"[<>=]", line)[0].replace("-", "_") for line in group}
-    asked = set(
+    extensions = set(
         re.findall(r'^    "(myst_nb|sphinx_\w+)",', (ROOT / "docs" / "conf.py").read_text(encoding="utf-8"), re.M)
     )
-    assert len(asked) == 3
-    assert asked | {"furo", "sphinx", "ipykernel"} == names
+    assert len(extensions) == 3
+    assert extensions | {"furo", "sphinx", "ipykernel"} == names
