@@ -62,7 +62,7 @@ def driven(
     limits
         Limits of the gate; those of the robot's model by default.
     ramp
-        Time in which the first motion accelerates [s]; by default 0 for a simulated robot, else 1 s.
+        Time in which the first motion accelerates [s]; by default 0 for a simulated robot, else `RAMP`.
     patience
         Timeout of a real robot's sample [s]; the driver's default without it.
     payload
@@ -84,19 +84,20 @@ def driven(
     """
     kind, rest = kind_of(robot)
     duration = experiment.file.duration if until is None else until
-    limits = limits or own_limits(diagram.robot)
+    limits, ramp = limits or own_limits(diagram.robot), RAMP * kind.real if ramp is None else ramp
     if kind.real and not shadow:
         _check_acceleration(limits)
     steered = steered_controller(experiment, diagram, engine)  # compile before the loop
     if kind.real and not shadow and rehearsed:  # identity of the loaded controller: files may have changed since
-        parts = identity(experiment, steered, limits, usual_payload(diagram) if payload is None else payload)
+        load = usual_payload(diagram) if payload is None else payload
+        parts = identity(experiment, steered, limits, payload=load, ramp=ramp, patience=patience)
         if why := refusal(experiment.name, parts, duration):
             raise DriveError(f"{experiment.name}: {why}")
     with SYMBOLIC:
         start = _start(experiment, diagram)
     options = Options(duration, engine, max(limits.deceleration, limits.halt), patience)
     driver = kind.make(rest, experiment, diagram, options)
-    plan = Plan(duration, start, RAMP * kind.real if ramp is None else ramp, shadow)
+    plan = Plan(duration, start, ramp, shadow)
     gate = Gate(limits, driver.period)
     about: dict[str, Any] = {"graph": experiment.name, "field_hash": diagram.fingerprint, "command": steered.label}
     about |= {"engine": steered.controller.engine, "drive": drive_data(robot, plan, gate)}

@@ -1,8 +1,9 @@
 """Identity of a rehearsal: everything that can change a command, in named parts.
 
-The parts are the resolved graph, the sources of its blocks, the robot's model, the limits, the payload, the engine with
-its compiler, dmframe itself, the numeric libraries, and the resulting closed loop. The closed loop is that of the
-loaded diagram and controller, because a file may have changed since it was read.
+The parts are the resolved graph, the sources of its blocks, the robot's model, the limits, the payload, the times of
+the drive, the engine with its compiler, dmframe itself, the numeric libraries, and the resulting closed loop. The
+closed loop is that of the loaded diagram and controller, because a file may have changed since it was read. The address
+is not a part: the arm and its driver receive the command, and do not alter it.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ import sys
 import sysconfig
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
 
@@ -33,6 +33,7 @@ from dmframe.runtime.gate import Limits
 from dmframe.runtime.steered import Steered
 from dmframe.seal import digest
 from dmframe.version import version as own_version
+from dmframe.version import version_of
 
 Identity = Mapping[str, Mapping[str, str]]
 """Part -> item -> value or digest."""
@@ -42,13 +43,25 @@ LOOP: Final = "closed loop"
 _LIBRARIES: Final = ("casadi", "numpy", "scipy")
 
 
-def identity(experiment: BaseGraph, steered: Steered, limits: Limits, payload: float) -> Identity:
+def identity(
+    experiment: BaseGraph,
+    steered: Steered,
+    limits: Limits,
+    *,
+    payload: float,
+    ramp: float,
+    patience: float | None,
+) -> Identity:
     """Compute all parts, in about 0.1 s.
 
     Parameters
     ----------
     payload
         Mass at the tool in the rehearsal [kg].
+    ramp
+        Time in which the first motion accelerates [s].
+    patience
+        Timeout of a sample [s]; None for the driver's.
     """
     files, libraries = _sources(experiment)
     return {
@@ -57,6 +70,7 @@ def identity(experiment: BaseGraph, steered: Steered, limits: Limits, payload: f
         "robot model": _model(experiment),
         "limits": {key: str(value) for key, value in limits.data.items()},
         "payload": {"at the tool [kg]": repr(float(payload))},
+        "drive": {"ramp [s]": repr(float(ramp)), "patience [s]": "default" if patience is None else repr(patience)},
         "engine": _engine(steered.controller.engine),
         "dmframe": {"version": own_version(), "source": _framework()},
         "library": {name: _installed(name) for name in sorted({*_LIBRARIES, *libraries})}
@@ -115,10 +129,7 @@ def _engine(engine: str) -> dict[str, str]:
 
 
 def _installed(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return "none"
+    return version_of(name) or "none"
 
 
 @functools.cache
