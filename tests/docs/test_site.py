@@ -266,6 +266,22 @@ def test_the_python_interface_lists_all_public_modules() -> None:
     assert [module for module in sorted(said) if f"automodule:: {module}\n" not in texts] == []
 
 
+def test_the_python_interface_documents_each_class_and_function_once() -> None:
+    found = list[object]()
+    for text in api.pages().values():
+        for module, but in re.findall(
+            r"automodule:: (\S+)\n   :members:\n(?:   :show.*\n)?(?:   :excl.*: (.*)\n)?", text
+        ):
+            names = [name for name in api.public(module) if name not in but.split(", ")]
+            found += [getattr(importlib.import_module(module), name) for name in names]
+        for name in re.findall(r"autoclass:: (\S+)", text):
+            module, _, last = name.rpartition(".")
+            found.append(getattr(importlib.import_module(module), last))
+    found = [item for item in found if callable(item) and item is not Any]
+    twice = [item for place, item in enumerate(found) if any(item is other for other in found[:place])]
+    assert (len(found) > 100, twice) == (True, [])
+
+
 def test_every_source_that_the_code_cites_is_on_the_page_of_references() -> None:
     text = references.text()
     cited = {
