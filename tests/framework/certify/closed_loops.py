@@ -338,7 +338,10 @@ def states_of(diagram: Diagram, count: int, seed: int) -> Iterator[tuple[np.ndar
 
 
 def true_in_numbers(diagram: Diagram, claim: Claim, tolerance: float = 1e-8) -> bool:
-    """Is dV/dt + dissipation - consumption zero, to rounding, with the rates that a run has?"""
+    """Is dV/dt + dissipation - consumption zero, to rounding, with the rates that a run has?
+
+    Raises `FloatingPointError` where it has no value at the graph's numbers.
+    """
     loop, kappa = diagram.loop, ca.SX.sym("kappa")
     weigh = claim.kappa if not claim.kappa.is_constant() else kappa
     spent = [claim.weight(part) * part.dissipation for part in claim.parts]
@@ -360,6 +363,8 @@ def true_in_numbers(diagram: Diagram, claim: Claim, tolerance: float = 1e-8) -> 
     for state, t in states_of(diagram, 4, 3):
         slope, by_time, others = (np.ravel(x.full()) for x in function(state, t, loop.p_values, 0.7))
         terms = np.concatenate([slope * rates(state, t), by_time, others])
+        if not np.isfinite(terms).all():
+            raise FloatingPointError("dV/dt has no value at the graph's numbers")
         if not abs(terms.sum()) <= tolerance * np.abs(terms).sum():
             return False
     return True

@@ -326,8 +326,11 @@ def _outcome(diagram: Diagram, verdict: Verdict, loop: Built) -> tuple[str, str]
         return "refuted", reason
     if verdict.claim is None or verdict.test is None:
         return "no diagram", reason
-    if not true_in_numbers(diagram, verdict.claim):
-        return "survived", f"dV/dt is another one in numbers; {reason}"
+    try:
+        if not true_in_numbers(diagram, verdict.claim):
+            return "survived", f"dV/dt is another one in numbers; {reason}"
+    except FloatingPointError as error:
+        return "survived" if verdict.outcome == "proved" else "condition", f"{error}; {reason}"
     if verdict.outcome == "proved":
         negative = set(negative_in_numbers(diagram, verdict.claim)) - set(negative_without_faults(loop))
         if negative:

@@ -61,7 +61,7 @@ def test_a_gain_below_zero_is_a_wrong_sign(
 
 def test_numbers_of_no_parameter_and_of_another_size_are_refused(arm2: tuple[Claim, Numbers]) -> None:
     claim, numbers = arm2
-    for label, values in (("dynamics.Gamma", ["1"]), ("arm.q", ["1", "1"]), ("nobody.k", ["1"])):
+    for label, values in (("dynamics.Gamma", ["1"]), ("arm.q", ["1", "1"]), ("unknown.k", ["1"])):
         text = json.loads(to_json(claim, numbers))
         text["numbers"][label] = values
         with pytest.raises(ValueFault, match=f"expected numbers of its parameters, each of its size, found {label}"):
