@@ -237,7 +237,6 @@ class Graph(BaseGraph):
 
         recording = driven(
             self,
-            self.diagram,
             robot,
             until=None if until is None else seconds("until", until),
             limits=None if limits is None else load_limits(limits, self.robot),
@@ -276,7 +275,6 @@ class Graph(BaseGraph):
         with progress_line(self.name) as tell:
             return rehearsed(
                 self,
-                self.diagram,
                 seconds=None if until is None else seconds("until", until),
                 payload=None if payload is None else to_unit(payload, "kg"),
                 limits=None if limits is None else load_limits(limits, self.robot),
@@ -295,7 +293,7 @@ class Graph(BaseGraph):
         from dmframe.drive import replayed
         from dmframe.files import expanded
 
-        return replayed(self, self.diagram, expanded(log), engine=engine)
+        return replayed(self, expanded(log), engine=engine)
 
     def explain(self) -> Explanation:
         """Explain the law, signals and certificate of each block; the graph is proved for it."""
@@ -354,10 +352,10 @@ class Graph(BaseGraph):
         from dmframe.export import export_c, export_fmus, export_ros2
 
         if kind in ("c", "ros2"):
-            return (export_c if kind == "c" else export_ros2)(self, self.diagram, folder)
+            return (export_c if kind == "c" else export_ros2)(self, folder)
         if kind not in ("fmi2", "fmi3"):
             raise ValueFault(f"kind: expected c, fmi2, fmi3 or ros2, found {kind!r}")
-        return export_fmus(self, self.diagram, folder, 2 if kind == "fmi2" else 3)
+        return export_fmus(self, folder, 2 if kind == "fmi2" else 3)
 
     def virtual_robot(self, **behaviour: Any) -> VirtualRobot:
         """Its arm and servo behind an emulated UR controller, to which clients of a UR can connect.
@@ -375,7 +373,7 @@ class Graph(BaseGraph):
         """
         from dmframe.virtual import VirtualRobot
 
-        return VirtualRobot(self, self.diagram, **behaviour)
+        return VirtualRobot(self, **behaviour)
 
     def __repr__(self) -> str:
         clock = "in continuous time" if self.clock is None else f"every {plain(self.clock, 's')}"

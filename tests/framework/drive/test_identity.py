@@ -202,15 +202,14 @@ def test_a_block_file_that_is_put_back_after_it_was_loaded_opens_nothing(bench: 
 def test_what_no_file_shows_is_seen_in_the_closed_loop_that_drives(bench: Bench) -> None:
     kept.keep(bench.rehearse(payload=1.0))
     graph = bench.graph()
-    experiment, diagram = graph, graph.diagram
-    loop = diagram.loop
+    diagram, loop = graph.diagram, graph.diagram.loop
     inertia = next(item for item in loop.parameters if item.label == "robot.inertia")
     heavier = replace(inertia, value=5 * inertia.value)
     parameters = tuple(heavier if item is inertia else item for item in loop.parameters)
-    diagram = replace(diagram, loop=replace(loop, parameters=parameters))
+    vars(graph)["diagram"] = replace(diagram, loop=replace(loop, parameters=parameters))
     limits = load_limits(bench.limits, graph.robot)
     with pytest.raises(DriveError, match=r"Changes since its rehearsal of .*: closed loop: field"):
-        driven(experiment, diagram, "real:host", limits=limits, payload=1.0, engine="interpreted")
+        driven(graph, "real:host", limits=limits, payload=1.0, engine="interpreted")
 
 
 def notes(tmp_path: Path) -> list[Path]:
@@ -245,9 +244,7 @@ def test_a_note_edited_by_hand_or_cut_off_is_none(bench: Bench, tmp_path: Path) 
 def test_what_is_cut_short_chosen_or_failed_is_not_kept(bench: Bench, tmp_path: Path) -> None:
     assert not kept.keep(bench.rehearse(until=0.05))
     graph = bench.graph()
-    own = rehearse.rehearsed(
-        graph, graph.diagram, engine="interpreted", tried=[Condition("nothing, the ideal robot", {})]
-    )
+    own = rehearse.rehearsed(graph, engine="interpreted", tried=[Condition("nothing, the ideal robot", {})])
     assert not kept.keep(own)
     assert not notes(tmp_path)
     whole = bench.rehearse()
