@@ -90,7 +90,7 @@ def run_graphs(
 def _check_page(graph: Graph) -> None:
     from dmframe.page.content import check_chance
 
-    check_chance(graph, graph.diagram)
+    check_chance(graph)
 
 
 def _write_pages(place: Place, names: Sequence[str], graphs: Sequence[Graph]) -> None:

@@ -80,14 +80,15 @@ def driven(
     LostError
         The robot does not answer at the beginning, or sends no sample.
     """
+    diagram = graph.diagram
     kind, rest = kind_of(robot)
     duration = graph.file.duration if until is None else until
-    limits = limits or own_limits(graph.diagram.robot)
+    limits = limits or own_limits(diagram.robot)
     if kind.real and not shadow:
         _check_acceleration(limits)
     steered = steered_controller(graph, engine)  # compile before the loop
     if kind.real and not shadow and rehearsed:  # identity of the loaded controller: files may have changed since
-        parts = identity(graph, steered, limits, usual_payload(graph.diagram) if payload is None else payload)
+        parts = identity(graph, steered, limits, usual_payload(diagram) if payload is None else payload)
         if why := refusal(graph.name, parts, duration):
             raise DriveError(f"{graph.name}: {why}")
     with SYMBOLIC:
@@ -96,11 +97,11 @@ def driven(
     driver = kind.make(rest, graph, options)
     plan = Plan(duration, start, RAMP * kind.real if ramp is None else ramp, shadow)
     gate = Gate(limits, driver.period)
-    about: dict[str, Any] = {"graph": graph.name, "field_hash": graph.diagram.fingerprint, "command": steered.label}
+    about: dict[str, Any] = {"graph": graph.name, "field_hash": diagram.fingerprint, "command": steered.label}
     about |= {"engine": steered.controller.engine, "drive": drive_data(robot, plan, gate)}
     found = drive(steered, driver, gate, plan, stop_requested, None if record is None else Spool(record, about))
     recording = recording_of(
-        graph.diagram,
+        diagram,
         steered,
         found,
         robot=robot,

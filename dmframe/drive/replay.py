@@ -181,8 +181,9 @@ def replayed(graph: BaseGraph, log: str | Path, *, engine: Choice = "auto") -> R
     MissingError
         There is no such file, a file of its folder was changed, or a measurement or a sample is missing.
     """
+    diagram = graph.diagram
     steered = steered_controller(graph, engine)
-    own, states = plain_signals(graph.diagram), {item.label: item for item in graph.diagram.loop.controller}
+    own, states = plain_signals(diagram), {item.label: item for item in diagram.loop.controller}
     known = ["robot.time", SENT, *_USUAL, *own, *states]
     fields = {**own, **steered.fields}
     record = read_log(Path(log), [*steered.fields, steered.label], known, fields)
@@ -200,7 +201,7 @@ def replayed(graph: BaseGraph, log: str | Path, *, engine: Choice = "auto") -> R
         for label, rows in now.items()
     }
     n = steered.command.size
-    joints = tuple(map(str, range(1, n + 1)) if graph.diagram.robot is None else graph.diagram.robot.joint_names)
+    joints = tuple(map(str, range(1, n + 1)) if diagram.robot is None else diagram.robot.joint_names)
     return Replay(
         graph.name,
         str(log),

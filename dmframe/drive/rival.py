@@ -109,12 +109,13 @@ def _answer(graph: BaseGraph, goal: Followed, name: str) -> float:
 
     For a goal in task space, it is the mean of the diagonal of J times the sensitivity.
     """
-    loop, robot = graph.diagram.loop, graph.diagram.robot
+    diagram = graph.diagram
+    loop, robot = diagram.loop, diagram.robot
     if not goal.wanted.is_valid_input():
         return 0.0
-    state = start_state(graph.diagram, graph.start)
+    state = start_state(diagram, graph.start)
     for signal in loop.outputs:
-        if signal.unit != "rad/s" or graph.diagram.blocks[signal.block].side is Side.PLANT or signal.shape != "n":
+        if signal.unit != "rad/s" or diagram.blocks[signal.block].side is Side.PLANT or signal.shape != "n":
             continue
         change = ca.jacobian(signal.expression, goal.wanted)
         if not change.nnz():

@@ -118,21 +118,22 @@ def program_of(graph: BaseGraph) -> Program:
     OutputError
         The name has no letter or digit.
     """
-    loop, clock = graph.diagram.loop, graph.file.clock
+    diagram = graph.diagram
+    loop, clock = diagram.loop, graph.file.clock
     if not isinstance(clock, float):
         raise EngineError(f"{graph.name}: expected a clock such as 8 ms, found continuous; an exported law is sampled")
     if not loop.commanded:
         raise EngineError("export: expected a graph with a command, found no wire to a plant")
-    control = control_function(graph.diagram)
-    start, unmeasured = start_function(graph.diagram, graph.start)
+    control = control_function(diagram)
+    start, unmeasured = start_function(diagram, graph.start)
     inputs = [ca.SX.sym(word, control.numel_in(k)) for k, word in enumerate(("z", "measured", "t", "T"))]
     results = control(*inputs, loop.p)
     begun = start(*inputs[1:], loop.p)
-    follow, own_path = control_function(graph.diagram, path=True), path_function(graph.diagram)
+    follow, own_path = control_function(diagram, path=True), path_function(diagram)
     path = ca.SX.sym("path", follow.numel_in(5))
     used = symbols_in([*results, begun])
     kept = [parameter for parameter in loop.parameters if used & symbols_in([parameter.symbol])]
-    sides = {label: block.side for label, block in graph.diagram.blocks.items()}
+    sides = {label: block.side for label, block in diagram.blocks.items()}
     for parameter in kept:
         if sides.get(parameter.label.split(".")[0]) is Side.PLANT:  # the diagram excludes this
             raise EngineError(f"export: the controller reads {parameter.label}, a number of the plant")
@@ -146,14 +147,14 @@ def program_of(graph: BaseGraph) -> Program:
         commanded=members((leaf.name, leaf.symbol, units[leaf.name]) for leaf in loop.commanded),
         states=members((variable.label, variable.symbol, variable.unit) for variable in loop.controller),
         parameters=members((item.label, item.symbol, item.unit, item.value.ravel(order="F").tolist()) for item in kept),
-        path=members((leaf.name, leaf.symbol, _path_unit(leaf.name, units)) for leaf in path_leaves(graph.diagram)),
+        path=members((leaf.name, leaf.symbol, _path_unit(leaf.name, units)) for leaf in path_leaves(diagram)),
         control=ca.Function("control", [*inputs, p], list(results)),
         follow=ca.Function("follow", [*inputs, p, path], list(follow(*inputs, loop.p, path))),
         own_path=ca.Function("own_path", [*inputs[2:], p], [own_path(*inputs[2:], loop.p)]),
         start=ca.Function("start", [*inputs[1:], p], [begun]),
-        tool=None if graph.diagram.robot is None else tool_position(graph.diagram.robot),
+        tool=None if diagram.robot is None else tool_position(diagram.robot),
         unmeasured=unmeasured,
-        model=graph.diagram.fingerprint,
+        model=diagram.fingerprint,
     )
 
 

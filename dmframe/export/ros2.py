@@ -34,13 +34,14 @@ def export_ros2(graph: BaseGraph, folder: str | Path) -> list[Path]:
         The graph has no sampled controller that can be separated from the plant, its commands, measurements or clock
         are not supported by a controller manager, or the folder exists already or cannot be written.
     """
+    diagram = graph.diagram
     place = new_folder(folder)
-    fields, command = measured_as(graph.diagram), velocity_command(graph.diagram)
+    fields, command = measured_as(diagram), velocity_command(diagram)
     program = program_of(graph)
     rate = _rate(program)
-    if graph.diagram.robot is None:
+    if diagram.robot is None:
         raise EngineError(f"{graph.name}: expected a graph with a robot, whose joints are exported, found none")
-    joints = list(graph.diagram.robot.joint_names)
+    joints = list(diagram.robot.joint_names)
     package = package_of(program.name)
     rows = list(_rows(program.parameters))
     path = list(zip(_names(program.path), program.path, strict=True))

@@ -134,7 +134,7 @@ class Graph(BaseGraph):
         with progress_line(self.name) as tell:
             tell("proving")
             verdict = self.verdict(seed=seed)
-        return Verification(self, self.diagram, verdict, seed)
+        return Verification(self, verdict, seed)
 
     def analyse(self, horizon: float | str = 20.0) -> Analysis:
         """Linearise it at its set-point: margins and passivity of the servo, poles, the largest stable period.
@@ -299,7 +299,7 @@ class Graph(BaseGraph):
         """Explain the law, signals and certificate of each block; the graph is proved for it."""
         from dmframe.report.explanation import Explanation
 
-        return Explanation(self, self.diagram, self.verify().verdict)
+        return Explanation(self, self.verify().verdict)
 
     def draw(self) -> Drawing:
         """Its block diagram; a notebook displays it, and `Drawing.save` writes SVG, PNG, PDF or Mermaid."""
@@ -330,7 +330,7 @@ class Graph(BaseGraph):
         if periods:
             with progress_line(self.name) as tell, SYMBOLIC:
                 found = stable_periods(self.diagram, self.clock, verdict, self.start, tell)
-        page = Page(self, self.diagram, verdict, found)
+        page = Page(self, verdict, found)
         _ = page.html
         return page
 
