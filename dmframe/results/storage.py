@@ -9,12 +9,12 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from dmframe.certify.along import Along
 from dmframe.certify.claim import Claim
-from dmframe.certify.storage_unit import StorageUnit, storage_unit
-from dmframe.certify.unproved import claimed_along
 from dmframe.config import BaseGraph
 from dmframe.errors import DmframeError, listed
+from dmframe.results.along import Along
+from dmframe.results.claimed import claimed_along
+from dmframe.results.storage_unit import StorageUnit, storage_unit
 from dmframe.simulate import Recording
 from dmframe.simulate.recording import ExtraSignal
 from dmframe.simulate.warnings import between

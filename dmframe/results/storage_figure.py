@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from dmframe.certify.along import Along
 from dmframe.errors import DmframeError
 from dmframe.plotting import draw_curve, frame, look, page, span, tame, verbatim
+from dmframe.results.along import Along
 from dmframe.results.drawn_runs import note_below, run_label
 from dmframe.results.run import Run
 from dmframe.simulate import Recording

@@ -11,7 +11,7 @@ from faulty import verdict_with
 
 import dmframe as dm
 from dmframe.certify import claim_of
-from dmframe.certify.along import along
+from dmframe.results.along import along
 from dmframe.robot.pseudo_inertia import dual, natural_gain, parameters_of, pseudo_inertia
 from dmframe_blocks._bodies import moved, natural, weight
 

@@ -14,11 +14,11 @@ import scipy
 from dmframe.adaptation import Fit
 from dmframe.certificate import SX, Certificate, Gathered
 from dmframe.certify import Verdict, verify
-from dmframe.certify.along import along
 from dmframe.errors import DmframeError
 from dmframe.formula.docstring import check_docstring
 from dmframe.graph.graph import Graph
 from dmframe.report.terms import terms_of
+from dmframe.results.along import along
 from dmframe.simulate import Recording, simulate
 from dmframe_blocks.adaptive_kinematics import AdaptiveKinematics
 

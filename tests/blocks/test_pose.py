@@ -17,7 +17,7 @@ import dmframe as dm
 from dmframe.catalogue import find_block
 from dmframe.certify import verify
 from dmframe.certify.closure import Closure
-from dmframe.certify.limits import Goal, Made, Vanishing, combined
+from dmframe.certify.limits import Combinations, Goal, Made, Vanishing, combined
 from dmframe.errors import DmframeError
 from dmframe.exact import zero_test
 from dmframe.graph.graph import Graph
@@ -215,7 +215,8 @@ def test_it_goes_with_a_pi_servo_and_ends_in_position_and_orientation() -> None:
     known = cast(Closure, SimpleNamespace(uncertain=frozenset(), prime=2**127 - 1, seed=0, driven=[], driving=[]))
 
     def concluded(vector: Any) -> Made | None:
-        return combined(claim, known, Goal("it", vector), [Vanishing("b", b.vector, True)])
+        field = Combinations(claim, known.prime, known.seed)
+        return combined(field, known, Goal("it", vector), [Vanishing("b", b.vector, True)])
 
     assert concluded(e_R.vector) is not None
     assert concluded(e_R.vector + 1) is None

@@ -14,11 +14,11 @@ from sampled_by_hand import Array, Plant, SampledLaw, closed_loop
 from test_sampled_by_hand import K_D, K_I, K_P, PATH, START, T, inertial, ur10
 
 import dmframe as dm
-from dmframe.certify.along import Along
-from dmframe.certify.unproved import claimed_along
 from dmframe.certify.verify import verify
 from dmframe.errors import DmframeError
 from dmframe.report.measured import measure
+from dmframe.results.along import Along
+from dmframe.results.claimed import claimed_along
 from dmframe.simulate import Log, Recording, simulate
 
 TICKS = 60

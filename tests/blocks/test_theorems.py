@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from dmframe.certify import Verdict, verify
-from dmframe.certify.along import Along, along
 from dmframe.graph.graph import Graph
+from dmframe.results.along import Along, along
 from dmframe.simulate import Recording, simulate
 
 THEOREMS = ("theorem_1", "theorem_2", "theorem_3", "theorem_4")

@@ -8,13 +8,13 @@ import casadi as ca
 import numpy as np
 from in_wasm import Loaded
 
-from dmframe.certify.along import along
 from dmframe.certify.claim import claim_of
 from dmframe.codegen import loop_module
 from dmframe.diagram.closed_loop import stack
 from dmframe.exact.rational import as_float
 from dmframe.page.functions import Functions, functions_of
 from dmframe.report.verification import Verification
+from dmframe.results.along import along
 from dmframe.results.metrics import tracking_error
 from dmframe.simulate import simulate
 from dmframe.simulate.start import start_state

@@ -11,10 +11,10 @@ from scalar_blocks import scalar_loop
 
 from dmframe.certificate import Certificate, Square
 from dmframe.certify import Verdict, claim_of, verify
-from dmframe.certify.along import along
 from dmframe.certify.checked import Numbers
 from dmframe.certify.contradicted import kept_above
 from dmframe.diagram import Diagram
+from dmframe.results.along import along
 from dmframe.simulate import simulate
 
 WHY = "the tank never runs dry"

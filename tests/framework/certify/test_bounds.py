@@ -18,7 +18,6 @@ from dmframe.certificate import Certificate, Clipped, Gathered, Square, clip
 from dmframe.certify import claim_of, verify
 from dmframe.certify.assemble import assembled
 from dmframe.certify.checked import Checked, Numbers
-from dmframe.certify.definite import is_semidefinite
 from dmframe.certify.excess import bounds_of
 from dmframe.certify.memories import memory_starts
 from dmframe.certify.summary import summary
@@ -27,6 +26,7 @@ from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
 from dmframe.exact.rational import as_float
 from dmframe.graph.graph import Graph
+from dmframe.prove.definite import is_semidefinite
 from dmframe.prove.faults import inject_faults
 from dmframe.report.content import Condition
 from dmframe.report.verdict_text import verdict_text

@@ -250,8 +250,7 @@ def test_two_loops_in_one_diagram_each_pay_for_their_own():
 def test_a_linear_combination_is_found_and_none_is_invented():
     """The coefficients that limits solves for are those of NumPy's least squares; a product is none."""
     from dmframe.certify.claim import claim_of
-    from dmframe.certify.limits import Own, Vanishing, _made_of
-    from dmframe.certify.symbols import exact_values, symbols_of
+    from dmframe.certify.limits import Combinations, Vanishing
 
     loop = scalar_loop(
         "x w",
@@ -259,14 +258,14 @@ def test_a_linear_combination_is_found_and_none_is_invented():
         lambda x, u, p: Certificate(storage=(Square(x.x), Square(x.w)), dissipation=(Square(x.x), Square(x.w))),
     )
     claim = claim_of(loop)
-    symbols, own = symbols_of(claim), Own(exact_values(loop), 2**127 - 1, 7)
+    field = Combinations(claim, 2**127 - 1, 7)
     x, w = (part.symbol for part in loop.loop.controller)
     k = loop.loop.parameters[0].symbol
     known = [Vanishing("x", x, True), Vanishing("w", w, True)]
-    assert _made_of(own, symbols, 3 * x - k * w, known) == ["x", "w"]
-    assert _made_of(own, symbols, k * x, known) == ["x"]
-    assert _made_of(own, symbols, x * w, known) is None
-    assert _made_of(own, symbols, x + 1, known) is None
+    assert field.made_of(3 * x - k * w, known) == ["x", "w"]
+    assert field.made_of(k * x, known) == ["x"]
+    assert field.made_of(x * w, known) is None
+    assert field.made_of(x + 1, known) is None
     rows = np.random.default_rng(0).normal(size=(9, 2))
     solved, *_ = np.linalg.lstsq(rows, rows @ np.array([3.0, -2.0]), rcond=None)
     assert np.allclose(solved, [3.0, -2.0])

@@ -19,10 +19,8 @@ from dmframe.certificate import Certificate, Inequality, Square
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.conditions import conditions_of
-from dmframe.certify.definite import pivots, pseudo_inertia
 from dmframe.certify.schema import verdict_schema
 from dmframe.certify.small_gain import small_gain
-from dmframe.certify.stability import common_margin
 from dmframe.certify.summary import summary
 from dmframe.certify.uncertain import intervals
 from dmframe.diagram import Diagram
@@ -31,7 +29,10 @@ from dmframe.exact.rational import Interval
 from dmframe.naming import named
 from dmframe.parameter import Positive, Scalar
 from dmframe.port import State
+from dmframe.prove.definite import pivots
+from dmframe.prove.stability import common_margin
 from dmframe.robot.library import load
+from dmframe.robot.pseudo_inertia import pseudo_inertia
 
 
 def built(kind: str = "PID", reference: str = "joint", friction: str = "none", **blocks: dict[str, Any]) -> Diagram:

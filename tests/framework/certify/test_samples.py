@@ -38,7 +38,6 @@ from dmframe.prove.refute import replay
 from dmframe.report.verdict_text import verdict_text
 from dmframe.report.words import meaning_of
 from dmframe.simulate import simulate
-from dmframe.steps import stepped
 
 States = ClassVar[tuple[State, ...]]
 
@@ -107,7 +106,8 @@ class Learner(AbstractBlock):
         elif self.lie == "cut":
             becomes = ca.fmin(becomes, p.most / 2)
         elif self.lie == "other_gain":
-            becomes = stepped((2, 2), becomes, h, y, 1.01 * p.gain * ca.DM.ones(4), p.floor)
+            gain = 1.01 * p.gain * ca.DM.ones(4)
+            becomes = NormalisedSteps("theta", becomes, becomes, gain, (2, 2), p.floor, ((h, y),)).held
         kept = x.rows[:, :2] if self.lie != "forgetful" else x.rows[:, 1:]
         return Equations(
             outputs={"c": self._pushes(x)},
@@ -255,7 +255,8 @@ def test_along_a_run_v_falls_by_what_numpy_says_and_the_true_values_are_found() 
 def test_with_a_small_floor_a_step_changes_an_estimate_no_more_than_a_row_requires() -> None:
     rng = np.random.default_rng(0)
     theta, h, y = rng.normal(size=5), rng.normal(size=5), rng.normal(size=2)
-    found = ca.DM(stepped((2, 3), ca.DM(theta), ca.DM(h), ca.DM(y), ca.DM.ones(5), 1e-14)).full()[:, 0]
+    steps = NormalisedSteps("theta", theta, theta, np.ones(5), (2, 3), 1e-14, ((h, y),))
+    found = ca.evalf(steps.held).full()[:, 0]
     for part, wanted in ((slice(0, 2), y[0]), (slice(2, 5), y[1])):
         least, *_ = np.linalg.lstsq(h[None, part], [wanted - theta[part] @ h[part]], rcond=None)
         np.testing.assert_allclose(found[part] - theta[part], least, rtol=1e-10)

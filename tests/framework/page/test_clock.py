@@ -13,8 +13,8 @@ from in_node import WEB, answered, content_of_graph
 
 import dmframe as dm
 from dmframe.analysis.period import sampled_radius
-from dmframe.certify.climb import climb_of
 from dmframe.page.periods import Periods, stable_periods
+from dmframe.results.climb import climb_of
 
 FILE, MOVED = {"p": False, "run": False}, {"p": True, "run": False, "at": []}
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from dmframe.certify.along import along
 from dmframe.errors import UnknownNameError
 from dmframe.plotting import FORMATS, files_of, look, styled, thin
+from dmframe.results.along import along
 from dmframe.results.command_figure import command_figure
 from dmframe.results.effort_figure import effort_figure
 from dmframe.results.error_figure import error_figure
@@ -280,7 +280,7 @@ def test_a_graph_of_which_nothing_would_be_proved_has_no_figure_of_v(kinematic, 
     partly = replace(pendulum, recording=replace(pendulum.recording, states=states))
     assert storage_figure("a state was not kept", partly) is None
     assert storage_figure("all is well", pendulum) is not None
-    monkeypatch.setattr("dmframe.certify.unproved.MOST", 3)
+    monkeypatch.setattr("dmframe.results.claimed.MOST", 3)
     assert storage_figure("too large to be decided on the way", replace(pendulum)) is None
 
 

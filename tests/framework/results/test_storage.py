@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import dmframe as dm
-from dmframe.certify.along import along
-from dmframe.certify.climb import climb_of
 from dmframe.errors import DmframeError
+from dmframe.results.along import along
+from dmframe.results.climb import climb_of
 from dmframe_plants.arm2.closed_form import jacobian
 
 LOADED = """

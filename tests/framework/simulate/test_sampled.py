@@ -11,12 +11,12 @@ from dmframe.analysis import linearise
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import Certificate
 from dmframe.certify import verify
-from dmframe.certify.unproved import unproved_along
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
 from dmframe.graph.graph import Graph
 from dmframe.parameter import Box, Interval, Real, Scalar
 from dmframe.port import PERIOD, Access, Input, Output, Side, State
+from dmframe.results.claimed import unproved_along
 from dmframe.runtime import Controller
 from dmframe.simulate import Solver, simulate, simulate_many
 from dmframe.simulate.instants import DRAWN, LENGTH, TIME, Instants
