@@ -39,7 +39,6 @@ EXCEPT: Final = (
     "tests/words.py",
     "docs/explanation/glossary.md",
     "docs/decisions/",
-    "CHANGELOG.md",
     "docs/explanation/speed.md",  # its table is printed by tests/benchmarks
     "docs/make_which.py",  # imports names of rooms to do
     "docs/paper_rows.yaml",  # cites them

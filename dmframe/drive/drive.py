@@ -60,7 +60,7 @@ def driven(
     limits
         Limits of the gate; those of the robot's model by default.
     ramp
-        Time in which the first motion accelerates [s]; by default 0 for a simulated robot, else 1 s.
+        Time in which the first motion accelerates [s]; by default 0 for a simulated robot, else `RAMP`.
     patience
         Timeout of a real robot's sample [s]; the driver's default without it.
     payload
@@ -83,19 +83,20 @@ def driven(
     diagram = graph.diagram
     kind, rest = kind_of(robot)
     duration = graph.file.duration if until is None else until
-    limits = limits or own_limits(diagram.robot)
+    limits, ramp = limits or own_limits(diagram.robot), RAMP * kind.real if ramp is None else ramp
     if kind.real and not shadow:
         _check_acceleration(limits)
     steered = steered_controller(graph, engine)  # compile before the loop
     if kind.real and not shadow and rehearsed:  # identity of the loaded controller: files may have changed since
-        parts = identity(graph, steered, limits, usual_payload(diagram) if payload is None else payload)
+        load = usual_payload(diagram) if payload is None else payload
+        parts = identity(graph, steered, limits, payload=load, ramp=ramp, patience=patience)
         if why := refusal(graph.name, parts, duration):
             raise DriveError(f"{graph.name}: {why}")
     with SYMBOLIC:
         start = _start(graph)
     options = Options(duration, engine, max(limits.deceleration, limits.halt), patience)
     driver = kind.make(rest, graph, options)
-    plan = Plan(duration, start, RAMP * kind.real if ramp is None else ramp, shadow)
+    plan = Plan(duration, start, ramp, shadow)
     gate = Gate(limits, driver.period)
     about: dict[str, Any] = {"graph": graph.name, "field_hash": diagram.fingerprint, "command": steered.label}
     about |= {"engine": steered.controller.engine, "drive": drive_data(robot, plan, gate)}

@@ -1,8 +1,9 @@
 """Identity of a rehearsal: everything that can change a command, in named parts.
 
-The parts are the resolved graph, the sources of its blocks, the robot's model, the limits, the payload, the engine with
-its compiler, dmframe itself, the numeric libraries, and the resulting closed loop. The closed loop is that of the
-loaded diagram and controller, because a file may have changed since it was read.
+The parts are the resolved graph, the sources of its blocks, the robot's model, the limits, the payload, the times of
+the drive, the engine with its compiler, dmframe itself, the numeric libraries, and the resulting closed loop. The
+closed loop is that of the loaded diagram and controller, because a file may have changed since it was read. The address
+is not a part: the arm and its driver receive the command, and do not alter it.
 """
 
 from __future__ import annotations
@@ -42,13 +43,25 @@ LOOP: Final = "closed loop"
 _LIBRARIES: Final = ("casadi", "numpy", "scipy")
 
 
-def identity(graph: BaseGraph, steered: Steered, limits: Limits, payload: float) -> Identity:
+def identity(
+    graph: BaseGraph,
+    steered: Steered,
+    limits: Limits,
+    *,
+    payload: float,
+    ramp: float,
+    patience: float | None,
+) -> Identity:
     """Compute all parts, in about 0.1 s.
 
     Parameters
     ----------
     payload
         Mass at the tool in the rehearsal [kg].
+    ramp
+        Time in which the first motion accelerates [s].
+    patience
+        Timeout of a sample [s]; None for the driver's.
     """
     files, libraries = _sources(graph)
     return {
@@ -57,6 +70,7 @@ def identity(graph: BaseGraph, steered: Steered, limits: Limits, payload: float)
         "robot model": _model(graph),
         "limits": {key: str(value) for key, value in limits.data.items()},
         "payload": {"at the tool [kg]": repr(float(payload))},
+        "drive": {"ramp [s]": repr(float(ramp)), "patience [s]": "default" if patience is None else repr(patience)},
         "engine": _engine(steered.controller.engine),
         "dmframe": {"version": own_version(), "source": _framework()},
         "library": {name: _installed(name) for name in sorted({*_LIBRARIES, *libraries})}

@@ -12,7 +12,18 @@ from xml.sax.saxutils import escape, unescape
 
 from dmframe.config import BaseGraph
 from dmframe.errors import EngineError
-from dmframe.export.c import about, c_text, commented, files_of, new_folder, origin, own_file, unit_of, write_all
+from dmframe.export.c import (
+    about,
+    c_text,
+    commented,
+    files_of,
+    filled,
+    new_folder,
+    origin,
+    own_file,
+    unit_of,
+    write_all,
+)
 from dmframe.export.program import Member, Program, program_of
 from dmframe.files import made_distinct
 from dmframe.runtime.signals import measured_as, velocity_command
@@ -120,10 +131,12 @@ def _rows(parameters: Sequence[Member]) -> Iterator[_Row]:
 
 
 def _names(items: Sequence[Member]) -> list[str]:
-    """Names in ROS 2: by blocks, as in the graph."""
-    return made_distinct([item.label if _NAME.fullmatch(item.label) else item.word for item in items], "{}_{}".format)
+    """Names in ROS 2: by blocks, as in the graph, and none of the controller's own."""
+    names = [item.label if _NAME.fullmatch(item.label) else item.word for item in items]
+    return made_distinct([*_OWN, *names], "{}_{}".format)[len(_OWN) :]
 
 
+_OWN: Final = tuple(f"interfaces.{word}" for word in ("position", "velocity", "target", "scaling", "command"))
 _NAME: Final = re.compile(r"[A-Za-z]\w*(\.[A-Za-z]\w*)*", re.ASCII)
 
 
@@ -142,11 +155,8 @@ def _taken(program: Program, fields: dict[str, str]) -> Iterator[str]:
 
 
 def _called(name: str, words: dict[str, str]) -> str:
-    """A template of this package with its words replaced, longer words first, since some are prefixes of others."""
-    text = own_file(f"ros2/{name}")
-    for word in sorted(words, key=len, reverse=True):
-        text = text.replace(word, words[word])
-    return text
+    """A template of this package with its words replaced."""
+    return filled(own_file(f"ros2/{name}"), words)
 
 
 def _read_as_xml(name: str, file: str, words: dict[str, str]) -> str:

@@ -257,6 +257,8 @@ class Graph(BaseGraph):
         *,
         payload: float | str | None = None,
         limits: str | Path | None = None,
+        ramp: float | str | None = None,
+        patience: float | str | None = None,
         engine: Choice = "auto",
     ) -> Rehearsal:
         """Simulate it with the non-idealities of a real robot: delay, jitter, lost samples, a load, a speed slider.
@@ -267,8 +269,8 @@ class Graph(BaseGraph):
             Time of each run.
         payload
             Mass at the tool that the controller does not know [kg]; by default a twentieth of the moving mass.
-        limits
-            As of `drive`.
+        limits, ramp, patience
+            As of `drive`, which requires the same.
         """
         from dmframe.drive import load_limits, rehearsed
 
@@ -278,6 +280,8 @@ class Graph(BaseGraph):
                 seconds=None if until is None else seconds("until", until),
                 payload=None if payload is None else to_unit(payload, "kg"),
                 limits=None if limits is None else load_limits(limits, self.robot),
+                ramp=None if ramp is None else to_unit(ramp, "s"),
+                patience=None if patience is None else seconds("patience", patience),
                 engine=engine,
                 report=tell,
             )

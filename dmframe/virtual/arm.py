@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -106,8 +106,10 @@ class Arm:
         six[:, list(self.places)] = np.vstack([turn @ found[:3], turn @ found[3:]])
         return six
 
-    def inverse(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
-        """Joint angles of a flange pose, by damped least squares from the angles `near`.
+    def inverse(
+        self, pose: np.ndarray, near: np.ndarray, steps: int = MOST_STEPS, spend: Callable[[], None] = lambda: None
+    ) -> np.ndarray:
+        """Joint angles of a flange pose, by damped least squares from the angles `near`; `spend` is called each step.
 
         Raises
         ------
@@ -119,7 +121,8 @@ class Arm:
         if not self.whole:
             raise EngineError(f"inverse kinematics: {self.name} has only {len(self.places)} free joints in this graph")
         goal, q = pin.SE3(pin.exp3(pose[3:]), pose[:3]), near.copy()
-        for _ in range(MOST_STEPS):
+        for _ in range(steps):
+            spend()
             at = self._placed(q)
             error = np.concatenate(
                 [goal.translation - at.translation, at.rotation @ pin.log3(at.rotation.T @ goal.rotation)]

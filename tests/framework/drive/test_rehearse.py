@@ -95,7 +95,7 @@ def test_a_controller_that_is_late_by_far_shows_it() -> None:
 
 
 def test_delay_jitter_lost_samples_payload_and_slider_are_all_tried() -> None:
-    found = [condition.options for condition in conditions(0.008, 40.0, 1.0)]
+    found = [condition.options for condition in conditions(0.008, 40.0, 1.0, 1.0)]
     assert {key for options in found for key in options} == {
         "delay",
         "jitter",
