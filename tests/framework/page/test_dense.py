@@ -66,7 +66,7 @@ def false_greens(name: str, web: Path = WEB, most: int = EDGES) -> tuple[int, Se
     return len(looked), [each for each in looked if not graph.set(moved(data, each)[1]).verify().proved]
 
 
-@pytest.mark.parametrize("name", ["torque_direct_pid", "ur10_camera"])
+@pytest.mark.parametrize("name", ["torque_direct_pid", "pendulum"])
 def test_no_green_position_is_unproved(name: str) -> None:
     looked, false = false_greens(name)
     assert looked >= EDGES
