@@ -17,7 +17,6 @@ import sys
 import sysconfig
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
 
@@ -34,6 +33,7 @@ from dmframe.runtime.gate import Limits
 from dmframe.runtime.steered import Steered
 from dmframe.seal import digest
 from dmframe.version import version as own_version
+from dmframe.version import version_of
 
 Identity = Mapping[str, Mapping[str, str]]
 """Part -> item -> value or digest."""
@@ -129,10 +129,7 @@ def _engine(engine: str) -> dict[str, str]:
 
 
 def _installed(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return "none"
+    return version_of(name) or "none"
 
 
 @functools.cache

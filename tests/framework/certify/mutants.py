@@ -58,7 +58,7 @@ FUNCTIONS = {"sin": "cos", "cos": "sin", "tanh": "sin", "horzcat": "vertcat", "c
 
 
 SHARE = 40
-"""Faults that a process tries before it tells."""
+"""Faults that a process tries before it reports."""
 
 
 @dataclass(frozen=True)
@@ -292,7 +292,7 @@ def unlabelled(stated: Mapping[str, Certificate], laws: Any) -> dict[str, Certif
 
 @contextlib.contextmanager
 def nothing_printed() -> Iterator[None]:
-    """Leave a fault to the exact test, before which the printed laws would tell of some; nor ask what follows."""
+    """Leave a fault to the exact test, before which the printed laws would find some; skip what follows."""
     with (
         mock.patch("dmframe.certify.claim.printed_laws", return_value={}),
         mock.patch("dmframe.certify.claim.labelled", unlabelled),
@@ -316,7 +316,7 @@ def judged(mutant: Mutant, loop: Loop) -> Result:
             verdict = verify(diagram, trials=1)
         except DmframeError as error:
             return Result(mutant, loop.name, "no diagram", error.text)
-        except Exception as error:  # a fault in the library may raise anything; a block's must be told as its own
+        except Exception as error:  # a fault in the library may raise anything; a block's must be reported as its own
             if block:
                 raise
             return Result(mutant, loop.name, "no diagram", repr(error))

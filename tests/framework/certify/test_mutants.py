@@ -48,7 +48,7 @@ def some(mutants: Iterable[Mutant]) -> list[Mutant]:
 
 
 def tried(mutants: Sequence[Mutant]) -> list[Result]:
-    """What becomes of each, in one loop after the other; of a block with few faults in up to three, until one tells."""
+    """The result of each, loop by loop; of a block with few faults in up to three, until one is found."""
     results, faults = [], Counter(mutant.owner for mutant in mutants)
     for turn, mutant in enumerate(mutants):
         blocks = mutant.owner in known_blocks()
@@ -79,13 +79,13 @@ def test_of_more_than_100_faults_in_the_equations_of_all_blocks_none_is_proved_u
     assert outcomes["units"] > 0  # of these the identity is true
     assert outcomes["refuted"] > 0.9 * (len(acting) - outcomes["units"])
     # V does not weigh a redundant robot's self-motion; without a term in the error any reference falls along V
-    unseen = {"null_space_posture", "joint_feedforward", "payload_estimate"}  # the last tells, and moves nothing
+    unseen = {"null_space_posture", "joint_feedforward", "payload_estimate"}  # the last reports, and moves nothing
     refuted = {result.mutant.owner for result in results if result.outcome == "refuted"}
-    telling = set(provable) - unseen - free
-    for kind in sorted(telling - refuted):  # the few that were tried told nothing
+    expected = set(provable) - unseen - free
+    for kind in sorted(expected - refuted):  # the few that were tried were not refuted
         if any(tried([mutant])[0].outcome == "refuted" for mutant in block_mutants(kind, blocks[kind])):
             refuted.add(kind)
-    assert refuted - free == telling
+    assert refuted - free == expected
 
 
 @pytest.mark.parametrize("kind", ["pi_servo", "pi_inverse", "dynamic_compensator", "joint_tracking"])
@@ -94,7 +94,7 @@ def test_a_fault_in_the_equations_of_one_block_of_each_stage_is_refuted(kind: st
     assert result.outcome == "refuted"
 
 
-def test_every_block_that_has_equations_of_motion_and_a_certificate_stands_in_a_loop_that_is_proved() -> None:
+def test_every_block_that_has_equations_of_motion_and_a_certificate_is_in_a_loop_that_is_proved() -> None:
     answering = {k: b for k, b in known_blocks().items() if b.side is not Side.SOURCE}
     continuous = {k: b for k, b in answering.items() if not any(s.sampled for s in b.states)}
     without = {kind for kind in continuous if not homes(kind, loops())}

@@ -188,9 +188,9 @@ def test_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(refused) <= 2, refused
     assert '{"interfaces.position_2", ' in (folders[-1] / "src" / "controller.cpp").read_text()
     lines = [
-        f'#define stand_in_loaded made_{k}\n#include "{each}/src/controller.cpp"\n' for k, each in enumerate(folders)
+        f'#define created_controller made_{k}\n#include "{each}/src/controller.cpp"\n' for k, each in enumerate(folders)
     ]
-    (tmp_path / "all.cpp").write_text("#undef stand_in_loaded\n".join(lines))
+    (tmp_path / "all.cpp").write_text("#undef created_controller\n".join(lines))
     words_of_gcc = ["-std=c++17", "-fsyntax-only", "-Wall", "-Wextra", "-Werror", f"-I{STAND_INS / 'ros'}"]
     own = [f"-I{folder / room}" for folder in folders for room in ("include", "src")]
     checked([str(CXX), *words_of_gcc, f"-I{STAND_INS / 'control'}", *own, "all.cpp"], tmp_path)
