@@ -110,7 +110,7 @@ def written(place: Place, runs: Sequence[Run]) -> list[dict[str, Any]]:
 def _check_page(graph: Graph) -> None:
     from dmframe.page.content import check_chance
 
-    check_chance(graph, graph.diagram)
+    check_chance(graph)
 
 
 def _write_pages(place: Place, names: Sequence[str], graphs: Sequence[Graph]) -> None:

@@ -44,7 +44,7 @@ _LIBRARIES: Final = ("casadi", "numpy", "scipy")
 
 
 def identity(
-    experiment: BaseGraph,
+    graph: BaseGraph,
     steered: Steered,
     limits: Limits,
     *,
@@ -63,11 +63,11 @@ def identity(
     patience
         Timeout of a sample [s]; None for the driver's.
     """
-    files, libraries = _sources(experiment)
+    files, libraries = _sources(graph)
     return {
-        "graph": dict(_flat(resolved(experiment.until(1.0)))),
+        "graph": dict(_flat(resolved(graph.until(1.0)))),
         "block source": files,
-        "robot model": _model(experiment),
+        "robot model": _model(graph),
         "limits": {key: str(value) for key, value in limits.data.items()},
         "payload": {"at the tool [kg]": repr(float(payload))},
         "drive": {"ramp [s]": repr(float(ramp)), "patience [s]": "default" if patience is None else repr(patience)},
@@ -115,9 +115,9 @@ def _flat(value: Any, path: str = "") -> Iterator[tuple[str, str]]:
         yield path, repr(value)
 
 
-def _model(experiment: BaseGraph) -> dict[str, str]:
+def _model(graph: BaseGraph) -> dict[str, str]:
     """Digest of the robot's URDF; meshes do not change commands."""
-    source = robot_source(experiment)
+    source = robot_source(graph)
     return {} if source is None else {source.urdf.name: digest(source.urdf.read_bytes())}
 
 
@@ -163,12 +163,12 @@ def _digest(function: Any) -> str:
     return digest(encoded("\n".join(lines)))
 
 
-def _sources(experiment: BaseGraph) -> tuple[dict[str, str], set[str]]:
+def _sources(graph: BaseGraph) -> tuple[dict[str, str], set[str]]:
     """Digests of the blocks' source files and of the local modules that they import; names of imported libraries.
 
     Other data that a block reads, such as a table of numbers, changes the part `LOOP`.
     """
-    classes = {each for block in experiment.blocks.values() for each in type(block).__mro__}
+    classes = {each for block in graph.blocks.values() for each in type(block).__mro__}
     todo = sorted({each.__module__ for each in classes if each.__module__ in sys.modules})
     own, seen, files, libraries = frozenset(todo), set[str](), dict[str, str](), set[str]()
     while todo:

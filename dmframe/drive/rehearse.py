@@ -11,7 +11,6 @@ import numpy as np
 from dmframe.columns import columns
 from dmframe.config import BaseGraph
 from dmframe.config.sections import tolerance_in
-from dmframe.diagram import Diagram
 from dmframe.drive.bar import Bar, Measured, farthest, quarters
 from dmframe.drive.drive import RAMP, steered_controller
 from dmframe.drive.identity import Identity, identity
@@ -221,8 +220,7 @@ def conditions(clock: float, duration: float, payload: float, ramp: float) -> li
 
 
 def rehearsed(
-    experiment: BaseGraph,
-    diagram: Diagram,
+    graph: BaseGraph,
     *,
     seconds: float | None = None,
     payload: float | None = None,
@@ -257,18 +255,18 @@ def rehearsed(
     DmframeError
         The graph cannot drive a robot, or does not follow a path.
     """
-    required = min(experiment.file.duration, LONGEST)
+    required = min(graph.file.duration, LONGEST)
     duration = required if seconds is None else seconds
-    clock, limits = clock_of(experiment), limits or own_limits(diagram.robot)
+    clock, limits = clock_of(graph), limits or own_limits(graph.diagram.robot)
     ramp = RAMP if ramp is None else ramp
-    load = usual_payload(diagram) if payload is None else payload
+    load = usual_payload(graph.diagram) if payload is None else payload
     given = tried if tried is not None else conditions(clock, duration, load, ramp)
     parts = None
     if tried is None:  # before the runs, since a file may change meanwhile
-        steered = steered_controller(experiment, diagram, engine)
-        parts = identity(experiment, steered, limits, payload=load, ramp=ramp, patience=patience)
-    law, lacking = law_of(experiment, diagram)
-    trial = _Trial(experiment, diagram, duration, limits, engine, law)
+        steered = steered_controller(graph, engine)
+        parts = identity(graph, steered, limits, payload=load, ramp=ramp, patience=patience)
+    law, lacking = law_of(graph)
+    trial = _Trial(graph, duration, limits, engine, law)
     outcomes, ideal, bar = list[Outcome](), None, Bar(lacking=lacking)
     signal = unit = ""
     for condition in given:
@@ -276,14 +274,14 @@ def rehearsed(
         found, rival = trial.measured(condition), trial.rival(condition)
         if ideal is None:  # the first condition
             ideal, signal, unit = found, found.signal, found.unit
-            stated = tolerance_in(unit, experiment.file, experiment.document)
+            stated = tolerance_in(unit, graph.file, graph.document)
             bar = Bar(stated, str(law) if law is not None else "", lacking)
         why = found.stopped or bar.above(found, rival, ideal=ideal is found) or _why(found, ideal)
         error, other = (None if each is None or each.stopped else each.last for each in (found, rival))
         outcomes.append(Outcome(condition, error, why, other, found.still))
-    until = experiment.file.duration
-    field = diagram.fingerprint
-    return Rehearsal(experiment.name, signal, unit, duration, required, outcomes, until, parts, field, bar)
+    until = graph.file.duration
+    field = graph.diagram.fingerprint
+    return Rehearsal(graph.name, signal, unit, duration, required, outcomes, until, parts, field, bar)
 
 
 def _why(run: Measured, ideal: Measured) -> str:
@@ -305,8 +303,7 @@ def _why(run: Measured, ideal: Measured) -> str:
 class _Trial:
     """Simulated drives under a condition, with the graph's controller and with its rival."""
 
-    experiment: BaseGraph
-    diagram: Diagram
+    graph: BaseGraph
     duration: float
     limits: Limits
     engine: Choice
@@ -314,15 +311,15 @@ class _Trial:
 
     def measured(self, condition: Condition) -> Measured:
         """Errors of the graph's controller."""
-        steered = steered_controller(self.experiment, self.diagram, self.engine)
+        steered = steered_controller(self.graph, self.engine)
         found, robot, gate = self._driven(steered, condition)
         plan = self._plan(condition)
         recording = recording_of(
-            self.diagram, steered, found, robot=robot.name, plan=plan, gate=gate, solver=robot.solver
+            self.graph.diagram, steered, found, robot=robot.name, plan=plan, gate=gate, solver=robot.solver
         )
         error = tracking_error(recording) if recording is not None else None
         if recording is None or error is None:
-            raise DriveError(f"{self.experiment.name}: expected a graph that follows a path")
+            raise DriveError(f"{self.graph.name}: expected a graph that follows a path")
         times = recording.time / self.duration
         still = euclidean(recording[error.actual][0] - recording[error.desired])
         stopped = _stopped(found, float(recording.time[-1]))
@@ -333,8 +330,8 @@ class _Trial:
         """Errors of the rival; None if none is applicable."""
         if self.law is None:
             return None
-        robot = self.diagram.robot
-        found, _, _ = self._driven(Rival(self.law, robot.n, clock_of(self.experiment)), condition)
+        robot = self.graph.diagram.robot
+        found, _, _ = self._driven(Rival(self.law, robot.n, clock_of(self.graph)), condition)
         journal, name = found.journal, "q" if self.law.shown is None else "x"
         times, shown = journal["reference"], journal[name]
         wanted = np.array([self.law.goal(t)[0].full().ravel() for t in times])
@@ -345,7 +342,7 @@ class _Trial:
         return Plan(self.duration, ramp=condition.ramp)
 
     def _driven(self, steered: Any, condition: Condition) -> tuple[Driven, SimulatedRobot, Gate]:
-        robot = simulated_robot(self.experiment, self.diagram, self.duration, self.engine, **condition.options)
+        robot = simulated_robot(self.graph, self.duration, self.engine, **condition.options)
         gate = Gate(self.limits, robot.period)
         return drive(steered, robot, gate, self._plan(condition), lambda: ""), robot, gate
 

@@ -15,7 +15,6 @@ from dmframe.codegen.function import ONE, written
 from dmframe.codegen.source import helpers
 from dmframe.config import BaseGraph
 from dmframe.config.resolved import resolved_text
-from dmframe.diagram import Diagram
 from dmframe.diagram.parts import split
 from dmframe.errors import OutputError
 from dmframe.export.program import Member, Program, program_of
@@ -234,7 +233,7 @@ def own_file(name: str) -> str:
     return files("dmframe.export").joinpath(name).read_text(encoding="utf-8")
 
 
-def export_c(experiment: BaseGraph, diagram: Diagram, folder: str | Path) -> list[Path]:
+def export_c(graph: BaseGraph, folder: str | Path) -> list[Path]:
     """Write a graph's controller as C99 into a new folder, with an example and a test; returns the files.
 
     ``NAME.c`` and ``NAME.h`` are the controller; ``replay.c`` compares the compiled code with the first samples of a
@@ -249,8 +248,8 @@ def export_c(experiment: BaseGraph, diagram: Diagram, folder: str | Path) -> lis
         The folder exists already, or cannot be written.
     """
     place = new_folder(folder)
-    program = program_of(experiment, diagram)
-    return write_all(place, files_of(experiment, diagram, program))
+    program = program_of(graph)
+    return write_all(place, files_of(graph, program))
 
 
 def new_folder(folder: str | Path) -> Path:
@@ -278,26 +277,26 @@ def write_all(place: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
     return files
 
 
-def files_of(experiment: BaseGraph, diagram: Diagram, program: Program) -> dict[str, str]:
+def files_of(graph: BaseGraph, program: Program) -> dict[str, str]:
     """All files of an exported controller, by name."""
     wanted = {f"{program.name}.c": source(program), f"{program.name}.h": header(program)}
-    samples = samples_of(experiment, diagram, program)
+    samples = samples_of(graph, program)
     wanted |= {"replay.c": _called("replay.c", program), "samples.h": sizes_as_c(samples, exact=False)}
-    computed = computed_by_c(diagram, program, wanted, samples)
+    computed = computed_by_c(graph.diagram, program, wanted, samples)
     shown = kept(samples if computed is None else computed.samples)
     return wanted | {
         "samples.h": samples_as_c(shown, exact=computed is not None),
         "example.c": _called("example.c", program, DM_STILL=first_sample(program, samples)),
         "CMakeLists.txt": _called("CMakeLists.txt", program),
         "README.md": _readme(program, len(shown.times), computed),
-        **origin(experiment, program.model),
+        **origin(graph, program.model),
     }
 
 
-def origin(experiment: BaseGraph, model: str) -> dict[str, str]:
+def origin(graph: BaseGraph, model: str) -> dict[str, str]:
     """Provenance files; `model` is the hash of the closed loop."""
-    text = resolved_text(experiment)
-    made = provenance(experiment, text, field_hash=model)
+    text = resolved_text(graph)
+    made = provenance(graph, text, field_hash=model)
     return {"graph.yaml": text, "provenance.json": json.dumps(made, indent=2) + "\n"}
 
 

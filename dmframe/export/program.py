@@ -14,7 +14,6 @@ import casadi as ca
 
 from dmframe.block.model import symbols_in
 from dmframe.config import BaseGraph
-from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import EngineError, OutputError
 from dmframe.files import made_distinct
@@ -117,7 +116,7 @@ class Program:
     model: str
 
 
-def program_of(experiment: BaseGraph, diagram: Diagram) -> Program:
+def program_of(graph: BaseGraph) -> Program:
     """Controller of a graph.
 
     Raises
@@ -127,15 +126,14 @@ def program_of(experiment: BaseGraph, diagram: Diagram) -> Program:
     OutputError
         The name has no letter or digit.
     """
-    loop, clock = diagram.loop, experiment.file.clock
+    diagram = graph.diagram
+    loop, clock = diagram.loop, graph.file.clock
     if not isinstance(clock, float):
-        raise EngineError(
-            f"{experiment.name}: expected a clock such as 8 ms, found continuous; an exported law is sampled"
-        )
+        raise EngineError(f"{graph.name}: expected a clock such as 8 ms, found continuous; an exported law is sampled")
     if not loop.commanded:
         raise EngineError("export: expected a graph with a command, found no wire to a plant")
     control = control_function(diagram)
-    start, unmeasured = start_function(diagram, experiment.start)
+    start, unmeasured = start_function(diagram, graph.start)
     inputs = [ca.SX.sym(word, control.numel_in(k)) for k, word in enumerate(("z", "measured", "t", "T"))]
     results = control(*inputs, loop.p)
     begun = start(*inputs[1:], loop.p)
@@ -150,8 +148,8 @@ def program_of(experiment: BaseGraph, diagram: Diagram) -> Program:
     p = stack(parameter.symbol for parameter in kept)
     units = {signal.label: signal.unit for signal in loop.outputs}
     return Program(
-        name=own_name(experiment.name),
-        title=experiment.file.title or "",
+        name=own_name(graph.name),
+        title=graph.file.title or "",
         period=clock,
         measured=members((leaf.name, leaf.symbol, units[leaf.name]) for leaf in loop.measured),
         commanded=members((leaf.name, leaf.symbol, units[leaf.name]) for leaf in loop.commanded),

@@ -11,7 +11,6 @@ from xml.etree import ElementTree
 from xml.sax.saxutils import escape, unescape
 
 from dmframe.config import BaseGraph
-from dmframe.diagram import Diagram
 from dmframe.errors import EngineError
 from dmframe.export.c import (
     about,
@@ -34,7 +33,7 @@ from dmframe.version import version
 _WHOLE: Final = 1e-6
 
 
-def export_ros2(experiment: BaseGraph, diagram: Diagram, folder: str | Path) -> list[Path]:
+def export_ros2(graph: BaseGraph, folder: str | Path) -> list[Path]:
     """Write a graph's controller as a ROS 2 package into a new folder; returns the files.
 
     It is a chainable controller of ros2_control around the exported C: an update of the manager is one sample. Its
@@ -46,12 +45,13 @@ def export_ros2(experiment: BaseGraph, diagram: Diagram, folder: str | Path) -> 
         The graph has no sampled controller that can be separated from the plant, its commands, measurements or clock
         are not supported by a controller manager, or the folder exists already or cannot be written.
     """
+    diagram = graph.diagram
     place = new_folder(folder)
     fields, command = measured_as(diagram), velocity_command(diagram)
-    program = program_of(experiment, diagram)
+    program = program_of(graph)
     rate = _rate(program)
     if diagram.robot is None:
-        raise EngineError(f"{experiment.name}: expected a graph with a robot, whose joints are exported, found none")
+        raise EngineError(f"{graph.name}: expected a graph with a robot, whose joints are exported, found none")
     joints = list(diagram.robot.joint_names)
     package = package_of(program.name)
     rows = list(_rows(program.parameters))
@@ -76,11 +76,11 @@ def export_ros2(experiment: BaseGraph, diagram: Diagram, folder: str | Path) -> 
         "DM_COMMAND": by_label[command],
         "DM_TITLE": escape(commented(program.title or program.name)),
     }
-    c = files_of(experiment, diagram, program)
+    c = files_of(graph, program)
     wanted = {
-        "package.xml": _read_as_xml(experiment.name, "package.xml", words),
+        "package.xml": _read_as_xml(graph.name, "package.xml", words),
         "CMakeLists.txt": _called("CMakeLists.txt", words),
-        "controller.xml": _read_as_xml(experiment.name, "controller.xml", words),
+        "controller.xml": _read_as_xml(graph.name, "controller.xml", words),
         f"include/{package}/controller.hpp": _called("controller.hpp", words),
         "src/controller.cpp": _called("controller.cpp", words),
         f"src/{program.name}.c": c[f"{program.name}.c"],
@@ -88,10 +88,10 @@ def export_ros2(experiment: BaseGraph, diagram: Diagram, folder: str | Path) -> 
         "test/replay.c": c["replay.c"],
         "test/samples.h": c["samples.h"],
         "config/controllers.yaml": _read_back(
-            experiment.name, "\n".join(_configuration(package, rate, joints, rows)), package, joints, rows
+            graph.name, "\n".join(_configuration(package, rate, joints, rows)), package, joints, rows
         ),
         "README.md": _readme(program, package, rate, rows),
-        **origin(experiment, program.model),
+        **origin(graph, program.model),
     }
     return write_all(place, wanted)
 

@@ -42,27 +42,27 @@ COSTS: Final = {
 
 @final
 class Allowance:
-    """Operation budget of a script (token bucket).
+    """Budget of operations, or of words (token bucket).
 
     Parameters
     ----------
     refill
-        Operations that each cycle adds.
+        Amount that each cycle adds.
     begin, most
-        Operations at the beginning, and at most.
+        Amount at the beginning, and at most.
     """
 
     def __init__(self, refill: float, begin: float = BURST, most: float = BURST) -> None:
-        self._left, self._refill, self._most, self.copied = begin, refill, most, 0
+        self.left, self._refill, self._most, self.copied = begin, refill, most, 0
 
     def cycle(self) -> None:
         """Refill the budget at the beginning of a cycle."""
-        self._left = min(self._most, self._left + self._refill)
+        self.left = min(self._most, self.left + self._refill)
 
     def spend(self, operations: int) -> None:
-        """Take operations from the budget. Raises `ScriptError` if they exceed it."""
-        self._left -= operations
-        if self._left < 0:
+        """Take operations. Raises `ScriptError` if they exceed the budget."""
+        self.left -= operations
+        if self.left < 0:
             raise ScriptError(
                 "a loop without sync() or another wait, or too many operations in each cycle: expected at most "
                 f"{BURST} operations (loop iterations, calls) without a wait, and {RATE:.0f} in a second"
@@ -70,8 +70,8 @@ class Allowance:
 
     def drawn(self) -> float:
         """Take the operations with which a program begins."""
-        found = min(max(self._left, LEAST_BURST), BURST)
-        self._left = max(self._left - found, 0.0)
+        found = min(max(self.left, LEAST_BURST), BURST)
+        self.left = max(self.left - found, 0.0)
         return found
 
     def sized(self, value: Any) -> Any:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, final
 import numpy as np
 
 from dmframe.config import BaseGraph
-from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, EngineError, ValueFault
 from dmframe.runtime.ur_arm import JOINTS
 from dmframe.simulate.engine import Choice
@@ -117,8 +116,7 @@ class VirtualRobot:
 
     def __init__(
         self,
-        experiment: BaseGraph,
-        diagram: Diagram,
+        graph: BaseGraph,
         *,
         series: Series = "e",
         slider: float = 1.0,
@@ -132,11 +130,11 @@ class VirtualRobot:
             raise ValueFault(f"series: expected cb3 or e, found {series!r}")
         self.series: Series = series
         self.dt = 1 / RATES[series]
-        self.arm = arm_of(experiment)
-        self.plant = Plant(experiment, diagram, self.dt, engine=engine)
+        self.arm = arm_of(graph)
+        self.plant = Plant(graph, self.dt, engine=engine)
         if self.plant.n != len(self.arm.places):
-            raise EngineError(f"{experiment.name}: expected a command for each joint, found {self.plant.n} numbers")
-        self.name = experiment.name
+            raise EngineError(f"{graph.name}: expected a command for each joint, found {self.plant.n} numbers")
+        self.name = graph.name
         self.version = VERSIONS[series]
         self.registers, self.safety = Registers(), Safety()
         self.digital_outputs, self.analog_outputs, self.payload = 0, [0.0, 0.0], [0.0, 0.0, 0.0, 0.0]

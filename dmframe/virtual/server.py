@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final, final
 
 from dmframe.errors import OutputError, ValueFault
 from dmframe.virtual import dashboard, primary
+from dmframe.virtual.budget import Allowance
 from dmframe.virtual.program import Program
 from dmframe.virtual.rtde import Rtde
 from dmframe.virtual.words import MOST_WORDS, Arriving, ScriptError
@@ -110,26 +111,6 @@ class _DashboardClient(_Client):
 
 
 @final
-class Words:
-    """Budget of words for the scripts of some clients (token bucket), full at first.
-
-    Parameters
-    ----------
-    most
-        Words at most.
-    refill
-        Words that each cycle adds.
-    """
-
-    def __init__(self, most: float, refill: float) -> None:
-        self._most, self._refill, self.left = most, refill, most
-
-    def cycle(self) -> None:
-        """Refill the budget."""
-        self.left = min(self._most, self.left + self._refill)
-
-
-@final
 class _ScriptClient(_Client):
     """Receives scripts, and sends `sent(robot)`, the same `name` for all clients, every `every` cycles.
 
@@ -143,12 +124,12 @@ class _ScriptClient(_Client):
         sent: Callable[[VirtualRobot], bytes],
         every: int,
         first: bytes,
-        words: Words,
+        words: Allowance,
     ) -> None:
         self._robot, self._name, self._sent, self._every = robot, name, sent, every
         self._arriving, self.pending = Arriving(), bytearray(first)
         self._decoded = codecs.getincrementaldecoder("utf-8")("replace").decode  # a character may arrive in pieces
-        self._words = (words, Words(MOST_WORDS, WORDS * robot.dt))
+        self._words = (words, Allowance(WORDS * robot.dt, MOST_WORDS, MOST_WORDS))
 
     def received(self, data: bytes) -> bool:
         self._arriving.text += self._decoded(data)
@@ -195,7 +176,7 @@ class Servers:
         self._robot, self._selector = robot, selectors.DefaultSelector()
         self._clients = dict[socket.socket, _Client]()
         self._doors = dict[socket.socket, Callable[[], _Client]]()
-        self._rtde, self._words, self._served = list[Rtde](), Words(ALL_WORDS, WORDS * robot.dt), 0
+        self._rtde, self._words, self._served = list[Rtde](), Allowance(WORDS * robot.dt, ALL_WORDS, ALL_WORDS), 0
         every = round(1 / (STATES * robot.dt))
 
         def scripts(name: str, sent: Callable[[VirtualRobot], bytes], every: int, first: bytes = b"") -> _Client:

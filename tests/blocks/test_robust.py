@@ -295,8 +295,7 @@ def test_a_report_says_that_the_proof_has_a_residual(tmp_path: Path, monkeypatch
         UNBOXED,
     ]
     graph = Graph.read("arm2_joint", [*overrides, "duration=1"])
-    diagram = graph.diagram
-    found = Verification(graph, diagram, graph.verdict(diagram))
+    found = Verification(graph, graph.verdict())
     for name in ("report.md", "report.html"):
         found.report(tmp_path / name)
     text = (tmp_path / "report.md").read_text()

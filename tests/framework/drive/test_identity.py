@@ -191,7 +191,7 @@ def test_a_condition_of_a_rehearsal_has_the_ramp_of_the_drive(bench: Bench) -> N
     assert [each.ramp for each in CONDITIONS(0.008, 40.0, 0.0, 1.5) if each.about == "a ramp of 1.5 s"] == [1.5]
     assert not any(each.ramp for each in CONDITIONS(0.008, 40.0, 0.0, 0.0))
     graph, tried = bench.graph(), [Condition("nothing", {}), Condition("a ramp", {}, ramp=0.05)]
-    plain, slow = rehearse.rehearsed(graph, graph.diagram, engine="interpreted", tried=tried).outcomes
+    plain, slow = rehearse.rehearsed(graph, engine="interpreted", tried=tried).outcomes
     assert plain.error != slow.error
 
 
@@ -232,10 +232,10 @@ def test_what_no_file_shows_is_seen_in_the_closed_loop_that_drives(bench: Bench)
     inertia = next(item for item in loop.parameters if item.label == "robot.inertia")
     heavier = replace(inertia, value=5 * inertia.value)
     parameters = tuple(heavier if item is inertia else item for item in loop.parameters)
-    diagram = replace(diagram, loop=replace(loop, parameters=parameters))
+    vars(graph)["diagram"] = replace(diagram, loop=replace(loop, parameters=parameters))
     limits = load_limits(bench.limits, graph.robot)
     with pytest.raises(DriveError, match=r"Changes since its rehearsal of .*: closed loop: field"):
-        driven(graph, diagram, "real:host", limits=limits, payload=1.0, ramp=0, engine="interpreted")
+        driven(graph, "real:host", limits=limits, payload=1.0, ramp=0, engine="interpreted")
 
 
 def notes(tmp_path: Path) -> list[Path]:
@@ -270,9 +270,7 @@ def test_a_note_edited_by_hand_or_cut_off_is_none(bench: Bench, tmp_path: Path) 
 def test_what_is_cut_short_chosen_or_failed_is_not_kept(bench: Bench, tmp_path: Path) -> None:
     assert not kept.keep(bench.rehearse(until=0.05))
     graph = bench.graph()
-    own = rehearse.rehearsed(
-        graph, graph.diagram, engine="interpreted", tried=[Condition("nothing, the ideal robot", {})]
-    )
+    own = rehearse.rehearsed(graph, engine="interpreted", tried=[Condition("nothing, the ideal robot", {})])
     assert not kept.keep(own)
     assert not notes(tmp_path)
     whole = bench.rehearse()

@@ -79,7 +79,7 @@ HEADERS = "cmath vector string limits.h float.h math.h signal.h sys/stat.h iso64
 @cache
 def program() -> Program:
     graph = dm.load(GRAPH)
-    return program_of(graph, graph.diagram)
+    return program_of(graph)
 
 
 def checked(words: list[str], cwd: Path) -> None:
@@ -163,7 +163,8 @@ def package(found: Program, joints: list[str], folder: Path, monkeypatch: pytest
             resolver=diagram.resolver,
             fingerprint=diagram.fingerprint,
         )
-    ros2.export_ros2(graph, diagram, folder)
+    vars(graph)["diagram"] = diagram
+    ros2.export_ros2(graph, folder)
     for name in ("package.xml", "controller.xml"):
         ElementTree.parse(folder / name)
     read = YAML(typ="safe").load((folder / "config" / "controllers.yaml").read_text(encoding="utf-8"))
@@ -211,7 +212,7 @@ def test_fmus(tmp_path: Path) -> None:
 
 def test_an_fmu_of_a_robot(tmp_path: Path) -> None:
     graph = dm.load(GRAPH)
-    robot = replace(robot_of(graph, graph.diagram), title="*/ DM_FILE")
+    robot = replace(robot_of(graph), title="*/ DM_FILE")
     for fmi in fmu._TEXTS:
         unit = fmu._of_robot(robot, "model")
         (tmp_path / "unit.c").write_text(fmu.code(unit, fmi, "token"), encoding="utf-8")  # type: ignore[arg-type]
