@@ -269,11 +269,15 @@ def write_all(place: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
     with locked(place) as (folder, _, made):
         if there := [file for file in files if file.exists()]:  # another export was first
             raise OutputError(f"{there[0]}: exists already; choose a new folder")
-        with built(Place(place, folder, folder in made), seal=False) as building:
-            for name, content in contents.items():
-                file = building / name
-                file.parent.mkdir(parents=True, exist_ok=True)
-                file.write_bytes(content if isinstance(content, bytes) else encoded(content))
+        target = Place(place, folder, folder in made)
+        try:
+            with built(target, seal=False) as building:
+                for name, content in contents.items():
+                    file = building / name
+                    file.parent.mkdir(parents=True, exist_ok=True)
+                    file.write_bytes(content if isinstance(content, bytes) else encoded(content))
+        finally:
+            target.release()
     return files
 
 

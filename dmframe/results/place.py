@@ -48,6 +48,11 @@ class Place:
     reserved: os.stat_result | None = field(default=None, compare=False, repr=False)
     locks: list[int] = field(default_factory=list, compare=False, repr=False)
 
+    def release(self) -> None:
+        """Close the file locks."""
+        while self.locks:
+            os.close(self.locks.pop())
+
 
 @contextmanager
 def reserved(path: str | Path, *, force: bool = False, folders: Collection[str] = ()) -> Iterator[Place]:
@@ -76,8 +81,7 @@ def reserved(path: str | Path, *, force: bool = False, folders: Collection[str] 
         try:
             yield place
         finally:
-            while place.locks:
-                os.close(place.locks.pop())
+            place.release()
 
 
 @contextmanager

@@ -74,7 +74,10 @@ class _Client(ABC):
         """Called at the end of each cycle; False to close the connection."""
         return True
 
-    def closed(self) -> None:  # noqa: B027 - most do nothing
+    def ended(self) -> None:  # noqa: B027 - most do nothing
+        """Called when the other side has sent its last byte, before the connection is closed."""
+
+    def closed(self) -> None:  # noqa: B027 - as above
         """Called when the connection is closed."""
 
 
@@ -137,6 +140,12 @@ class _ScriptClient(_Client):
             return True
         self._robot.report(f"client disconnected: more than {MOST_TEXT} characters of its scripts are unread")
         return False
+
+    def ended(self) -> None:
+        """Start what has arrived since the last cycle: a client may close its connection right after its script."""
+        self._begin()
+        if self._arriving.take():
+            self._robot.report("client disconnected: its scripts exceed the words of a second, and the rest is lost")
 
     def _begin(self) -> None:
         """Start the scripts that have arrived, within the budgets of words."""
@@ -258,6 +267,7 @@ class Servers:
         except OSError:
             data = b""
         if not data:
+            client.ended()
             self._drop(connection)
         elif not client.received(data):
             self._send(connection)

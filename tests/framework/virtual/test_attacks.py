@@ -242,6 +242,17 @@ def test_a_script_arrives_in_any_pieces(held: VirtualRobot) -> None:
     assert "Grüße, 你好" in " ".join(held.messages)
 
 
+def test_a_script_runs_whose_client_closes_its_connection_within_the_cycle(held: VirtualRobot) -> None:
+    servers = held.listen(ports=Ports.free())
+    (client,) = connected(held, servers.secondary, 1)
+    client.send(b'textmsg("sent and closed")\n')
+    client.close()
+    for _ in range(3):  # while a robot waits for a sample's answer, it polls several times in a cycle
+        held.wait(0.1)
+    held.advance()
+    assert "sent and closed" in " ".join(held.messages)
+
+
 @pytest.mark.parametrize("host", ["a" * 70, "..", "no host", "300.1.1.1"])
 def test_an_address_that_is_none_is_reported(host: str) -> None:
     held = robot()
