@@ -32,6 +32,14 @@ def exported(name: str, kind: Kind) -> tuple[Path, Path]:
     return controller, robot
 
 
+@cache
+def extracted(file: Path) -> tuple[Any, str]:
+    """A unit's description and its files, which its instances only read."""
+    folder = mkdtemp(prefix="unit-")
+    fmpy.extract(str(file), folder)
+    return fmpy.read_model_description(str(file)), folder
+
+
 class Unit:
     """One instance under FMPy, with numbers by label."""
 
@@ -39,9 +47,8 @@ class Unit:
         from fmpy.fmi2 import FMU2Slave
         from fmpy.fmi3 import FMU3Slave
 
-        self.kind, self.folder = kind, mkdtemp(prefix="unit-")
-        self.description = fmpy.read_model_description(str(file))
-        fmpy.extract(str(file), self.folder)
+        self.kind = kind
+        self.description, folder = extracted(file)
         self.at = dict[str, list[int]]()
         self.sizes, self.causality = dict[str, int](), dict[str, list[str]]()
         for item in self.description.modelVariables:
@@ -53,7 +60,7 @@ class Unit:
                 kinds.append(label)
         self.fmu: Any = {"fmi2": FMU2Slave, "fmi3": FMU3Slave}[kind](
             guid=self.description.guid,
-            unzipDirectory=self.folder,
+            unzipDirectory=folder,
             modelIdentifier=self.description.coSimulation.modelIdentifier,
             instanceName=self.description.modelName,
         )
