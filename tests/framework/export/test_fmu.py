@@ -24,6 +24,8 @@ pytestmark = pytest.mark.skipif(GCC is None, reason="needs gcc")
 PLAIN = ("-ffp-contract=off", "-fno-tree-vectorize")
 Kind = Literal["fmi2", "fmi3"]
 KINDS: tuple[Kind, ...] = ("fmi2", "fmi3")
+NAME = "joint_tracking_pi"
+"""For what holds of the units of any graph."""
 
 
 @cache
@@ -115,7 +117,7 @@ def coupled(name: str, kind: Kind, ticks: int, start: dict[str, np.ndarray] | No
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", ["ur10_fast", "joint_tracking_pi"])
+@pytest.mark.parametrize("name", ["ur10_fast", NAME])
 def test_coupled_they_are_the_simulation_to_the_last_bit(
     name: str, kind: Kind, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -149,7 +151,7 @@ def test_a_robot_that_starts_elsewhere_is_met_where_it_is(kind: Kind) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_robot_shows_where_it_starts_to_one_who_looks_only_when_it_is_initialised(kind: Kind) -> None:
-    robot = Unit(exported("joint_tracking_pi", kind)[1], kind)
+    robot = Unit(exported(NAME, kind)[1], kind)
     robot.initialise()
     robot.fmu.exitInitializationMode()
     q = robot.get("arm.q")
@@ -159,7 +161,7 @@ def test_a_robot_shows_where_it_starts_to_one_who_looks_only_when_it_is_initiali
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_saved_state_is_returned_to(kind: Kind) -> None:
-    robot = Unit(exported("ur10_fast", kind)[1], kind)
+    robot = Unit(exported(NAME, kind)[1], kind)
     robot.initialise()
     robot.fmu.exitInitializationMode()
     robot.set("inverse.dq_c", np.array([0.1, -0.1, 0.2]))
@@ -192,7 +194,7 @@ def test_a_saved_state_is_returned_to(kind: Kind) -> None:
 def test_what_it_cannot_do_it_refuses(kind: Kind, change: str, value: float) -> None:
     from fmpy.fmi1 import FMICallException
 
-    unit = Unit(exported("ur10_fast", kind)[0], kind)
+    unit = Unit(exported(NAME, kind)[0], kind)
     unit.initialise()
     unit.fmu.exitInitializationMode()
     label = unit.causality.get(change, [""])[0]
@@ -209,7 +211,7 @@ def test_what_it_cannot_do_it_refuses(kind: Kind, change: str, value: float) -> 
 def test_a_step_is_neither_taken_twice_nor_left_out(kind: Kind) -> None:
     from fmpy.fmi1 import FMICallException
 
-    unit = Unit(exported("ur10_fast", kind)[1], kind)
+    unit = Unit(exported(NAME, kind)[1], kind)
     unit.initialise()
     unit.fmu.exitInitializationMode()
     unit.step(0.0, 0.008)
@@ -223,7 +225,7 @@ def test_a_step_is_neither_taken_twice_nor_left_out(kind: Kind) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_description_of_another_is_refused(kind: Kind) -> None:
-    unit = Unit(exported("ur10_fast", kind)[0], kind)
+    unit = Unit(exported(NAME, kind)[0], kind)
     unit.fmu.guid = "{another}"
     if kind == "fmi3":
         unit.fmu.instantiationToken = "{another}"
@@ -257,7 +259,7 @@ def compiled(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_units_are_reported_in_those_of_si() -> None:
-    with zipfile.ZipFile(exported("ur10_fast", "fmi3")[1]) as archive:
+    with zipfile.ZipFile(exported(NAME, "fmi3")[1]) as archive:
         root = ElementTree.fromstring(archive.read("modelDescription.xml"))
     units = {item.get("name"): item[0].attrib for item in root.iter("Unit")}
     assert units["N m s/rad"] == {"kg": "1", "m": "2", "s": "-1", "rad": "-1"}

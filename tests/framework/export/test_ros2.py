@@ -247,9 +247,7 @@ def graph_x(graph: dm.Graph, q: np.ndarray) -> np.ndarray:
     ],
 )
 def test_what_cannot_be_configured_is_reported(words: list[str], rate: int, text: str) -> None:
-    done = subprocess.run(
-        [str(manager("")), str(rate), *words], input="", capture_output=True, text=True, check=False
-    )
+    done = subprocess.run([str(manager("")), str(rate), *words], input="", capture_output=True, text=True, check=False)
     assert done.returncode == 3
     assert text in done.stderr
 
