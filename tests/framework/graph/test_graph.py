@@ -177,6 +177,13 @@ def test_short_texts_and_pages_for_a_notebook(pendulum: dm.Graph, found: Verific
         assert name in pendulum._repr_html_()
 
 
+def test_the_default_figures_of_a_run_are_a_page_for_a_notebook(pendulum: dm.Graph) -> None:
+    figures = pendulum.run().plot()
+    page = figures._repr_html_()
+    assert page.count("<img") == len(figures) > 1
+    assert "None" not in page
+
+
 def test_a_title_that_is_a_script_stands_as_text(pendulum: dm.Graph) -> None:
     graph = pendulum.set(title="<script>alert(1)</script>")
     for page in (graph._repr_html_(), graph.run()._repr_html_(), graph.verify()._repr_html_()):
