@@ -63,6 +63,7 @@ def off_the_run() -> float:
     return float(np.abs(x - run["arm.x"][: len(x)]).max())
 
 
+@pytest.mark.usefixtures("without_v")
 def test_it_follows_the_run_and_its_log_is_played_again_identically(dmframe: Any) -> None:
     host = own_host()
     serve = [sys.executable, "-m", "dmframe", "robot", "ur10_fast", "--host", host, "--series", "cb3"]
@@ -147,6 +148,7 @@ def test_when_a_client_is_killed_the_arm_comes_to_rest() -> None:
         assert held.listeners == [trace]  # its connections are gone
 
 
+@pytest.mark.usefixtures("without_v")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_brings_the_arm_to_rest_gently_and_all_files_are_there(
     dmframe: Any, arm: VirtualRobot, number: signal.Signals

@@ -165,7 +165,7 @@ def test_short_texts_and_pages_for_a_notebook(pendulum: dm.Graph, found: Verific
     things: list[Any] = [pendulum, run, found, analysis, pendulum.draw(), dm.compare([run]), dm.blocks(), dm.robots()]
     for thing in things:
         assert len(repr(thing)) < 1500 if isinstance(thing, type(dm.blocks())) else len(repr(thing)) < 400
-    for thing in (*things[:4], *things[5:], pendulum.blocks["dynamics"], dm.blocks()["circle"], run.plot()):
+    for thing in (*things[:4], *things[5:], pendulum.blocks["dynamics"], dm.blocks()["circle"], run.plot("arm.q")):
         page = thing._repr_html_()
         assert "<" in page
         assert "None" not in page
