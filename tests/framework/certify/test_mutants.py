@@ -242,7 +242,7 @@ def test_a_conclusion_that_a_fault_adds_is_found_and_one_that_it_takes_is_not() 
 
 
 def test_a_fault_of_a_shared_function_is_put_into_robots_of_several_sizes(few: tuple[Built, ...]) -> None:
-    (fault,) = (m for m in library_mutants("symbolic") if m.fault.endswith("omega * dq[i]: only omega left"))
+    fault = next(m for m in library_mutants("symbolic") if m.fault.endswith("omega * dq[i]: only omega left"))
     assert [of.robot.n for of in homes(fault, few)] == [1, 2, 3]
     assert tried(fault)[0].outcome == "refuted"  # not with axes that are parallel
 
