@@ -205,7 +205,7 @@ def test_what_must_be_there_before_an_arm_is_driven(
         assert arm.cycles == 0
     monkeypatch.setattr(rehearse, "conditions", lambda *_: [Condition("nothing, the ideal robot", {})])
     monkeypatch.setattr(rehearse, "LONGEST", 0.4)
-    assert dmframe("rehearse", "ur10_fast", "--limits", "arm.yaml").status == 0
+    assert dmframe("rehearse", "ur10_fast", "--limits", "arm.yaml", "--ramp", "0").status == 0
     said = dmframe(*rehearsed)
     assert said.status == 0, said.err
     assert dmframe(*rehearsed, "--force", "--set", "task.gamma=0.9").status == 2  # another graph
