@@ -207,7 +207,8 @@ class SampledInverse(AbstractBlock):
         State("t_before", "", "s", sampled=True, optional=True),
     )
 
-    servo: Literal["pid", "pi"] = "pid"
+    servo: Literal["pid", "pi", "p_pi"] = "pid"
+    dynamics: Literal["robot", "joints"] = "robot"
     friction: tuple[Friction, ...] = ("viscous", "coulomb")
     delay: Literal[0, 1, 2] = 0
     estimator: Literal["projection", "least_squares"] = "projection"
@@ -226,9 +227,13 @@ class SampledInverse(AbstractBlock):
     offset_size: Scalar = Positive("", "N m", default=30.0)
     inertia_size: Scalar = Positive("", "kg m^2", default=5.0, several=True)
     friction_size: Scalar = Positive("", "N m s/rad", default=5.0, several=True)
+    k_u_size: Scalar = Positive(default=0.3)
+    k_q_size: Scalar = Positive("", "1/s", default=3.0)
     k_P_box: Box = Interval("", "1/s", default=(0.2, 6.0))
     k_I_box: Box = Interval("", "1/s^2", default=(0.05, 4.0), several=True)
     offset_box: Box = Interval("", "rad/s", default=(-1.0, 1.0))
+    k_u_box: Box = Interval(default=(-1.0, 1.5))
+    k_q_box: Box = Interval("", "1/s", default=(-20.0, 20.0))
     inertia_box: Box = Interval("", "kg m^2", default=(-20.0, 20.0), several=True)
     friction_box: Box = Interval("", "N m s/rad", default=(0.0, 50.0), several=True)
     u_max: Diagonal = Positive("n", "rad/s", default=3.0)
@@ -251,11 +256,11 @@ class SampledInverse(AbstractBlock):
 
     def elements(self, robot: Any) -> Mapping[str, Sequence[Element]]:
         """c: the parameters of all joints."""
-        return {"c": averaged_servo(robot, self.servo, frozenset(self.friction)).elements}
+        return {"c": averaged_servo(robot, self.servo, frozenset(self.friction), self.dynamics).elements}
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
         """W: stored rows; G: elements of the information matrices; A: rows averaged with a new one; d: queue length."""
-        gathered = sum(map(triangle, averaged_servo(robot, self.servo, frozenset(self.friction)).parts))
+        gathered = sum(map(triangle, averaged_servo(robot, self.servo, frozenset(self.friction), self.dynamics).parts))
         own = {"W": self.replay, "G": gathered, "A": self.average - 1, "d": self.delay + 1}
         return {**super().sizes(robot), **own}
 
@@ -271,7 +276,7 @@ class SampledInverse(AbstractBlock):
             begins["psi_slow"] = averaged.changing(self._psi(p, Start(u.q, u.q, still, u.q, still), still, still, u.T))
         if self.time_stamps:
             begins["t_before"] = u.t - u.T
-        return {**begins, "theta": averaged.kinds(p.k_P, p.k_I, 0, 0, 0)}
+        return {**begins, "theta": averaged.kinds(p.k_P, p.k_I, 0, 0, 0, *self._of_p_pi(0, 0))}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """The last sample, the update of the estimate, the predicted start of the command, and the command."""
@@ -324,6 +329,15 @@ class SampledInverse(AbstractBlock):
         u_applied, _, _, _, h, g = self._sample(u, x, p)
         new, aim = self._lesson(x, p, u_applied, h, g)
         row, goal, kept = self._meant(x, p, new, aim)
+        estimator = self._estimator(p)
+        if not (averaged.coupled and self.servo in ("pid", "pi")):
+            true = type(x.theta).sym("theta_true", averaged.size)
+            steps = estimator.steps(x, true, row, goal, self._learning(p))
+            return Certificate(
+                steps=(steps,),
+                delay_lines=self._lines(estimator, x, row, goal, kept, new, aim),
+                unknown={"theta_true": true},
+            )
         pid = self.servo == "pid"
         gain = truth.K_D if pid else truth.K_P
         w, offset = 1 / (truth.K * gain), type(x.theta).sym("offset", robot.n)
@@ -331,7 +345,6 @@ class SampledInverse(AbstractBlock):
         B, D = (truth.B if "viscous" in self.friction else 0 * w), (truth.D if "coulomb" in self.friction else 0 * w)
         links = with_held(robot.inertia, truth.a_held) if "a_held" in truth else robot.inertia
         true = averaged.row(k_P if pid else k_I, k_I, offset, w @ links.T, w * B, w * D)
-        estimator = self._estimator(p)
         i = truth.i - offset / k_I
         Y = robot.gravity_regressor(truth.q) - robot.kinetic_regressor(truth.q, truth.dq)
         one, phi, still = ca.DM.ones(robot.n), robot.coulomb(truth.dq), 0 * truth.dq
@@ -339,14 +352,19 @@ class SampledInverse(AbstractBlock):
         moving = averaged.row(still, still, still, robot.momentum_regressor(truth.q, truth.dq), still, still)
         return Certificate(
             steps=(estimator.steps(x, true, row, goal, self._learning(p)),),
-            delay_lines=(
-                *estimator.kept(x, row, goal),
-                *(DelayLine(name, item.T) for name, item in (("late_rows", new), ("late_goals", aim)) if name in kept),
-            ),
+            delay_lines=self._lines(estimator, x, row, goal, kept, new, aim),
             plant=(PlantIdentity(averaged.answer(moving, true), averaged.answer(rest, true) + truth.dq - truth.dq_s),),
             acted=() if self.echoed else (Acted(u_applied, truth.dq_s, u.q, truth.q),),
             unknown={"offset": offset},
         )
+
+    @staticmethod
+    def _lines(
+        estimator: Estimator, x: Signals, row: SX, goal: SX, kept: Mapping[str, SX], new: SX, aim: SX
+    ) -> tuple[DelayLine, ...]:
+        """The stored rows, and those of which a row is the mean."""
+        late = (("late_rows", new), ("late_goals", aim))
+        return (*estimator.kept(x, row, goal), *(DelayLine(name, item.T) for name, item in late if name in kept))
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
         """The rows have a column for each kind of friction of the plant."""
@@ -372,15 +390,21 @@ class SampledInverse(AbstractBlock):
         return self._averaged(p).of_joint(learns) * h, learns * g
 
     def _averaged(self, p: Signals) -> AveragedServo:
-        return averaged_servo(p.robot.chain, self.servo, frozenset(self.friction))
+        return averaged_servo(p.robot.chain, self.servo, frozenset(self.friction), self.dynamics)
 
     def _psi(self, p: Signals, start: Start, v: SX, command: SX, T: SX, *, momentum: SX = 1) -> SX:
         """The row of a sample with average velocity v and a command; `momentum` 0 omits the change of momentum."""
         robot, m = p.robot, start.q + T * v / 2
         e = m - start.target - T * command / 2
-        change = (robot.momentum_regressor(m, v) - robot.momentum_regressor(start.m_before, start.v_before)) / T
-        Y = momentum * change - robot.kinetic_regressor(m, v) + robot.gravity_regressor(m)
-        return self._averaged(p).row(e, start.z + T * e / 2, ca.DM.ones(robot.n), Y, v, robot.coulomb(v))
+        averaged = self._averaged(p)
+        change = (averaged.momentum(robot, m, v) - averaged.momentum(robot, start.m_before, start.v_before)) / T
+        Y = momentum * change + averaged.others(robot, m, v)
+        further = self._of_p_pi(command, start.target + T * command / 2)
+        return averaged.row(e, start.z + T * e / 2, ca.DM.ones(robot.n), Y, v, robot.coulomb(v), *further)
+
+    def _of_p_pi(self, k_u: Any, k_q: Any) -> tuple[Any, ...]:
+        """What belongs to the columns that a P-PI servo has besides those of a PID servo."""
+        return (k_u, k_q) if self.servo == "p_pi" else ()
 
     def _meant(self, x: Signals, p: Signals, row: SX, goal: SX) -> tuple[SX, SX, dict[str, SX]]:
         """The mean of a new row and the previous ones, of which there are fewer at first; and the stored rows."""
@@ -401,20 +425,22 @@ class SampledInverse(AbstractBlock):
 
     def _gamma(self, p: Signals) -> SX:
         """The squares of the expected deviations of the elements."""
-        kinds, w = self._averaged(p).kinds, p.w_0
-        sizes = kinds(p.k_P_size, p.k_I_size, w * p.offset_size, w * p.inertia_size, w * p.friction_size)
+        kinds, w, more = self._averaged(p).kinds, p.w_0, self._of_p_pi(p.k_u_size, p.k_q_size)
+        sizes = kinds(p.k_P_size, p.k_I_size, w * p.offset_size, w * p.inertia_size, w * p.friction_size, *more)
         return sizes * sizes
 
     def _box(self, p: Signals) -> SX:
         """Lower and upper bounds of the elements."""
-        w = p.w_0
-        return self._averaged(p).kinds(p.k_P_box, p.k_I_box, p.offset_box, w @ p.inertia_box, w @ p.friction_box)
+        w, more = p.w_0, self._of_p_pi(p.k_u_box, p.k_q_box)
+        boxes = p.k_P_box, p.k_I_box, p.offset_box, w @ p.inertia_box, w @ p.friction_box
+        return self._averaged(p).kinds(*boxes, *more)
 
     def _slope(self, p: Signals, theta: SX, q: SX, T: SX) -> SX:
         """S = w M(q)/T by the estimates: the slope of the prediction with respect to velocity due to inertia."""
         robot, units = p.robot, ca.horzsplit(ca.DM.eye(p.robot.n))
-        momenta = ca.horzcat(*(robot.momentum_regressor(q, unit) for unit in units))
-        return self._averaged(p).inertia(theta, momenta) / T
+        averaged = self._averaged(p)
+        momenta = ca.horzcat(*(averaged.momentum(robot, q, unit) for unit in units))
+        return averaged.inertia(theta, momenta) / T
 
     def _predicted(self, k: int, x: Signals, p: Signals, theta: SX, start: Start, slow: SX, T: SX) -> tuple[Start, SX]:
         """Predicted start and low-pass state of sample k from now, after a sample with a known command."""
