@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
 import casadi as ca
 
 from dmframe.condition import SX
-from dmframe.fields import check_fields
+from dmframe.fields import Expressions
 from dmframe.naming import operation
 
 
@@ -32,7 +31,7 @@ def _rounded(x: SX, width: SX) -> SX:
 
 @final
 @dataclass(frozen=True, eq=False)
-class Barrier:
+class Barrier(Expressions):
     r"""A reference velocity that respects position limits, and the tube in which the position stays.
 
     With the distances :math:`h = \mathrm{upper} - q` and :math:`h_2 = q - \mathrm{lower}`, the reference is
@@ -71,31 +70,9 @@ class Barrier:
     width: SX
     margin: SX = 0
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-    @property
-    def pieces(self) -> tuple[SX, ...]:
-        """Its expressions."""
-        return (
-            self.position,
-            self.wish,
-            self.lower,
-            self.upper,
-            self.speed,
-            self.rate,
-            self.width,
-            self.margin,
-        )
-
     @property
     def reference(self) -> SX:
         """The reference velocity."""
         upper = soft_min(self.speed, self.rate * (self.upper - self.position), self.width)
         lower = -soft_min(self.speed, self.rate * (self.position - self.lower), self.width)
         return soft_between(self.wish, lower, upper, self.width)
-
-    def with_pieces(self, pieces: Sequence[SX]) -> Barrier:
-        """The same barrier with other expressions."""
-        position, wish, lower, upper, speed, rate, width, margin = pieces
-        return Barrier(position, wish, lower, upper, speed, rate, width, margin)

@@ -13,14 +13,14 @@ from __future__ import annotations
 import functools
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, final
 
 import casadi as ca
 
 from dmframe.barrier import Barrier, soft_between, soft_min
 from dmframe.condition import SX, Assumption, CommonLyapunov, Condition, Inequality
-from dmframe.fields import check_fields
+from dmframe.fields import Expressions, pieces_of, refilled
 from dmframe.sampled import Acted, DelayLine, PlantIdentity
 from dmframe.steps import LeastSquaresSteps, NormalisedSteps, Steps
 from dmframe.terms import (
@@ -47,7 +47,7 @@ from dmframe.text import Text
 
 @final
 @dataclass(frozen=True, eq=False)
-class Consumed:
+class Consumed(Expressions):
     r"""Cross term of a cascade, :math:`c\,|a|^2`; the dissipation of a block on the servo level has to dominate it.
 
     Parameters
@@ -61,9 +61,6 @@ class Consumed:
     vector: SX
     c: SX
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
     @property
     def value(self) -> SX:
         """The term as one scalar expression."""
@@ -72,7 +69,7 @@ class Consumed:
 
 @final
 @dataclass(frozen=True, eq=False)
-class Driven:
+class Driven(Expressions):
     r"""A stable linear subsystem: signals that V does not contain and that are bounded because their input is.
 
     .. math:: \dot z_j = \sum_k A_{jk} z_k + r_j, \quad j, k = 1 \dots N
@@ -105,27 +102,10 @@ class Driven:
     of: tuple[Text, ...] = ()
     inputs: tuple[SX, ...] = ()
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-    @property
-    def pieces(self) -> tuple[SX, ...]:
-        """Its expressions."""
-        return (*self.vectors, *(rate for row in self.rates for rate in row), *self.bounded, *self.inputs)
-
-    def with_pieces(self, pieces: Sequence[SX]) -> Driven:
-        """The same equations with other expressions."""
-        left, count = list(pieces), len(self.vectors)
-        vectors, left = left[:count], left[count:]
-        rows = tuple(tuple(left[k * count : (k + 1) * count]) for k in range(count))
-        left = left[count * count :]
-        bounded, inputs = left[: len(self.bounded)], left[len(self.bounded) :]
-        return Driven(tuple(vectors), rows, tuple(bounded), self.otherwise, self.of, tuple(inputs))
-
 
 @final
 @dataclass(frozen=True, eq=False)
-class TrueValue:
+class TrueValue(Expressions):
     r"""True value of an estimate, and the weight of its error in S, :math:`\tfrac12 |\theta - \theta_{true}|_W^2`.
 
     Parameters
@@ -139,22 +119,10 @@ class TrueValue:
     value: SX
     weight: SX = 1
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-    @property
-    def pieces(self) -> tuple[SX, ...]:
-        """Its expressions."""
-        return self.value, self.weight
-
-    def with_pieces(self, pieces: Sequence[SX]) -> TrueValue:
-        """The same with other expressions."""
-        return TrueValue(*pieces)
-
 
 @final
 @dataclass(frozen=True)
-class Certificate:
+class Certificate(Expressions):
     r"""One block's contribution to the Lyapunov function.
 
     D is the derivative d/dt along the closed loop; for a block with sampled states it is the difference over a sample.
@@ -229,50 +197,23 @@ class Certificate:
     acted: tuple[Acted, ...] = ()
     unknown: Mapping[str, SX] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
     @property
-    def _parts(self) -> tuple[Any, ...]:
-        """All objects that contain expressions; bare expressions are not among them."""
-        terms = (*self.storage, *self.dissipation, *self.excess, *self.errors, *self.driven, *self.estimates.values())
-        return (*terms, *self.barriers, *self.steps, *self.delay_lines, *self.plant, *self.acted)
-
-    @property
-    def pieces(self) -> list[SX]:
-        """All its expressions."""
-        consumed = () if self.consumes is None else (self.consumes.vector, self.consumes.c)
-        pieces = (piece for part in self._parts for piece in part.pieces)
-        return [ca.SX(piece) for piece in (*pieces, *self.solved, self.supply, *consumed, *self.dominates)]
+    def pieces(self) -> tuple[SX, ...]:
+        """All its expressions but true values and unknown constants."""
+        return tuple(ca.SX(piece) for name in _MAPPED for piece in pieces_of(getattr(self, name)))
 
     def mapped(self, transform: Callable[[list[SX]], list[SX]]) -> Certificate:
-        """The certificate with all its expressions transformed together."""
-        done = iter(transform(self.pieces))
+        """The certificate with all these expressions transformed together."""
+        done = iter(transform(list(self.pieces)))
+        changed: dict[str, Any] = {name: refilled(getattr(self, name), done) for name in _MAPPED}
+        return replace(self, **changed)
 
-        def rebuilt(parts: Sequence[Any]) -> tuple[Any, ...]:
-            return tuple(part.with_pieces([next(done) for _ in part.pieces]) for part in parts)
 
-        return Certificate(
-            storage=rebuilt(self.storage),
-            dissipation=rebuilt(self.dissipation),
-            excess=rebuilt(self.excess),
-            errors=rebuilt(self.errors),
-            driven=rebuilt(self.driven),
-            estimates=dict(zip(self.estimates, rebuilt(list(self.estimates.values())), strict=True)),
-            barriers=rebuilt(self.barriers),
-            steps=rebuilt(self.steps),
-            delay_lines=rebuilt(self.delay_lines),
-            plant=rebuilt(self.plant),
-            acted=rebuilt(self.acted),
-            solved=tuple(next(done) for _ in self.solved),
-            supply=next(done),
-            consumes=Consumed(next(done), next(done)) if self.consumes is not None else None,
-            dominates=tuple(done),
-            task=self.task,
-            truth=self.truth,
-            filters=self.filters,
-            unknown=self.unknown,
-        )
+_MAPPED: Final = (
+    *("storage", "dissipation", "excess", "errors", "driven", "estimates", "barriers", "steps", "delay_lines"),
+    *("plant", "acted", "solved", "supply", "consumes", "dominates"),
+)
+"""The fields with expressions of signals."""
 
 
 def _with_former_fields(init: Callable[..., None]) -> Callable[..., None]:

@@ -1,12 +1,13 @@
-"""Type check of dataclass fields against their annotations, for terms of block authors with untyped expressions."""
+"""Data classes that hold untyped expressions of block authors: type check of their fields, and their expressions."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, replace
 from functools import cache
 from types import UnionType
-from typing import Any, Final, get_args, get_origin, get_type_hints
+from typing import Any, Final, Self, get_args, get_origin, get_type_hints
 
 import casadi as ca
 import numpy as np
@@ -23,9 +24,62 @@ def check_fields(stated: Any) -> None:
             raise TypeError(f"{type(stated).__name__}: {fault}")
 
 
+class Expressions:
+    """Base of data classes whose fields annotated `SX`, or tuples of these, hold expressions."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    @property
+    def pieces(self) -> tuple[Any, ...]:
+        """Its expressions, field by field."""
+        own: Any = type(self)
+        return tuple(pieces_of([getattr(self, name) for name in _holding(own)]))
+
+    def with_pieces(self, pieces: Sequence[Any]) -> Self:
+        """The same with other expressions."""
+        own, left = type(self), iter(pieces)  # type: Any, Iterator[Any]
+        changed: Any = {name: refilled(getattr(self, name), left) for name in _holding(own)}
+        return replace(self, **changed)  # type: ignore[type-var]  # each subclass is a data class
+
+
+def pieces_of(value: Any) -> Iterator[Any]:
+    """The expressions of a value: an expression, `Expressions`, a sequence or mapping of these, or None."""
+    if isinstance(value, Expressions):
+        yield from value.pieces
+    elif isinstance(value, tuple | list):
+        yield from (piece for item in value for piece in pieces_of(item))
+    elif isinstance(value, Mapping):
+        yield from pieces_of(list(value.values()))
+    elif value is not None:
+        yield value
+
+
+def refilled(value: Any, pieces: Iterator[Any]) -> Any:
+    """The same value with other expressions, taken in the order of `pieces_of`."""
+    if isinstance(value, Expressions):
+        return value.with_pieces([next(pieces) for _ in value.pieces])
+    if isinstance(value, tuple | list):
+        return tuple(refilled(item, pieces) for item in value)
+    if isinstance(value, Mapping):
+        return {name: refilled(item, pieces) for name, item in value.items()}
+    return None if value is None else next(pieces)
+
+
 @cache
-def _kinds(of: type) -> dict[str, Any]:
-    return get_type_hints(of)
+def _holding(of: type) -> tuple[str, ...]:
+    """The fields that hold expressions."""
+    return tuple(name for name, kind in _kinds(of).items() if _is_held(kind))
+
+
+def _is_held(kind: Any) -> bool:
+    return kind is Any or (get_origin(kind) is tuple and _is_held(get_args(kind)[0]))
+
+
+@cache
+def _kinds(of: Any) -> dict[str, Any]:
+    kinds = get_type_hints(of)
+    return {item.name: kinds[item.name] for item in fields(of)}
 
 
 def fault_of(name: str, kind: Any, value: Any) -> str:

@@ -196,6 +196,30 @@ def _claimed(path: Path) -> Iterator[None]:
         raise
 
 
+def flocked(path: Path, flags: int, busy: str = "") -> int | None:
+    """Open a file or a folder, and lock it until the descriptor is closed or this process ends; None without locks.
+
+    It waits for another process that has the lock or, with the message `busy`, raises `OutputError`.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        return None
+    descriptor = os.open(path, flags, 0o666)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | (fcntl.LOCK_NB if busy else 0))
+    except BlockingIOError:
+        os.close(descriptor)
+        raise OutputError(busy) from None
+    except OSError:  # some network drives have no locks
+        os.close(descriptor)
+        return None
+    except BaseException:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
 @contextmanager
 def writing(path: str | Path, kind: str = "file") -> Iterator[None]:
     """Convert an error of the operating system to an `OutputError` that names the file and its `kind`."""

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
 import casadi as ca
 
 from dmframe.condition import SX
-from dmframe.fields import check_fields
+from dmframe.fields import Expressions
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class DelayLine:
+class DelayLine(Expressions):
     """A sampled state that stores earlier samples: the newest first, the others pushed back, the oldest dropped.
 
     Parameters
@@ -31,17 +30,11 @@ class DelayLine:
     newest: SX
     when: SX = 1
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
     @property
-    def pieces(self) -> tuple[SX, ...]:
-        """Its expressions."""
-        return (self.newest,) if isinstance(self.when, int) else (self.newest, self.when)
-
-    def with_pieces(self, pieces: Sequence[SX]) -> DelayLine:
-        """The same delay line of other expressions."""
-        return DelayLine(self.state, *pieces) if len(pieces) == 2 else DelayLine(self.state, pieces[0], self.when)
+    def always(self) -> bool:
+        """True where it is filled at each sample."""
+        when = ca.SX(self.when)
+        return bool(when.is_scalar() and when.is_one())
 
     def pushed(self, state: SX) -> SX:
         """The state at the next sample."""
@@ -50,7 +43,7 @@ class DelayLine:
             pushed = ca.vertcat(self.newest, state[: state.shape[0] - rows, :])
         else:
             pushed = ca.horzcat(self.newest, state[:, : state.shape[1] - columns])
-        return pushed if isinstance(self.when, int) else ca.if_else(self.when, pushed, state)
+        return pushed if self.always else ca.if_else(self.when, pushed, state)
 
     def fits(self, state: SX) -> bool:
         """True for a state that holds a whole number of entries."""
@@ -60,7 +53,7 @@ class DelayLine:
 
 @final
 @dataclass(frozen=True, eq=False)
-class PlantIdentity:
+class PlantIdentity(Expressions):
     r"""An identity of the plant at every instant between two samples, for all commands: :math:`\dot p + r = 0`.
 
     Integrated over a sample it is :math:`(p(t + T) - p(t)) / T + \langle r \rangle = 0`: the regression from which an
@@ -77,22 +70,10 @@ class PlantIdentity:
     momentum: SX
     rest: SX
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-    @property
-    def pieces(self) -> tuple[SX, ...]:
-        """Its expressions."""
-        return self.momentum, self.rest
-
-    def with_pieces(self, pieces: Sequence[SX]) -> PlantIdentity:
-        """The same identity of other expressions."""
-        return PlantIdentity(*pieces)
-
 
 @final
 @dataclass(frozen=True, eq=False)
-class Acted:
+class Acted(Expressions):
     """The command of the sample that is over, as rows hold it: a delay that is configured, of which the plant decides.
 
     Parameters
@@ -111,15 +92,3 @@ class Acted:
     command: SX
     seen: SX
     position: SX
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-    @property
-    def pieces(self) -> tuple[SX, ...]:
-        """Its expressions."""
-        return self.held, self.command, self.seen, self.position
-
-    def with_pieces(self, pieces: Sequence[SX]) -> Acted:
-        """The same of other expressions."""
-        return Acted(*pieces)

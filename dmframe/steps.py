@@ -6,22 +6,122 @@ is not.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
-from typing import final
+from typing import Any, ClassVar, Literal, final
 
 import casadi as ca
 
 from dmframe.condition import SX
-from dmframe.fields import check_fields
-from dmframe.linalg import inverse_spd, ldl
+from dmframe.fields import Expressions
+from dmframe.prove.rules import Rule, Taken, taken
 from dmframe.terms import Square
+
+
+class _Taking(Expressions):
+    """What steps come to, by the rule of the proof's checker (`dmframe.prove.rules`), as expressions."""
+
+    _moving: ClassVar[tuple[tuple[str, str], ...]] = (("estimate", "theta"),)
+    _constant: ClassVar[tuple[str, ...]] = ("true", "gain", "floor")
+
+    @property
+    def states(self) -> Mapping[str, SX]:
+        """The states that the steps move."""
+        return {getattr(self, name): getattr(self, state) for name, state in self._moving}
+
+    @property
+    def constant(self) -> Mapping[str, SX]:
+        """What must not move."""
+        return {name: getattr(self, name) for name in self._constant}
+
+    @property
+    def rule(self) -> Literal["normalised", "least_squares"]:
+        """The rule's name."""
+        return "normalised" if len(self._moving) == 1 else "least_squares"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the states that the steps move."""
+        return tuple(getattr(self, name) for name, _ in self._moving)
+
+    @property
+    def named(self) -> dict[str, SX]:
+        """All expressions, by the names that the rule gives them."""
+        given: Any = self
+        found = {state: getattr(self, state) for _, state in self._moving} | dict(self.constant)
+        for place, (h, y) in enumerate(given.rows):
+            found |= {f"h{place}": h, f"y{place}": y}
+        return found | dict(zip(("lower", "upper"), given.box, strict=False))
+
+    @property
+    def held(self) -> SX:
+        """The estimate at the next sample."""
+        return self.moves[self.names[0]]
+
+    @property
+    def moves(self) -> Mapping[str, SX]:
+        """The states at the next sample."""
+        return {name: ca.vertcat(*numbers) for name, numbers in self._taken[0].moves.items()}
+
+    @property
+    def change(self) -> SX:
+        """Change of the storage over all steps, without the decrease due to the box and to forgetting."""
+        return 2 * self._taken[0].moved
+
+    @property
+    def decrease(self) -> SX:
+        """What the storage loses, never negative."""
+        return 2 * self._taken[0].lost
+
+    @property
+    def residual(self) -> SX:
+        """What the storage gains by what the rows do not explain, never negative."""
+        return 2 * self._taken[0].gained
+
+    @property
+    def divisors(self) -> Sequence[SX]:
+        """What the steps divide by, positive."""
+        return self._taken[1]
+
+    @cached_property
+    def _taken(self) -> tuple[Taken, Sequence[SX]]:
+        ring, given = _Scalars(), self  # type: _Scalars, Any
+        elements = {name: ca.vertsplit(ca.vec(ca.densify(ca.SX(x)))) for name, x in self.named.items()}
+        rule = Rule(self.rule, self.names[0], self.names[-1], given.parts, len(given.rows), bool(given.box))
+        return taken(ring, rule, elements), ring.divisors
+
+
+@final
+class _Scalars:
+    """The ring of scalar expressions; it collects what it divides by."""
+
+    def __init__(self) -> None:
+        self.divisors = list[SX]()
+
+    def number(self, value: Fraction | int) -> SX:
+        """A number."""
+        return ca.SX(float(value))
+
+    def reduced(self, value: SX) -> SX:
+        """The expression itself."""
+        return value
+
+    def inverse(self, value: SX) -> SX:
+        """1 / value."""
+        self.divisors.append(value)
+        return 1 / value
+
+    def call(self, name: str, *arguments: SX) -> SX:
+        """The value of a function."""
+        return {"fmin": ca.fmin, "fmax": ca.fmax, "eq": operator.eq}[name](*arguments)
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class NormalisedSteps:
+class NormalisedSteps(_Taking):
     r"""Steps of the normalised gradient (projection algorithm, NLMS) that an estimate takes from sample to sample.
 
     For each row (h, y) in turn, with separate parameters for each output j, the floor :math:`\nu > 0` and the diagonal
@@ -64,94 +164,10 @@ class NormalisedSteps:
     rows: tuple[tuple[SX, SX], ...]
     box: tuple[SX, ...] = ()
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-    @property
-    def pieces(self) -> tuple[SX, ...]:
-        """Its expressions."""
-        rows = (piece for row in self.rows for piece in row)
-        return self.theta, self.true, self.gain, self.floor, *rows, *self.box
-
-    def with_pieces(self, pieces: Sequence[SX]) -> NormalisedSteps:
-        """The same steps of other expressions."""
-        theta, true, gain, floor, *rest = pieces
-        count = 2 * len(self.rows)
-        rows = tuple(zip(rest[:count:2], rest[1:count:2], strict=True))
-        return NormalisedSteps(self.estimate, theta, true, gain, self.parts, floor, rows, tuple(rest[count:]))
-
     @property
     def storage(self) -> Square:
         r""":math:`|\theta - \theta_{true}|^2` with the inverse of the gain as its weight."""
         return Square(self.theta - self.true, 1 / self.gain)
-
-    @property
-    def held(self) -> SX:
-        """The estimate at the next sample."""
-        return self._taken[0]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of the states that the steps move."""
-        return (self.estimate,)
-
-    @property
-    def states(self) -> Mapping[str, SX]:
-        """These states."""
-        return {self.estimate: self.theta}
-
-    @property
-    def moves(self) -> Mapping[str, SX]:
-        """What they are at the next sample."""
-        return {self.estimate: self.held}
-
-    @property
-    def constant(self) -> Mapping[str, SX]:
-        """What must not move."""
-        return {"true": self.true, "gain": self.gain, "floor": self.floor}
-
-    @property
-    def change(self) -> SX:
-        """Change of the storage over all steps, without the decrease due to the projection onto the box."""
-        return self._taken[1]
-
-    @property
-    def decrease(self) -> SX:
-        r"""The sum of :math:`(h^\top \tilde\theta)^2 / n + \nu \varepsilon^2 / n^2`, never negative."""
-        return self._taken[2]
-
-    @property
-    def residual(self) -> SX:
-        r"""The sum of :math:`\eta^2 / n`, never negative."""
-        explained = ((y - summed(self.parts, h * self.true), self._size(h)) for h, y in self.rows)
-        return sum((ca.sum1(eta**2 / size) for eta, size in explained), ca.SX(0))
-
-    @property
-    def sizes(self) -> tuple[SX, ...]:
-        """Positive divisors of the steps, columns: the n of each row."""
-        return tuple(self._size(h) for h, _ in self.rows)
-
-    def _size(self, h: SX) -> SX:
-        return self.floor + summed(self.parts, h * h * self.gain)
-
-    @cached_property
-    def _taken(self) -> tuple[SX, SX, SX]:
-        theta, moved, lost = self.theta, ca.SX(0), ca.SX(0)
-        for h, y in self.rows:
-            size = self._size(h)
-            missed, error = y - summed(self.parts, h * theta), summed(self.parts, h * (theta - self.true))
-            lost += ca.sum1(error**2 / size + self.floor * missed**2 / size**2)
-            after = stepped(self.parts, theta, h, y, self.gain, self.floor)
-            moved += ca.dot(after - theta, (after + theta - 2 * self.true) / self.gain)
-            theta = ca.fmin(ca.fmax(after, self.box[0]), self.box[1]) if self.box else after
-        return theta, moved, lost
-
-
-def stepped(parts: Sequence[int], theta: SX, h: SX, y: SX, gain: SX, floor: SX) -> SX:
-    r"""One step of `NormalisedSteps`: :math:`\theta + \Gamma h \varepsilon / (\nu + h^\top \Gamma h)`."""
-    learnt = gain * h
-    share = (y - summed(parts, h * theta)) / (floor + summed(parts, h * learnt))
-    return theta + learnt * ca.vertcat(*(ca.repmat(share[j], count) for j, count in enumerate(parts)))
 
 
 def summed(parts: Sequence[int], column: SX) -> SX:
@@ -162,7 +178,7 @@ def summed(parts: Sequence[int], column: SX) -> SX:
 
 @final
 @dataclass(frozen=True, eq=False)
-class LeastSquaresSteps:
+class LeastSquaresSteps(_Taking):
     r"""Steps of recursive least squares with forgetting that an estimate takes from sample to sample.
 
     For each row (h, y) in turn, with separate parameters and a separate matrix :math:`G_j` for each output j, which
@@ -214,142 +230,19 @@ class LeastSquaresSteps:
     rows: tuple[tuple[SX, SX], ...]
     box: tuple[SX, ...] = ()
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-    @property
-    def pieces(self) -> tuple[SX, ...]:
-        """Its expressions."""
-        rows = (piece for row in self.rows for piece in row)
-        return self.theta, self.gathered, self.true, self.gain, self.floor, self.retention, *rows, *self.box
-
-    def with_pieces(self, pieces: Sequence[SX]) -> LeastSquaresSteps:
-        """The same steps of other expressions."""
-        theta, gathered, true, gain, floor, retention, *rest = pieces
-        count = 2 * len(self.rows)
-        rows, box = tuple(zip(rest[:count:2], rest[1:count:2], strict=True)), tuple(rest[count:])
-        names = self.estimate, self.memory
-        return LeastSquaresSteps(*names, theta, gathered, true, gain, self.parts, floor, retention, rows, box)
+    _moving: ClassVar = (("estimate", "theta"), ("memory", "gathered"))
+    _constant: ClassVar = ("true", "gain", "floor", "retention")
 
     @property
     def storage(self) -> Square:
         r""":math:`|\theta - \theta_{true}|^2` with the weight W."""
-        metrics = (_metric(self._part(self.gain, j), G) for j, G in enumerate(unpacked(self.parts, self.gathered)))
-        return Square(self.theta - self.true, ca.diagcat(*metrics))
-
-    @property
-    def held(self) -> SX:
-        """The estimate at the next sample."""
-        return self._taken.theta
+        metric = ca.diagcat(*unpacked(self.parts, self.gathered))
+        return Square(self.theta - self.true, ca.diag(1 / self.gain) + metric)
 
     @property
     def kept(self) -> SX:
         """The memory at the next sample."""
-        return self.retention * packed(self._taken.gathered)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of the states that the steps move."""
-        return self.estimate, self.memory
-
-    @property
-    def states(self) -> Mapping[str, SX]:
-        """These states."""
-        return {self.estimate: self.theta, self.memory: self.gathered}
-
-    @property
-    def moves(self) -> Mapping[str, SX]:
-        """What they are at the next sample."""
-        return {self.estimate: self.held, self.memory: self.kept}
-
-    @property
-    def constant(self) -> Mapping[str, SX]:
-        """What must not move."""
-        return {"true": self.true, "gain": self.gain, "floor": self.floor, "retention": self.retention}
-
-    @property
-    def change(self) -> SX:
-        """Change of the storage over all steps, without the decrease due to the box and to forgetting."""
-        return self._taken.moved
-
-    @property
-    def decrease(self) -> SX:
-        r"""The sum of :math:`\varepsilon^2 / n`, never negative."""
-        return self._taken.lost
-
-    @property
-    def residual(self) -> SX:
-        r"""The sum of :math:`\eta^2 / \nu`, never negative."""
-        return sum((ca.sumsqr(y - summed(self.parts, h * self.true)) / self.floor for h, y in self.rows), ca.SX(0))
-
-    @property
-    def sizes(self) -> tuple[SX, ...]:
-        """Positive divisors of the steps, columns: pivots of W, the n of each row, diagonals of W^-1."""
-        return self._taken.sizes
-
-    def _part(self, column: SX, j: int) -> SX:
-        end = sum(self.parts[: j + 1])
-        return column[end - self.parts[j] : end]
-
-    @cached_property
-    def _taken(self) -> _Taken:
-        theta, moved, lost = list[SX](), ca.SX(0), ca.SX(0)
-        memories, sizes = list(unpacked(self.parts, self.gathered)), list[SX]()
-        for j in range(len(self.parts)):
-            now, true, gain = (self._part(column, j) for column in (self.theta, self.true, self.gain))
-            for h, y in ((self._part(h, j), y[j]) for h, y in self.rows):
-                W = _metric(gain, memories[j])
-                learnt = inverse_spd(W) @ h
-                size, missed, error = self.floor + ca.dot(h, learnt), y - ca.dot(h, now), now - true
-                memories[j] += h @ h.T / self.floor
-                after, next_W = now + learnt * missed / size, _metric(gain, memories[j])
-                moved += _form(after - true, next_W) - _form(error, W)
-                lost += missed**2 / size
-                sizes += [*ldl(W)[1], size]
-                now = after
-                if self.box:
-                    P = inverse_spd(next_W)
-                    sizes += [*ldl(next_W)[1], ca.diag(P)]
-                    now, memories[j] = _put_back(now, memories[j], P, *(self._part(end, j) for end in self.box))
-            theta.append(now)
-        return _Taken(ca.vertcat(*theta), tuple(memories), moved, lost, tuple(sizes))
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class _Taken:
-    """Results of the steps of least squares."""
-
-    theta: SX
-    gathered: tuple[SX, ...]
-    moved: SX
-    lost: SX
-    sizes: tuple[SX, ...]
-
-
-def _metric(gain: SX, gathered: SX) -> SX:
-    return ca.diag(1 / gain) + gathered
-
-
-def _form(vector: SX, W: SX) -> SX:
-    return ca.dot(vector, W @ vector)
-
-
-def _put_back(theta: SX, gathered: SX, P: SX, lower: SX, upper: SX) -> tuple[SX, SX]:
-    """Projection onto one face after the other in the norm of W = P^-1; if that fails, clipping and G = 0."""
-    for i in range(theta.numel()):
-        face = ca.fmin(ca.fmax(theta[i], lower[i]), upper[i])
-        theta = theta - P[:, i] * ((theta[i] - face) / P[i, i])
-        theta[i] = face  # exactly, without the rounding error of the line above
-    cut = ca.fmin(ca.fmax(theta, lower), upper)
-    for i in range(theta.numel() - 1):  # the last element has just been projected
-        gathered = gathered * (theta[i] == cut[i])
-    return cut, gathered
-
-
-def packed(matrices: Sequence[SX]) -> SX:
-    """Lower triangles of symmetric matrices, column by column, one below the other."""
-    return ca.vertcat(*(ca.densify(G)[ca.Sparsity.lower(G.shape[0])].nz[:] for G in matrices))
+        return self.moves[self.memory]
 
 
 def unpacked(parts: Sequence[int], column: SX) -> Sequence[SX]:

@@ -5,7 +5,7 @@ Each term is built from its vectors and weights, so that a block cannot declare 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final, final
@@ -13,7 +13,7 @@ from typing import Final, final
 import casadi as ca
 
 from dmframe.condition import SX
-from dmframe.fields import check_fields
+from dmframe.fields import Expressions
 from dmframe.linalg import ldl, solve_spd
 from dmframe.naming import operation
 from dmframe.text import UNNAMED, Text
@@ -21,7 +21,7 @@ from dmframe.text import UNNAMED, Text
 
 @final
 @dataclass(frozen=True, eq=False)
-class Square:
+class Square(Expressions):
     r"""The quadratic form :math:`|a|_W^2 = a^\top W a`.
 
     Parameters
@@ -48,17 +48,7 @@ class Square:
                 f"Square({self.vector!r}, ...): expected the vector and its weight; what a term is called is printed "
                 "from its expression"
             )
-        check_fields(self)
-
-    @property
-    def pieces(self) -> tuple[SX, ...]:
-        """Its expressions."""
-        return self.vector, self.weight
-
-    def with_pieces(self, pieces: Sequence[SX]) -> Square:
-        """The same form of other expressions."""
-        vector, weight = pieces
-        return Square(vector, weight, self.of, self.positive)
+        super().__post_init__()
 
     @property
     def value(self) -> SX:
@@ -102,7 +92,7 @@ MONOTONE: Final[Mapping[str, Callable[[SX], SX]]] = MappingProxyType(
 
 @final
 @dataclass(frozen=True, eq=False)
-class Lemma:
+class Lemma(Expressions):
     r"""A term that is non-negative because :math:`\phi` is non-decreasing.
 
     .. math:: \sum_i w_i (a_i - b_i) (\phi(a_i / v_i) - \phi(b_i / v_i)), \quad w_i \ge 0, \; v_i > 0
@@ -126,14 +116,6 @@ class Lemma:
     phi: str = "tanh"
     of: Text = UNNAMED
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-    @property
-    def pieces(self) -> tuple[SX, ...]:
-        """Its expressions."""
-        return self.weight, self.first, self.second, self.scale
-
     @property
     def value(self) -> SX:
         """The term as one scalar expression."""
@@ -141,15 +123,10 @@ class Lemma:
         slip = phi(self.first / self.scale) - phi(self.second / self.scale)
         return ca.sum1(self.weight * (self.first - self.second) * slip)
 
-    def with_pieces(self, pieces: Sequence[SX]) -> Lemma:
-        """The same term of other expressions."""
-        weight, first, second, scale = pieces
-        return Lemma(weight, first, second, scale, self.phi, self.of)
-
 
 @final
 @dataclass(frozen=True, eq=False)
-class NormSquare:
+class NormSquare(Expressions):
     r"""The form :math:`|b|\,|a|_W^2`: a square whose weight grows with the norm of a signal.
 
     Parameters
@@ -168,14 +145,6 @@ class NormSquare:
     of: Text = UNNAMED
     by_of: Text = UNNAMED
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-    @property
-    def pieces(self) -> tuple[SX, ...]:
-        """Its expressions."""
-        return self.vector, self.weight, self.by
-
     @property
     def value(self) -> SX:
         """The form as one scalar expression."""
@@ -186,15 +155,10 @@ class NormSquare:
         """The form without the norm."""
         return Square(self.vector, self.weight, self.of)
 
-    def with_pieces(self, pieces: Sequence[SX]) -> NormSquare:
-        """The same form of other expressions."""
-        vector, weight, by = pieces
-        return NormSquare(vector, weight, by, self.of, self.by_of)
-
 
 @final
 @dataclass(frozen=True, eq=False)
-class Gathered:
+class Gathered(Expressions):
     r"""The form :math:`c\,|a|_G^2` with an information matrix G with forgetting.
 
     .. math:: \dot G = -\mathrm{forgetting}\, G + W^\top \mathrm{diag}(r) W, \quad G(0) = 0 \quad\Rightarrow\quad
@@ -226,14 +190,6 @@ class Gathered:
     forgetting: SX
     of: Text = UNNAMED
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-    @property
-    def pieces(self) -> tuple[SX, ...]:
-        """Its expressions."""
-        return self.vector, self.weight, self.memory, self.regressor, self.by, self.forgetting
-
     @property
     def value(self) -> SX:
         """The form as one scalar expression."""
@@ -244,11 +200,6 @@ class Gathered:
         """The required dG/dt."""
         return gathered(self.memory, self.regressor, self.by, self.forgetting)
 
-    def with_pieces(self, pieces: Sequence[SX]) -> Gathered:
-        """The same form of other expressions."""
-        vector, weight, memory, regressor, by, forgetting = pieces
-        return Gathered(vector, weight, memory, regressor, by, forgetting, self.of)
-
 
 def gathered(memory: SX, regressor: SX, by: SX, forgetting: SX) -> SX:
     """-forgetting G + W' diag(r) W."""
@@ -257,7 +208,7 @@ def gathered(memory: SX, regressor: SX, by: SX, forgetting: SX) -> SX:
 
 @final
 @dataclass(frozen=True, eq=False)
-class Clipped:
+class Clipped(Expressions):
     r"""The term :math:`\sum_i \mathrm{clip}(s_i, v_i) b_i`, of either sign and at most :math:`\sum_i v_i |b_i|`.
 
     Parameters
@@ -271,23 +222,10 @@ class Clipped:
     other: SX
     of: Text = UNNAMED
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-    @property
-    def pieces(self) -> tuple[SX, ...]:
-        """Its expressions."""
-        return self.first, self.width, self.other
-
     @property
     def value(self) -> SX:
         """The term as one scalar expression."""
         return ca.dot(clip(self.first, self.width), self.other)
-
-    def with_pieces(self, pieces: Sequence[SX]) -> Clipped:
-        """The same term of other expressions."""
-        first, width, other = pieces
-        return Clipped(first, width, other, self.of)
 
 
 @operation
@@ -313,7 +251,7 @@ def divergence(estimate: SX, true: SX) -> SX:
 
 @final
 @dataclass(frozen=True, eq=False)
-class Potential:
+class Potential(Expressions):
     r"""The energy of saturating springs: positive definite and radially unbounded in a.
 
     .. math:: \sum_i 2 w_i v_i^2 \left(\sqrt{1 + (a_i / v_i)^2} - 1\right), \quad w_i > 0, \; v_i > 0
@@ -336,28 +274,15 @@ class Potential:
     weight: SX = 1
     of: Text = UNNAMED
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-    @property
-    def pieces(self) -> tuple[SX, ...]:
-        """Its expressions."""
-        return self.vector, self.width, self.weight
-
     @property
     def value(self) -> SX:
         """The term as one scalar expression."""
         return potential(self.vector, self.width, self.weight)
 
-    def with_pieces(self, pieces: Sequence[SX]) -> Potential:
-        """The same term of other expressions."""
-        vector, width, weight = pieces
-        return Potential(vector, width, weight, self.of)
-
 
 @final
 @dataclass(frozen=True, eq=False)
-class LogDet:
+class LogDet(Expressions):
     r"""Stein's loss, a Bregman divergence between two symmetric positive definite matrices.
 
     .. math:: c \left(\log\det\hat P - \log\det P + \mathrm{tr}(\hat P^{-1} P) - n\right)
@@ -383,14 +308,6 @@ class LogDet:
     weight: SX = 1
     of: Text = UNNAMED
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-    @property
-    def pieces(self) -> tuple[SX, ...]:
-        """Its expressions."""
-        return self.matrix, self.true, self.weight
-
     @property
     def vector(self) -> SX:
         """The elements of the matrix; they are bounded if the term is."""
@@ -400,11 +317,6 @@ class LogDet:
     def value(self) -> SX:
         """The term as one scalar expression."""
         return self.weight * divergence(self.matrix, self.true)
-
-    def with_pieces(self, pieces: Sequence[SX]) -> LogDet:
-        """The same term of other expressions."""
-        matrix, true, weight = pieces
-        return LogDet(matrix, true, weight, self.of)
 
 
 Dissipated = Square | NormSquare | Lemma | Gathered

@@ -16,7 +16,7 @@ from decimal import Decimal
 from fractions import Fraction
 from typing import Final
 
-from dmframe.errors import UnitError, ValueFault, nearest
+from dmframe.errors import DmframeError, UnitError, ValueFault, nearest
 
 _DEFINITIONS: Final = """
 m metre meter
@@ -80,6 +80,17 @@ def to_unit(value: str | float, unit: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ValueFault(f"{expected}: give a number" + (f" or a text such as '1 {unit}'" if unit else ""))
     return _finite(value, expected)
+
+
+def seconds(what: str, value: float | str) -> float:
+    """A positive time [s]. Raises `ValueFault`."""
+    try:
+        found = to_unit(value, "s")
+    except DmframeError as error:
+        raise ValueFault(f"{what} {shorten(str(value))}: {error.text}") from None
+    if not found > 0:
+        raise ValueFault(f"{what} {shorten(str(value))}: expected a time above zero")
+    return found
 
 
 class Stated(float):

@@ -83,7 +83,7 @@ def faults(said: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
 
 def facts(graph: dm.Graph) -> dict[str, str]:
     """Cells read from a graph, without its verdict and its error."""
-    diagram, file, robot = graph.diagram, graph.experiment.file, graph.robot
+    diagram, file, robot = graph.diagram, graph.file, graph.robot
     return {
         "follows": followed(diagram),
         "robot": f"{file.robot.model}, {robot.n} joint{'s' * (robot.n > 1)}" if file.robot and robot else "-",
@@ -229,7 +229,7 @@ def real(graph: dm.Graph, reality: str) -> dm.Graph:
         "task"
     ]:  # whose goal is that of a later sample: right where a predictor says from where
         return made
-    samples = made.experiment.data["blocks"]["transport_delay"]["samples"]
+    samples = made.data["blocks"]["transport_delay"]["samples"]
     return made.set({f"{label}.delay": samples for label in delayed})
 
 

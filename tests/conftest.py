@@ -28,7 +28,7 @@ def _compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _heard() -> None:
+def _interruptible() -> None:
     """Ctrl-C reaches what tests start, also where the suite runs in the background of a shell, which ignores it."""
     ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
     if ignored and threading.current_thread() is threading.main_thread():
@@ -43,7 +43,7 @@ BUT = " but "
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark what stands in that list; a name or a pattern that no test of a whole collection has is a fault."""
+    """Mark the tests of that list; a name or a pattern that no test of a whole collection has is a fault."""
     lines = [line.strip() for line in THOROUGH.read_text(encoding="utf-8").splitlines()]
     lines = [line for line in lines if line and not line.startswith("#")]
     but = dict(line.split(BUT) for line in lines if BUT in line)

@@ -18,16 +18,16 @@ def main() -> int:
     words = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     words.add_argument("--hours", type=float, default=24.0)
     words.add_argument("names", nargs="*", help="graphs; all packaged ones without")
-    asked = words.parse_args()
+    chosen = words.parse_args()
     diverged = 0
-    for name in asked.names or dm.graphs():
-        graph = dm.load(name).set({"duration": f"{asked.hours} h", "log.every": f"{asked.hours / 800} h"})
+    for name in chosen.names or dm.graphs():
+        graph = dm.load(name).set({"duration": f"{chosen.hours} h", "log.every": f"{chosen.hours / 800} h"})
         run = graph.run(engine="compiled", progress=False)
         error = run.error
         last = "" if error is None else f", |{error.signal}| {plain(float(error.norm[-1]), error.unit)} at its end"
-        told = f"diverged: {run.divergence}" if run.divergence else f"sound for {asked.hours:g} h{last}"
+        line = f"diverged: {run.divergence}" if run.divergence else f"sound for {chosen.hours:g} h{last}"
         diverged += run.divergence is not None
-        print(f"{name:<32} {told}", flush=True)
+        print(f"{name:<32} {line}", flush=True)
     print(f"{diverged} diverged")
     return int(diverged > 0)
 

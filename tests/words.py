@@ -54,7 +54,7 @@ TARGET: Final = re.compile(r"\]\([^)\s]*")
 
 KEYWORD: Final = re.compile(
     r"""\btell(?=\s*[:=(,)]|$)|`tell`|"(?:payer|pays|spends|asked|told)"|\btold(?=: str = "")|"""
-    r"""\.(?:told|asked|beside)\b|[`]asked[`]|^ +asked$|\basked(?=[:=,])|\bbeside(?=[:=]|$)"""
+    r"""\.(?:told|asked|beside)\b|[`]asked[`]|^ +asked$|\basked(?=[:=,])|\bbeside(?=[:=]|$)|\bpays(?==| is now)"""
 )
 """Keywords of public functions, a method of Optuna, keys of JSON output, attributes (named where they are defined)."""
 

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from dmframe.analysis.memory import without_memory
 from dmframe.analysis.rounding import unrounded
 from dmframe.analysis.set_point import (
     LARGE,
@@ -40,9 +41,6 @@ FRICTION_VELOCITY: Final = "robot.friction_velocity"
 _SATURATED: Final = 1e12  # [rad/s]; smooth Coulomb friction has then no slope left
 _NULL: Final = 1e-9
 """Singular values below this, relative to the largest of the balanced matrix, count as zero."""
-
-_UNREAD: Final = 1e-13
-"""A sum of stored numbers is read by nothing whose factor is below this."""
 
 _PARTED: Final = 1e-6
 """Imaginary parts below this, relative to the modulus: rounding parts a double pole by the root of an ulp."""
@@ -347,43 +345,6 @@ def _rest_on_a_clock(Phi: Array) -> tuple[Array, Array]:
         if more.shape[1] <= found.shape[1]:
             return still, found
         found = more
-
-
-def without_memory(Phi: Array) -> Array:
-    """The transition without what it only stores: a smaller matrix with the same eigenvalues but for some at zero.
-
-    States that copy another from tick to tick, and those that they copy, are a memory where none feeds itself: their
-    part of the matrix is nilpotent. Of it only the sums are kept that the other states read, now or later.
-    """
-    size, store = len(Phi), _memory(Phi)
-    core = np.setdiff1d(np.arange(size), store)
-    if not len(store):
-        return Phi
-    N, reads = Phi[np.ix_(store, store)], Phi[np.ix_(core, store)]
-    kept = np.zeros((0, len(store)))
-    new = np.asarray(reads[np.any(reads != 0, axis=1)])
-    while len(new):
-        new = new - (new @ kept.T) @ kept
-        new = new - (new @ kept.T) @ kept  # twice is enough
-        _, values, rows = np.linalg.svd(new, full_matrices=False)
-        rows = rows[values > _UNREAD * max(1.0, float(np.max(np.abs(reads), initial=0.0)))]
-        kept, new = np.vstack([kept, rows]), rows @ N
-    upper = np.hstack([Phi[np.ix_(core, core)], reads @ kept.T])
-    return np.vstack([upper, np.hstack([kept @ Phi[np.ix_(store, core)], kept @ N @ kept.T])])
-
-
-def _memory(Phi: Array) -> NDArray[np.int_]:
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import connected_components
-
-    filled = Phi != 0
-    copies = np.flatnonzero((filled.sum(axis=1) == 1) & (np.diag(Phi) == 0))
-    sources = np.unique(np.argmax(filled[copies], axis=1)) if len(copies) else copies
-    store = np.union1d(copies, sources[np.diag(Phi)[sources] == 0])
-    # states that feed one another are none: each has to be a component of its own
-    _, groups = connected_components(csr_array(filled[np.ix_(store, store)]), connection="strong")
-    alone = np.bincount(groups)[groups] == 1 if len(store) else np.zeros(0, dtype=bool)
-    return np.asarray(store[alone], dtype=int)
 
 
 def rest_space(A: Array) -> Array:

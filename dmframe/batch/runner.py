@@ -11,7 +11,7 @@ import numpy as np
 
 from dmframe.batch.batch import Batch
 from dmframe.batch.figures import FigureTable, Measured, Wanted, merged
-from dmframe.config.experiment import Experiment
+from dmframe.config import BaseGraph
 from dmframe.config.places import placed
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import changed_numbers
@@ -34,14 +34,14 @@ class Runs:
         By ``block.parameter`` a row per run, in the parameter's own unit; other labels are keys of the graph file.
     """
 
-    experiment: Experiment
+    graph: BaseGraph
     values: Mapping[str, np.ndarray] = field(default_factory=dict)
     count: int = 1
 
     @property
     def batched(self) -> bool:
         """All values are of parameters that the graph states; other values need a graph per run."""
-        blocks = self.experiment.blocks
+        blocks = self.graph.blocks
         labels = (label.partition(".") for label in self.values)
         return all(block in blocks and getattr(blocks[block], key, None) is not None for block, _, key in labels)
 
@@ -90,7 +90,7 @@ class Runner:
     """
 
     engine: str = ""
-    _loops: OrderedDict[int, tuple[Experiment, Diagram]] = field(default_factory=OrderedDict, repr=False)
+    _loops: OrderedDict[int, tuple[BaseGraph, Diagram]] = field(default_factory=OrderedDict, repr=False)
     _batches: OrderedDict[str, Batch] = field(default_factory=OrderedDict, repr=False)
 
     def measure(
@@ -127,7 +127,7 @@ class Runner:
                     found[id(item)] = whole.part(end - item.count, end)
         return [found.get(id(item)) or self._one(item, wanted, how) for item in several]
 
-    def loop_of(self, experiment: Experiment) -> tuple[Diagram, dict[str, Any]]:
+    def loop_of(self, graph: BaseGraph) -> tuple[Diagram, dict[str, Any]]:
         """A closed loop, and the parameters in which the graph differs from it.
 
         Raises
@@ -136,19 +136,19 @@ class Runner:
             The graph cannot be built.
         """
         for key, (other, diagram) in self._loops.items():
-            numbers = numbers_between(other, experiment)
+            numbers = numbers_between(other, graph)
             if numbers is not None:
                 self._loops.move_to_end(key)
                 return diagram, numbers
-        return self.own_loop(experiment), {}
+        return self.own_loop(graph), {}
 
-    def own_loop(self, experiment: Experiment, diagram: Diagram | None = None) -> Diagram:
+    def own_loop(self, graph: BaseGraph, diagram: Diagram | None = None) -> Diagram:
         """The graph's own closed loop; `diagram` is it, where it is built already."""
         for other, own in self._loops.values():
-            if other is experiment:
+            if other is graph:
                 return own
-        diagram = diagram or experiment.diagram()
-        self._loops[max(self._loops, default=0) + 1] = (experiment, diagram)
+        diagram = diagram or graph.diagram
+        self._loops[max(self._loops, default=0) + 1] = (graph, diagram)
         _trim(self._loops)
         return diagram
 
@@ -156,8 +156,8 @@ class Runner:
         groups = dict[str, _Group]()
         for item in several if len(several) > 1 else ():
             if item.batched and item.count:
-                diagram, numbers = self.loop_of(item.experiment)
-                key = repr((id(diagram), item.experiment.file.duration, item.experiment.settings))
+                diagram, numbers = self.loop_of(item.graph)
+                key = repr((id(diagram), item.graph.file.duration, item.graph.settings))
                 group = groups.setdefault(key, _Group(diagram))
                 group.members.append(item)
                 group.numbers.append(numbers)
@@ -165,14 +165,14 @@ class Runner:
 
     def _one(self, item: Runs, wanted: Callable[[Diagram], Wanted], how: Mapping[str, Any]) -> Measured:
         """An item by itself: on a shared loop, else on its own, else a graph per run."""
-        diagram, numbers = self.loop_of(item.experiment)
+        diagram, numbers = self.loop_of(item.graph)
         found: Measured | None = None
         if item.batched and item.count:
             fixed = {label: np.asarray(value, dtype=float) for label, value in numbers.items()}
             rows = {label: np.broadcast_to(value, (item.count, *value.shape)) for label, value in fixed.items()}
             found = self._batch(diagram, item, wanted, {**rows, **item.values}, item.count, how)
             if found is None and fixed:
-                own = self.own_loop(item.experiment)
+                own = self.own_loop(item.graph)
                 found = self._batch(own, item, wanted, item.values, item.count, how)
             assert found is not None or item.values  # the graph's own numbers fit its own loop
         return found or self._run_by_run(item, diagram, wanted, how)
@@ -185,12 +185,12 @@ class Runner:
         for run in range(item.count):
             try:
                 numbers = {label: rows[run].tolist() for label, rows in item.values.items()}
-                (one,) = self.measure([Runs(item.experiment.changed(numbers))], wanted, **how)
+                (one,) = self.measure([Runs(item.graph.set(numbers))], wanted, **how)
                 parts.append((np.array([run]), one))
             except DmframeError as error:
                 faults[run] = error
         if not parts:
-            layout = Batch.of(diagram, item.experiment.file.duration, wanted=wanted(diagram)).layout
+            layout = Batch.of(diagram, item.graph.file.duration, wanted=wanted(diagram)).layout
             return replace(FigureTable(layout, item.count).measured(), faults=faults)
         found = merged(parts, item.count)
         return replace(found, faults={**found.faults, **faults})
@@ -205,11 +205,11 @@ class Runner:
         how: Mapping[str, Any],
     ) -> Measured | None:
         """Run one batch with the settings of an item's graph; None if a value shapes the equations."""
-        experiment = item.experiment
-        settings, measured = {**experiment.settings, **how}, wanted(diagram)
-        key = repr((id(diagram), experiment.file.duration, measured, settings))
+        graph = item.graph
+        settings, measured = {**graph.settings, **how}, wanted(diagram)
+        key = repr((id(diagram), graph.file.duration, measured, settings))
         if key not in self._batches:
-            self._batches[key] = Batch.of(diagram, experiment.file.duration, wanted=measured, **settings)
+            self._batches[key] = Batch.of(diagram, graph.file.duration, wanted=measured, **settings)
             _trim(self._batches)
         self._batches.move_to_end(key)
         try:
@@ -217,12 +217,12 @@ class Runner:
         except NeedsDiagramError:
             return None
         except DmframeError as error:
-            raise placed(error, experiment.document) from None
+            raise placed(error, graph.document) from None
         self.engine = found.engine
         return found
 
 
-def numbers_between(base: Experiment, other: Experiment) -> dict[str, Any] | None:
+def numbers_between(base: BaseGraph, other: BaseGraph) -> dict[str, Any] | None:
     """Parameters, by label, in which two graphs of one closed loop differ; None if the loops differ."""
     if base.file.robot != other.file.robot or base.file.wires != other.file.wires:
         return None

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any, Literal, final
+from typing import Any, final
 
 import casadi as ca
 
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Gathered, LeastSquaresSteps, LogDet, NormSquare, Potential, Square, Steps
+from dmframe.certificate import SX, Gathered, LogDet, NormSquare, Potential, Square, Steps
 from dmframe.certify.claim import Claim, NotApplicableError, Part
 from dmframe.certify.form import stepping
 from dmframe.certify.symbols import Group, Symbols, symbols_of
@@ -176,21 +176,13 @@ class _Assembly:
                         yield name, self._out(f"{part.block}.{name}", dense)
 
     def _steps(self, block: str, item: Steps) -> data.Steps:
-        expressions: dict[str, Any] = {"theta": item.theta, "true": item.true, "gain": item.gain, "floor": item.floor}
-        for place, (h, y) in enumerate(item.rows):
-            expressions |= {f"h{place}": h, f"y{place}": y}
-        expressions |= dict(zip(("lower", "upper"), item.box, strict=False))
-        squares = isinstance(item, LeastSquaresSteps)
-        if isinstance(item, LeastSquaresSteps):
-            expressions |= {"gathered": item.gathered, "retention": item.retention}
-        named = {name: self._out(f"{block}.{item.estimate}: {name}", x) for name, x in expressions.items()}
-        rule: Literal["normalised", "least_squares"] = "least_squares" if squares else "normalised"
-        memory = item.names[-1] if squares else ""
-        return data.Steps(rule, item.estimate, memory, tuple(item.parts), len(item.rows), bool(item.box), named)
+        named = {name: self._out(f"{block}.{item.estimate}: {name}", x) for name, x in item.named.items()}
+        memory = item.names[1] if len(item.names) > 1 else ""
+        return data.Steps(item.rule, item.estimate, memory, tuple(item.parts), len(item.rows), bool(item.box), named)
 
     def _line(self, block: str, item: Any) -> data.Line:
         label = f"{block}.{item.state}"
-        when = None if isinstance(item.when, int) else self._out(f"{label}: when", item.when)
+        when = None if item.always else self._out(f"{label}: when", item.when)
         before = self._out(f"{label}: before", self._of.sample.symbols[label])
         return data.Line(item.state, self._out(f"{label}: newest", item.newest), before, when)
 

@@ -16,7 +16,7 @@ import numpy as np
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Assumption, Square
 from dmframe.certify.begun import Begun
-from dmframe.certify.checked import Checked, Numbers, lower, upper
+from dmframe.certify.checked import Checked, Finding, Numbers
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.definite import is_mass_matrix
 from dmframe.certify.starts import begun_at
@@ -25,6 +25,7 @@ from dmframe.errors import ValueFault
 from dmframe.exact.balls import UndecidedError
 from dmframe.exact.rational import as_float
 from dmframe.linalg import ldl
+from dmframe.prove.definite import lower, upper
 from dmframe.text import DV, Formula, Text, V, sentence, square_of
 
 SIGNS: Final = sentence("{V} is positive, {dV/dt} not")
@@ -48,15 +49,13 @@ def decidable(weight: SX, numbers: Numbers) -> SX:
     return ca.vertcat(ca.SX(0, 1), *known)
 
 
-def assumed_weights(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> tuple[list[Checked], list[Assumption]]:
+def assumed_weights(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> Iterator[Finding]:
     """The weights that an author calls positive: whether they can be, and what is assumed."""
-    checked, assumed = list[Checked](), list[Assumption]()
     for part, role, place, term in _squares(claim):
         if is_assumed(term, numbers):
             text = _named(claim, part, role, place, term)
-            assumed.append(Assumption(Text(text, f" stays above a positive constant: {term.positive}"), SIGNS))
-            checked.append(_looked_at(text, term.weight, numbers, start))
-    return checked, assumed
+            yield Assumption(Text(text, f" stays above a positive constant: {term.positive}"), SIGNS)
+            yield _looked_at(text, term.weight, numbers, start)
 
 
 @final

@@ -15,19 +15,19 @@ import numpy as np
 
 from dmframe.barrier import Barrier
 from dmframe.certificate import SX, Square
-from dmframe.certify.checked import Numbers, lower, upper
+from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.starts import has_start, start_expression
 from dmframe.certify.statements import Statement
 from dmframe.certify.symbols import Symbols
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import DmframeError, ValueFault
-from dmframe.exact import zero_test
 from dmframe.exact.balls import UndecidedError
 from dmframe.exact.literal import literal
 from dmframe.exact.ranges import ranges
 from dmframe.exact.rational import as_float
 from dmframe.program import read
+from dmframe.prove.definite import lower, upper
 from dmframe.simulate.start import start_state
 from dmframe.text import Label, Text, around, sentence
 
@@ -159,13 +159,8 @@ def _soft_min(first: Any, second: Any, width: Any) -> Any:
 
 def _column(numbers: Numbers, expression: SX, size: int) -> np.ndarray | None:
     """A column of constants; None of what moves, of what is known up to an interval, and of other shapes."""
-    try:
-        values = numbers.of(ca.SX(expression))
-    except (ValueFault, ZeroDivisionError):
-        return None
-    if len(values) not in (1, size) or any(lower(value) != upper(value) for value in values):
-        return None
-    return np.broadcast_to(np.asarray([as_float(lower(value)) for value in values]), (size,))
+    ends = _ends(numbers, expression, size)
+    return ends[0] if ends is not None and np.array_equal(*ends) else None
 
 
 def _ends(numbers: Numbers, expression: SX, size: int) -> tuple[np.ndarray, np.ndarray] | None:
@@ -200,7 +195,7 @@ def _share(claim: Claim, numbers: Numbers, symbols: Symbols, barrier: Barrier, o
 def _same(part: Part, error: SX, symbols: Symbols) -> bool:
     if part.composed.shape != error.shape:
         return False
-    return bool(zero_test(symbols.function("error", [part.composed - error]), values=symbols.fixed).zero)
+    return symbols.vanishes("error", part.composed - error)
 
 
 @final

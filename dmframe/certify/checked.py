@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, partial
 from typing import final
 
 import casadi as ca
 
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
+from dmframe.certificate import SX, Assumption
 from dmframe.certify.begun import START, Begun
 from dmframe.certify.claim import Claim
-from dmframe.certify.definite import Number, pivots
 from dmframe.certify.symbols import exact_values
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import ValueFault
 from dmframe.exact.ranges import ranges
 from dmframe.exact.rational import Interval, as_float, evaluate
+from dmframe.linalg import ldl
 from dmframe.program import read
+from dmframe.prove.definite import Number, lower, pivots
 from dmframe.text import Text
 
 
@@ -150,33 +151,47 @@ class Numbers:
             raise ValueFault("expected a matrix with elements, found an empty one")
         return min(pivots([values[column * n : (column + 1) * n] for column in range(n)]))
 
+    def above(self, expression: SX, *, matrix: bool = False) -> bool:
+        """True where the least element, or the least pivot of a matrix, is known to be above zero."""
+        try:
+            return (self.least_pivot if matrix else self.least)(expression) > 0
+        except (ValueFault, ZeroDivisionError):
+            return False
 
-def lower(value: Number) -> Fraction:
-    """The least that a number can be."""
-    return value.lower if isinstance(value, Interval) else value
+    def decide(
+        self,
+        name: Text,
+        text: str,
+        source: str,
+        margin: SX,
+        strict: bool = True,
+        *,
+        matrix: bool = False,
+        least: Callable[[], Fraction] | None = None,
+    ) -> Checked:
+        """A condition on the least element of a margin, or on the pivots of a matrix; undecided where there is none.
+
+        `least`: how that is computed, where it is not so.
+        """
+        margin = ca.SX(margin)
+        least = least or partial(self.least_pivot if matrix else self.least, margin)
+        margin = ca.vertcat(*ldl(margin)[1]) if matrix else margin
+        try:
+            value = least()
+        except ZeroDivisionError:
+            text = Text(text, "; undecided: a divisor is zero, or its interval holds zero")
+        except ValueFault as error:
+            text = Text(text, f"; undecided: {error.text}")
+        else:
+            holds = value > 0 if strict else value >= 0
+            return Checked(name, text, as_float(value), holds, source, strict=strict, margin=margin)
+        return Checked(name, text, None, False, source, "undecided", strict, margin)
 
 
-def upper(value: Number) -> Fraction:
-    """The most that a number can be."""
-    return value.upper if isinstance(value, Interval) else value
+Finding = Checked | Assumption
 
 
-def decided(
-    name: Text,
-    text: str,
-    source: str,
-    least: Callable[[], Fraction],
-    strict: bool = True,
-    margin: SX | None = None,
-) -> Checked:
-    """A condition from the least value that must be positive; undecided, which is not holding, where there is none."""
-    try:
-        value = least()
-    except ZeroDivisionError:
-        text = Text(text, "; undecided: a divisor is zero, or its interval holds zero")
-    except ValueFault as error:
-        text = Text(text, f"; undecided: {error.text}")
-    else:
-        holds = value > 0 if strict else value >= 0
-        return Checked(name, text, as_float(value), holds, source, strict=strict, margin=margin)
-    return Checked(name, text, None, False, source, "undecided", strict, margin)
+def sorted_out(findings: Iterable[Finding]) -> tuple[list[Checked], list[Assumption]]:
+    """What numbers have decided, and what is left to assume, each in order."""
+    found = list(findings)
+    return [x for x in found if isinstance(x, Checked)], [x for x in found if isinstance(x, Assumption)]

@@ -34,8 +34,8 @@ from dmframe.certificate import (
 from dmframe.certify.certificates import Certificates, certificates_of, is_over_samples
 from dmframe.certify.form import NotApplicableError, unfit
 from dmframe.certify.labels import labelled
+from dmframe.certify.laws import printed_laws
 from dmframe.certify.operators import Flow, Sample
-from dmframe.certify.printed import printed_laws
 from dmframe.certify.risky import risky
 from dmframe.certify.steady import hold_claims
 from dmframe.diagram import ClosedLoop, Diagram

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
@@ -30,17 +29,14 @@ import casadi as ca
 
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Assumption, Condition, Driven
-from dmframe.certify.checked import Numbers, lower, upper
+from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim
-from dmframe.certify.definite import Number
-from dmframe.certify.stability import common_margin
+from dmframe.certify.linear import is_stable
 from dmframe.certify.symbols import Group, exact_values, symbols_of
 from dmframe.diagram.closed_loop import Variable
-from dmframe.diagram.projection import Box
 from dmframe.errors import ValueFault
 from dmframe.exact import Tape, random_prime
 from dmframe.exact.linear import Echelon
-from dmframe.exact.rational import Interval
 from dmframe.exact.shift import Shift, ZeroDivision
 from dmframe.linalg import nodes
 from dmframe.text import Label, Text, joined, listed_text
@@ -340,7 +336,7 @@ class Closure:
         """True where the remainder is bounded by now, and the linear part stable, or assumed to be."""
         if not all(self.bounds(list(self.remainders(block, item)))):
             return False
-        holds = stable(item, self._numbers, self._claim)
+        holds = is_stable(item, self._numbers)
         if holds:
             return True
         given = holds is None and bool(item.otherwise)
@@ -368,7 +364,7 @@ class Closure:
         if not item.inputs or symbols_in(item.inputs) & symbols_in(item.vectors):
             return False
         rests = [rest - own for rest, own in zip(self.remainders(block, item), item.inputs, strict=True)]
-        if not (all(self.bounds(rests)) and stable(item, self._numbers, self._claim)):
+        if not (all(self.bounds(rests)) and is_stable(item, self._numbers)):
             return False
         self.given.append((block, item))
         return True
@@ -390,47 +386,3 @@ def _alone(column: int, own: Sequence[int], directions: Sequence[Sequence[int]])
 
 def _stays_stable(driven: Driven) -> Text:
     return Text("the linear equation that drives ", joined(driven.of), " is exponentially stable")
-
-
-def stable(driven: Driven, numbers: Numbers, claim: Claim) -> bool | None:
-    r"""Is :math:`\dot z = A z` stable for each joint, at the graph's numbers, or while A's states move in their boxes?
-
-    None where A holds something else, so that nothing decides it.
-
-    One equation a joint: A < 0 at its upper end. Two: of parameters alone, trace A < 0 and det A > 0; with states, a
-    companion form [[0, 1], [-b, -a]] and one Lyapunov matrix for all corners of the box (`common_margin`).
-    """
-    A = [[numbers_of(rate, numbers, claim) for rate in row] for row in driven.rates]
-    if any(entry is None for row in A for entry in row):
-        return None
-    rows = [[entry for entry in row if entry is not None] for row in A]
-    joints = max(len(entry) for row in rows for entry in row)
-    return all(_stable([[entry[j % len(entry)] for entry in row] for row in rows]) for j in range(joints))
-
-
-def _stable(A: Sequence[Sequence[Number]]) -> bool:
-    if len(A) == 1:
-        return upper(A[0][0]) < 0
-    if len(A) != 2:
-        return False
-    ends = [[(lower(x), upper(x)) for x in row] for row in A]
-    if all(low == high for row in ends for low, high in row):
-        (a, b), (c, d) = [[low for low, _ in row] for row in ends]
-        return a + d < 0 and a * d - b * c > 0
-    companion = [low for low, _ in ends[0]] == [high for _, high in ends[0]] == [0, 1]
-    (b_low, b_high), (a_low, a_high) = ends[1]
-    return companion and common_margin((-a_high, -a_low), (-b_high, -b_low)) > 0
-
-
-def numbers_of(rate: SX, numbers: Numbers, claim: Claim) -> list[Number] | None:
-    """The values of an entry; of a state with a box, all that the box holds. None where it holds anything else."""
-    for projection in claim.loop.projections:
-        if isinstance(projection.set, Box) and symbols_in([rate]) & symbols_in([projection.state]):
-            ends = [numbers.of(end) for end in (projection.set.lower, projection.set.upper)]
-            inside = [Interval(lower(low), upper(high)) for low, high in zip(*ends, strict=True)]
-            with suppress(ValueFault, ZeroDivisionError):
-                return numbers.with_states(rate, projection.state, inside)
-            return None
-    with suppress(ValueFault, ZeroDivisionError):
-        return numbers.of(rate)
-    return None

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
-from functools import partial
+from itertools import chain
 from typing import Any
 
 import casadi as ca
@@ -29,30 +29,21 @@ from dmframe.certificate import (
     Stored,
 )
 from dmframe.certify.assumed import SIGNS, assumed_weights, decidable, is_assumed
-from dmframe.certify.checked import Checked, Numbers, decided, lower, upper
+from dmframe.certify.checked import Checked, Finding, Numbers, sorted_out
 from dmframe.certify.claim import Claim, NotApplicableError, Part
-from dmframe.certify.definite import (
-    Number,
-    body_pivots,
-    is_mass_matrix,
-    is_matrix,
-    least_body_pivot,
-    least_sampled,
-    load_in,
-    pivots,
-)
+from dmframe.certify.definite import body_pivots, is_mass_matrix, is_matrix, least_body_pivot, least_sampled, load_in
 from dmframe.certify.memories import matrix_start, memory_starts, pivots_at_start
 from dmframe.certify.projections import projection_conditions
 from dmframe.certify.small_gain import small_gain_conditions
 from dmframe.certify.smoothness import HORIZON, SAMPLES
-from dmframe.certify.stability import common_margin
 from dmframe.certify.wording import worded
 from dmframe.diagram.view import view
 from dmframe.errors import BlockError
 from dmframe.exact.rational import as_float
 from dmframe.fields import fault_of
 from dmframe.formula.reading import place_of
-from dmframe.linalg import ldl
+from dmframe.prove.definite import Number, lower, pivots, upper
+from dmframe.prove.stability import common_margin
 from dmframe.robot.pseudo_inertia import pseudo_inertia
 from dmframe.text import DV, Formula, Label, Text, V, Written, sentence, square_of
 
@@ -73,40 +64,35 @@ def conditions_of(
     """
     if claim.over_samples:
         raise NotApplicableError(f"{claim.loop.clocked}; a proof in continuous time does not reach it")
-    checked, assumed = decide(list(conditions_stated(claim)), numbers)
-    checked += _weights(claim, numbers)
-    checked += memory_starts(claim, numbers, start or {})
-    assumed += dict.fromkeys(_memories(claim))
-    for inside, unknown in (
-        assumed_weights(claim, numbers, start or {}),
-        _inside(claim, numbers, start or {}),
-        projection_conditions(claim, numbers, start),
-    ):
-        checked, assumed = [*checked, *inside], [*assumed, *unknown]
+    return sorted_out(_needed(claim, numbers, start or {}))
+
+
+def _needed(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> Iterator[Finding]:
+    yield from decide(conditions_stated(claim), numbers)
+    yield from _weights(claim, numbers)
+    yield from memory_starts(claim, numbers, start)
+    yield from dict.fromkeys(_memories(claim))
+    yield from assumed_weights(claim, numbers, start)
+    yield from _inside(claim, numbers, start)
+    yield from chain(*projection_conditions(claim, numbers, start))
     matrices = list(dict.fromkeys(_matrices(claim, numbers)))
-    checked += matrices
+    yield from matrices
     if any(item.how == "sampled" for item in matrices):
-        assumed.append(
-            Assumption(Text(BODIES, " between the sampled poses; some link is no physical body"), "property P2")
-        )
-    loads, bodies = _loads(claim)
-    checked, assumed = [*checked, *loads], [*assumed, *bodies]
+        yield Assumption(Text(BODIES, " between the sampled poses; some link is no physical body"), "property P2")
+    yield from _loads(claim)
     if claim.cascaded:
-        checked += small_gain_conditions(claim, numbers)
-    return checked, assumed
+        yield from small_gain_conditions(claim, numbers)
 
 
-def decide(stated: Sequence[tuple[str, Condition]], numbers: Numbers) -> tuple[list[Checked], list[Assumption]]:
+def decide(stated: Iterable[tuple[str, Condition]], numbers: Numbers) -> Iterator[Finding]:
     """Conditions, each with the block that states it: those that numbers decide, and those that are assumed."""
-    checked, assumed = list[Checked](), list[Assumption]()
     for name, condition in stated:
         if isinstance(condition, Assumption):
-            assumed.append(condition)
+            yield condition
         elif isinstance(condition, CommonLyapunov):
-            checked.append(_stable(name, condition, numbers))
+            yield _stable(name, condition, numbers)
         else:
-            checked.append(_inequality(name, condition, numbers))
-    return checked, assumed
+            yield _inequality(name, condition, numbers)
 
 
 def conditions_stated(claim: Claim) -> Iterator[tuple[str, Condition]]:
@@ -134,9 +120,7 @@ def conditions_stated(claim: Claim) -> Iterator[tuple[str, Condition]]:
 
 def _inequality(name: str, condition: Inequality, numbers: Numbers) -> Checked:
     words, text = worded(numbers.claim, name, condition)
-    least = partial(numbers.least, condition.expression)
-    margin = ca.SX(condition.expression)
-    found = decided(Text(f"{name}: ", words), text, condition.source, least, condition.strict, margin)
+    found = numbers.decide(Text(f"{name}: ", words), text, condition.source, condition.expression, condition.strict)
     if found.holds or not condition.otherwise:
         return found
     return replace(found, name=Text(f"{name}: ", condition.otherwise))
@@ -150,7 +134,7 @@ def remedies(claim: Claim, numbers: Numbers) -> list[Text]:
         ]
     except NotApplicableError:
         return []
-    return [item.name for item in decide(stated, numbers)[0] if not item.holds]
+    return [item.name for item in sorted_out(decide(stated, numbers))[0] if not item.holds]
 
 
 def _terms(claim: Claim) -> Iterator[tuple[Part, Formula, Stored | Dissipated]]:
@@ -180,8 +164,7 @@ def _weights(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
         elif isinstance(term, LogDet):
             yield _least(part, Text("weight of the divergence of ", term.of, " in ", role), numbers, weight)
             text = Text("what ", term.of, " estimates is positive definite (least pivot)")
-            least, margin = partial(numbers.least_pivot, term.true), ca.vertcat(*ldl(term.true)[1])
-            yield decided(Text(f"{part.block}: ", text), text, SIGNS, least, margin=margin)
+            yield numbers.decide(Text(f"{part.block}: ", text), text, SIGNS, term.true, matrix=True)
         elif isinstance(term, Potential):
             potential = Text(" of the potential of ", term.of, " in ", role)
             yield _least(part, Text("weight", potential), numbers, weight)
@@ -198,9 +181,8 @@ def _memories(claim: Claim) -> Iterator[Assumption]:
             yield Assumption(sentence(text, block=part.block, square=square_of(term.of, "G")), SIGNS)
 
 
-def _inside(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> tuple[list[Checked], list[Assumption]]:
+def _inside(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> Iterator[Finding]:
     """What a divergence is taken of starts positive definite; V, which does not grow, keeps it so."""
-    checked, assumed = list[Checked](), list[Assumption]()
     rising = any(part.certificate.excess for part in claim.parts)
     for part, _, term in _terms(claim):
         if not isinstance(term, LogDet):
@@ -208,22 +190,20 @@ def _inside(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> tuple[l
         first = matrix_start(claim, numbers, start, term.matrix)
         name = Text(f"{part.block}: ", term.of, " starts positive definite")
         if first is None:
-            assumed.append(Assumption(name, SIGNS))
+            yield Assumption(name, SIGNS)
         else:
             least = min(pivots(first))
             begun = pivots_at_start(claim, numbers, start, term.matrix)
             margin, text = begun.at(numbers.starts), "least pivot at the start"
-            checked.append(Checked(name, text, as_float(least), least > 0, SIGNS, margin=margin, begun=begun))
+            yield Checked(name, text, as_float(least), least > 0, SIGNS, margin=margin, begun=begun)
         if rising:
             text = "{block}: {of} stays positive definite, although {V} may rise by a residual"
-            assumed.append(Assumption(sentence(text, block=part.block, of=term.of), SIGNS))
-    return checked, assumed
+            yield Assumption(sentence(text, block=part.block, of=term.of), SIGNS)
 
 
 def _least(part: Part, of: Text, numbers: Numbers, expression: SX, strict: bool = True) -> Checked:
     text = Text(of, " > 0" if strict else " >= 0")
-    name, least = Text(f"{part.block}: ", text), partial(numbers.least, expression)
-    return decided(name, text, SIGNS, least, strict, ca.SX(expression))
+    return numbers.decide(Text(f"{part.block}: ", text), text, SIGNS, expression, strict)
 
 
 def _matrices(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
@@ -237,9 +217,7 @@ def _matrices(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
                 yield _mass_matrix(claim, weight)
                 continue
             text = Text("weight of ", square_of(term.of), " in ", role, " > 0 (least pivot)")
-            margin = ca.vertcat(*ldl(weight)[1])
-            least = partial(numbers.least_pivot, weight)
-            yield decided(Text(f"{part.block}: ", text), text, SIGNS, least, margin=margin)
+            yield numbers.decide(Text(f"{part.block}: ", text), text, SIGNS, weight, matrix=True)
     for name, model in claim.diagram.models.items():
         for inverted in model.inverted if model.robot is not None else ():
             matrix = claim.loop.joined([claim.diagram.resolver.expand(name, ca.SX(inverted.matrix))])[0]
@@ -257,17 +235,15 @@ def load_labels(claim: Claim) -> list[str]:
     return [label for label in dict.fromkeys(found) if label]
 
 
-def _loads(claim: Claim) -> tuple[list[Checked], list[Assumption]]:
+def _loads(claim: Claim) -> Iterator[Finding]:
     """Loads that a mass matrix holds: what a source gives at all times no graph says, but at some."""
-    checked, assumed = list[Checked](), list[Assumption]()
     for label in load_labels(claim):
         name = Text(Label(label), " is the inertia of a rigid body")
-        assumed.append(Assumption(Text(name, ": its pseudo-inertia is not negative"), "property P2"))
+        yield Assumption(Text(name, ": its pseudo-inertia is not negative"), "property P2")
         time, least = _least_of_load(claim, label)
         if not least >= 0:
             found = f"least eigenvalue of its pseudo-inertia over the largest >= 0, at t = {time:.6g} s"
-            checked.append(Checked(name, found, least, False, "property P2", "sampled", strict=False))
-    return checked, assumed
+            yield Checked(name, found, least, False, "property P2", "sampled", strict=False)
 
 
 def _least_of_load(claim: Claim, label: str) -> tuple[float, float]:
@@ -305,8 +281,8 @@ def _stable(name: str, condition: CommonLyapunov, numbers: Numbers) -> Checked:
         return min(common_margin(corners, rates) for corners, rates in zip(a, b, strict=True))
 
     text = sentence("{sum} < 0 at the four corners of the box, one {P} > 0", sum=LYAPUNOV)
-    found = decided(Text(f"{name}: ", condition.name), text, condition.source, least)
-    return replace(found, reads=numbers.reads(ca.vertcat(ca.vec(condition.a), ca.vec(condition.b))))
+    found = numbers.decide(Text(f"{name}: ", condition.name), text, condition.source, ca.SX(), least=least)
+    return replace(found, margin=None, reads=numbers.reads(ca.vertcat(ca.vec(condition.a), ca.vec(condition.b))))
 
 
 def _rows(values: Sequence[Number], rows: int) -> list[tuple[Fraction, Fraction]]:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from fractions import Fraction
-from math import gcd, lcm
 from typing import Any
 
 import casadi as ca
@@ -16,69 +15,10 @@ from dmframe.certify.claim import Claim
 from dmframe.certify.symbols import symbols_of
 from dmframe.diagram import Diagram
 from dmframe.diagram.projection import Bodies
-from dmframe.exact import zero_test
-from dmframe.exact.rational import Interval
 from dmframe.linalg import ldl
+from dmframe.prove.definite import pivots
 from dmframe.robot.parameters import INERTIAL
 from dmframe.robot.pseudo_inertia import parameters_of, pseudo_inertia
-
-Number = Fraction | Interval
-
-
-def pivots(matrix: Sequence[Sequence[Number]]) -> list[Fraction]:
-    """The diagonal of LDL', exactly, up to the first pivot that is not positive; of an interval, its lower end."""
-    if not any(isinstance(value, Interval) for row in matrix for value in row):
-        return _whole_pivots(matrix)
-    rows = [[Interval.of(value) for value in row] for row in matrix]
-    found = list[Fraction]()
-    for j in range(len(rows)):
-        pivot = rows[j][j]
-        found.append(pivot.lower)
-        if found[-1] <= 0:
-            break
-        for i in range(j + 1, len(rows)):
-            factor = rows[i][j] / pivot
-            rows[i] = [above - factor * below for above, below in zip(rows[i], rows[j], strict=True)]
-    return found
-
-
-def _whole_pivots(matrix: Sequence[Sequence[Any]]) -> list[Fraction]:
-    """The same of rational numbers, in whole ones: each row is a multiple of what it stands for.
-
-    What a row has in common is divided out, so that numbers stay as short as Fractions would be, at a tenth of the
-    time; a row that the pivot's column does not join is left as it is.
-    """
-    scales = [Fraction(lcm(*(Fraction(value).denominator for value in row))) for row in matrix]
-    rows = [[int(value * scale) for value in row] for row, scale in zip(matrix, scales, strict=True)]
-    found = list[Fraction]()
-    for j, row in enumerate(rows):
-        pivot = row[j]
-        found.append(pivot / scales[j])
-        if pivot <= 0:
-            break
-        for i in range(j + 1, len(rows)):
-            if across := rows[i][j]:
-                common = gcd(pivot, across)
-                own, other = pivot // common, across // common
-                left = [own * above - other * below for above, below in zip(rows[i], row, strict=True)]
-                common = gcd(*left) or 1
-                rows[i] = [value // common for value in left] if common > 1 else left
-                scales[i] *= Fraction(own, common)
-    return found
-
-
-def is_semidefinite(matrix: Sequence[Sequence[Fraction]]) -> bool:
-    """True where no direction makes the form of a symmetric matrix negative, decided exactly."""
-    rows = [list(row) for row in matrix]
-    while rows:
-        pivot, across = rows[0][0], rows[0][1:]
-        if pivot < 0 or (pivot == 0 and any(across)):
-            return False
-        rows = [
-            [value - (left * above / pivot if pivot else 0) for value, above in zip(row[1:], across, strict=True)]
-            for row, left in zip(rows[1:], across, strict=True)
-        ]
-    return True
 
 
 def least_body_pivot(robot: Any) -> Fraction:
@@ -127,8 +67,7 @@ def _matched(claim: Claim, weight: SX) -> str | None:
             held = symbols_in([inertia])
             if held and not held & used:  # a mass matrix is linear in the inertia of its bodies, and not zero
                 continue
-            difference = symbols.function("difference", [weight - robot.mass_matrix(q, inertia)])
-            if zero_test(difference, values=symbols.fixed).zero:
+            if symbols.vanishes("difference", weight - robot.mass_matrix(q, inertia)):
                 return label
     return None
 
@@ -144,8 +83,7 @@ def is_mass_matrix_of_bodies(claim: Claim, matrix: SX) -> bool:
         for q, robot in _poses(claim):
             if bodies.numel() != len(INERTIAL) * robot.n or matrix.shape != (robot.n, robot.n):
                 continue
-            difference = symbols.function("difference", [matrix - robot.mass_matrix(q, bodies)])
-            if zero_test(difference, values=symbols.fixed).zero:
+            if symbols.vanishes("difference", matrix - robot.mass_matrix(q, bodies)):
                 return True
     return False
 

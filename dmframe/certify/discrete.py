@@ -9,7 +9,7 @@ import casadi as ca
 
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Assumption, LeastSquaresSteps, NormalisedSteps, Square, Steps
-from dmframe.certify.checked import Checked, Numbers, decided
+from dmframe.certify.checked import Checked, Finding, Numbers
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.conditions import conditions_stated, decide
 from dmframe.certify.delays import decided_delays, delay_conditions
@@ -59,24 +59,19 @@ SHOWN: Final = 6
 """Signals of which so many are named."""
 
 
-def discrete_conditions(
-    claim: Claim, numbers: Numbers, start: Mapping[str, Any]
-) -> tuple[list[Checked], list[Assumption]]:
+def discrete_conditions(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> Iterator[Finding]:
     """What the proof needs and numbers can decide; and what is left to assume."""
     claiming = {part.block for part in claim.parts}
-    stated = [(name, item) for name, item in conditions_stated(claim) if name in claiming]
-    checked, assumed = decide(stated, numbers)
-    checked += dict.fromkeys(undefined(claim, numbers))
+    yield from decide(((name, item) for name, item in conditions_stated(claim) if name in claiming), numbers)
+    yield from dict.fromkeys(undefined(claim, numbers))
     for part in claim.parts:
-        checked += _weights(part, numbers)
-        checked += delay_conditions(claim, part)
+        yield from _weights(part, numbers)
+        yield from delay_conditions(claim, part)
         for item in part.certificate.steps:
-            checked += _steps(part, item, numbers)
+            yield from _steps(part, item, numbers)
             if isinstance(item, LeastSquaresSteps):
-                checked += _least_squares(part, item, numbers, start)
-            inside, unknown = _boxed(part, item, numbers)
-            checked, assumed = [*checked, *inside], [*assumed, *unknown]
-    return checked, assumed
+                yield from _least_squares(part, item, numbers, start)
+            yield from _boxed(part, item, numbers)
 
 
 def _weights(part: Part, numbers: Numbers) -> Iterator[Checked]:
@@ -87,15 +82,13 @@ def _weights(part: Part, numbers: Numbers) -> Iterator[Checked]:
     ):
         for place, term in enumerate((term for term in terms if isinstance(term, Square)), start=1):
             name, strict = Text(f"{part.block}: weight of term {place} of ", role), role == "V"
-            least, sign = _least(term.weight, numbers), ">" if strict else ">="
-            yield decided(name, f"weight {sign} 0", SIGNS, least, strict, ca.SX(term.weight))
+            yield numbers.decide(name, f"weight {'>' if strict else '>='} 0", SIGNS, term.weight, strict)
 
 
 def _steps(part: Part, item: Steps, numbers: Numbers) -> Iterator[Checked]:
     for role, value in (("gain", item.gain), ("floor", item.floor)):
         name = Text(f"{part.block}: {role} of the steps of ", name_of(item.estimate))
-        value = ca.vec(ca.densify(ca.SX(value)))
-        yield decided(name, f"{role} > 0", SIGNS, _least(value, numbers), True, value)
+        yield numbers.decide(name, f"{role} > 0", SIGNS, ca.vec(ca.densify(ca.SX(value))))
 
 
 def _least_squares(
@@ -103,39 +96,32 @@ def _least_squares(
 ) -> Iterator[Checked]:
     name, share = Text(f"{part.block}: retention of the steps of ", name_of(item.estimate)), ca.SX(item.retention)
     room = ca.vertcat(share, 1 - share)
-    yield decided(name, "0 <= retention <= 1", LEMMAS[LeastSquaresSteps], _least(room, numbers), False, room)
+    yield numbers.decide(name, "0 <= retention <= 1", LEMMAS[LeastSquaresSteps], room, strict=False)
     yield from triangle_starts(part.block, item, numbers, start)
 
 
-def _least(expression: SX, numbers: Numbers) -> Any:
-    return lambda: numbers.least(ca.SX(expression))
-
-
-def _boxed(part: Part, item: Steps, numbers: Numbers) -> tuple[list[Checked], list[Assumption]]:
+def _boxed(part: Part, item: Steps, numbers: Numbers) -> Iterator[Finding]:
     """That the true value lies in the box: decided where parameters determine it, else assumed."""
     if not item.box:
-        return [], []
+        return
     lower, upper, true = (ca.vec(ca.densify(ca.SX(end))) for end in (*item.box, item.true))
     lemma = LEMMAS[type(item)]
     room = ca.vertcat(true - lower, upper - true)
     known = [row for row in range(room.shape[0]) if symbols_in([room[row]]) <= numbers.known]
-    estimate, checked = name_of(item.estimate), list[Checked]()
+    estimate = name_of(item.estimate)
     text = Text(f"{part.block}: true value of ", estimate, " inside its box")
     if known:
-        checked.append(
-            decided(text, "lower <= true value <= upper", lemma, _least(room[known], numbers), False, room[known])
-        )
+        yield numbers.decide(text, "lower <= true value <= upper", lemma, room[known], strict=False)
     loop, free = numbers.claim.loop, [row for row in range(room.shape[0]) if row not in known]
     handed = [row for row in free if symbols_in([loop.on_path(room[row])]) <= symbols_in([loop.time, loop.p])]
     if handed:  # what a source has decides, as far as it is sampled
-        checked += outside(text, loop.on_path(room[handed]), loop)
+        yield from outside(text, loop.on_path(room[handed]), loop)
     left = sorted({row % true.shape[0] for row in free})
     if left:
         width, name = (upper - lower)[left], Text(f"{part.block}: box of ", estimate, " holds something")
-        checked.append(decided(name, "lower <= upper", lemma, _least(width, numbers), False, width))
-    whose = "which a source or unknown constants decide" if handed else "which are unknown constants"
-    said = Text(text, f", in {len(left)} of {true.shape[0]} elements, {whose}")
-    return checked, [Assumption(said, lemma)] if left else []
+        yield numbers.decide(name, "lower <= upper", lemma, width, strict=False)
+        whose = "which a source or unknown constants decide" if handed else "which are unknown constants"
+        yield Assumption(Text(text, f", in {len(left)} of {true.shape[0]} elements, {whose}"), lemma)
 
 
 def discrete_assumptions(claim: Claim, symbols: Symbols, seed: int) -> Iterator[Assumption]:
@@ -209,7 +195,7 @@ def _domains(claim: Claim, symbols: Symbols, seed: int) -> Iterator[Assumption]:
     """
     for part in claim.parts:
         wanted = list(_needed(claim, part, symbols))
-        norms = [size for item in part.certificate.steps for size in item.sizes]
+        norms = [size for item in part.certificate.steps for size in item.divisors]
         tape = Tape.from_function(symbols.function("domains", [stack(wanted), stack(norms)]))
         values, known = at_random_point(tape, symbols, seed)
         left = stack(x for x, value in zip(wanted, values, strict=True) if value not in known)

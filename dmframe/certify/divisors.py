@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
 import casadi as ca
 
+from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
+from dmframe.certify.checked import Checked
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
 from dmframe.certify.sign import Sign, sign_after
@@ -35,6 +37,29 @@ def written(divisor: SX) -> Text:
         return Text(Label(text))
     made = sorted({s.name() for s in ca.symvar(divisor)})[:4]
     return Text("a divisor made of ", joined(list(map(Label, made))))
+
+
+def domains(name: str, risks: Iterable[tuple[int, SX]], moving: set[int]) -> Iterator[Checked]:
+    """That divisors and arguments made of parameters alone are where they have to be, by their margins.
+
+    Of an interval a divisor has to be of one sign, which its square does not forget.
+    """
+    for code, part in risks:
+        if symbols_in([part]) & moving or not symbols_in([part]) or code == ca.OP_TAN:
+            continue
+        text, margin = Text(f"{name}: {OPERATIONS[code].name} of ", written(part), " is defined"), part
+        if code in (*DIVISIONS, ca.OP_FMOD, ca.OP_REMAINDER):
+            margin = part * part
+        elif code == ca.OP_ACOSH:
+            margin = part - 1
+        elif code == ca.OP_LOG1P:
+            margin = part + 1
+        elif code in (ca.OP_ASIN, ca.OP_ACOS, ca.OP_ATANH, ca.OP_ERFINV):
+            margin = ca.vertcat(1 - part, 1 + part)
+        if code in DIVISIONS:
+            text = Text(f"{name}: ", written(part), " is not zero")
+        strict = code not in (ca.OP_SQRT, ca.OP_ACOSH)
+        yield Checked(text, "", None, True, "", strict=strict, margin=margin)
 
 
 def brought_in(claim: Claim, closure: Closure) -> Iterator[Text]:

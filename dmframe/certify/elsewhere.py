@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import casadi as ca
@@ -22,7 +22,7 @@ from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.small_gain import kappa_needs
 from dmframe.certify.steady import stated_claims
-from dmframe.certify.tacit import Tacit, tacit
+from dmframe.certify.tacit import tacit
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.view import view
@@ -121,7 +121,7 @@ def _ends(expression: SX, inside: Mapping[int, tuple[float, float]]) -> Ends:
 
 
 def _margin(
-    claim: Claim, item: Checked | Tacit, inside: Mapping[int, tuple[float, float]], starts: Container[str]
+    claim: Claim, item: Checked, inside: Mapping[int, tuple[float, float]], starts: Container[str]
 ) -> tuple[SX | None, SX | None]:
     """A margin of parameters and moved starts; where there is none, the parameters and starts that decide."""
     given = symbols_in(claim.starts[label] for label in claim.starts if label in starts)
@@ -149,8 +149,8 @@ def _tacit(
 ) -> Iterator[Elsewhere]:
     for item in tacit(claim, Numbers(claim, uncertain)):
         margin, reads = _margin(claim, item, inside, starts)
-        checked = Checked(item.name, "", None, True, "", strict=item.strict, margin=margin, reads=reads)
-        yield Elsewhere(checked, margin, reads, tacit=True, opens=item.opens)
+        checked = replace(item, margin=margin, reads=reads, begun=None, sufficient=False)
+        yield Elsewhere(checked, margin, reads, tacit=True, opens=item.sufficient)
     for parameter in claim.loop.parameters:
         if parameter.label in uncertain:
             text = Text(Label(parameter.label), " lies in the interval that the graph gives")

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import final
 
 from dmframe.certificate import SX, Bounded, Clipped, NormSquare, Square
-from dmframe.certify.checked import Numbers, upper
+from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.symbols import Symbols
 from dmframe.errors import ValueFault
-from dmframe.exact import zero_test
 from dmframe.exact.rational import as_float
+from dmframe.prove.definite import upper
 from dmframe.text import Text, around, square_of
 
 
@@ -92,8 +92,7 @@ def _most(expression: SX, numbers: Numbers) -> float:
 
 def _stands_still(claim: Claim, expression: SX, symbols: Symbols, of: str) -> bool:
     """True for what keeps its value along every motion, identically."""
-    rate = symbols.function("rate", [claim.flow.D(expression, of)])
-    return bool(zero_test(rate, values=symbols.fixed).zero)
+    return symbols.vanishes("rate", claim.flow.D(expression, of))
 
 
 def _shown(term: Bounded) -> Text:

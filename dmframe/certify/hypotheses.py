@@ -9,11 +9,11 @@ import casadi as ca
 
 from dmframe.block.model import BlockModel, symbols_in
 from dmframe.certificate import SX, Assumption
-from dmframe.certify.checked import Checked, Numbers, lower, upper
+from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
 from dmframe.certify.definite import is_mass_matrix, is_mass_matrix_of_bodies
-from dmframe.certify.divisors import brought_in, written
+from dmframe.certify.divisors import brought_in, domains, written
 from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import known_truths
 from dmframe.diagram.wiring import Wire
@@ -92,33 +92,13 @@ def _divisors(claim: Claim, name: str) -> Iterator[Assumption]:
 def undefined(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
     """Divisors and arguments made of parameters alone that are not what they have to be at the graph's numbers."""
     for name, model in claim.diagram.models.items():
-        for code, part in claim.risks[name]:
-            if symbols_in([part]) & model.moving or not symbols_in([part]):
-                continue
-            if not _defined(code, part, numbers):
-                text = Text(f"{name}: ", written(part), " is not zero")
-                if code not in DIVISIONS:
-                    text = Text(f"{name}: {OPERATIONS[code].name} of ", written(part), " is defined")
-                yield Checked(text, "defined and finite", None, False, "its equations need it", "undecided")
-
-
-def _defined(code: int, part: SX, numbers: Numbers) -> bool:
-    try:
-        values = numbers.of(part)
-    except (ValueFault, ZeroDivisionError):
-        return True  # it holds more than parameters, or another divisor is reported
-    low, high = min(map(lower, values)), max(map(upper, values))
-    if code in (*DIVISIONS, ca.OP_FMOD, ca.OP_REMAINDER):
-        return low > 0 or high < 0
-    if code == ca.OP_SQRT:
-        return low >= 0
-    if code in (ca.OP_ASIN, ca.OP_ACOS, ca.OP_ATANH, ca.OP_ERFINV):
-        return low > -1 and high < 1
-    if code == ca.OP_ACOSH:
-        return low >= 1
-    if code == ca.OP_LOG1P:
-        return low > -1
-    return low > 0 or code == ca.OP_TAN
+        for item in domains(name, claim.risks[name], model.moving):
+            try:
+                least = numbers.least(item.margin)
+            except (ValueFault, ZeroDivisionError):
+                continue  # it holds more than parameters, or another divisor is reported
+            if not (least > 0 if item.strict else least >= 0):
+                yield Checked(item.name, "defined and finite", None, False, "its equations need it", "undecided")
 
 
 def _definite(claim: Claim, model: BlockModel, inverted: Inverted) -> Text:

@@ -2,16 +2,23 @@
 
 Each block's printed equations are compared with those that run, its printed certificate with the one that is proved,
 and every displayed equation of its docstring with its code: exactly where that is possible, else at points of all sizes
-on both sides of each switch.
+on both sides of each switch. That costs as much as a proof, and belongs to a block rather than to a claim: a misprinted
+law does not change what is proved. For the names of a claim's terms a few points suffice.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+from dmframe.certificate import Certificate
 from dmframe.certify.certificates import certificates_of
 from dmframe.certify.form import NotApplicableError
 from dmframe.diagram import Diagram
+from dmframe.diagram.truths import Stated
 from dmframe.diagram.view import view
+from dmframe.errors import DmframeError
 from dmframe.formula.docstring import check_docstrings
+from dmframe.formula.law import PrintedLaw
 from dmframe.formula.laws import read_blocks
 
 
@@ -43,3 +50,18 @@ def check_laws(diagram: Diagram) -> tuple[str, ...]:
     for name, certificate in found.stated.items():
         blocks[name].hold(certificate, view(diagram, name, found.truths), diagram.loop)
     return tuple(notices)
+
+
+def printed_laws(diagram: Diagram, stated: Mapping[str, Certificate], truths: Stated) -> dict[str, PrintedLaw]:
+    """Each block's law as it prints.
+
+    Raises `NotApplicableError` where the printed law or certificate has other terms or values than what runs and what
+    is proved, at `dmframe.formula.points.NEAR` points.
+    """
+    try:
+        blocks = read_blocks(diagram, near=True)
+        for name, certificate in stated.items():
+            blocks[name].hold(certificate, view(diagram, name, truths), diagram.loop, near=True)
+        return {name: block.law() for name, block in blocks.items()}
+    except DmframeError as error:
+        raise NotApplicableError(error.text) from None

@@ -13,36 +13,21 @@ points than there are constants, with the parameters at the graph's own numbers.
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
-from typing import final
+from typing import Any, final
 
 import casadi as ca
 
 from dmframe.certificate import SX, Potential, Square, soft_clip
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
-from dmframe.certify.symbols import Symbols, exact_values, symbols_of
+from dmframe.certify.symbols import Group, Symbols, exact_values, symbols_of
 from dmframe.exact import Tape
 from dmframe.exact.linear import rank
-from dmframe.exact.shift import Shift, ZeroDivision
-from dmframe.linalg import solve_spd
+from dmframe.exact.trial import Trial, ZeroDivision
+from dmframe.linalg import nodes, solve_spd
 from dmframe.text import Text, around, listed_text, name_of, sentence
-
-
-@final
-@dataclass(frozen=True)
-class Own:
-    """The graph's own numbers, and the field in which constants are solved for; `free` are those in intervals."""
-
-    values: Mapping[str, Sequence[Fraction]]
-    prime: int
-    seed: int
-    free: frozenset[str] = frozenset()
-
-
-_SOFT = r"\operatorname{soft\_clip}({})"
 
 MORE = 3
 """Points beyond the number of constants, each a further test."""
@@ -91,39 +76,37 @@ def goals(claim: Claim, closure: Closure) -> list[Goal]:
     return list(found.values())
 
 
-def combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Vanishing]) -> Made | None:
+def combined(field: Combinations, closure: Closure, goal: Goal, vanishing: Sequence[Vanishing]) -> Made | None:
     """Why a goal goes to zero, if it does: it itself, or its soft_clip, which is zero where it is and nowhere else."""
-    made = _combined(claim, closure, goal, vanishing)
+    made = _combined(field, closure, goal, vanishing)
     if made is None and goal.width is not None:
         forces = Goal(
             Text(around(goal.of, "soft_clip({})", r"\operatorname{soft\_clip}({})")), soft_clip(goal.vector, goal.width)
         )
-        made = _combined(claim, closure, forces, vanishing)
+        made = _combined(field, closure, forces, vanishing)
         return made and Made(Text(forces.of, " goes to zero: ", made.step), made.assumes)
     return made
 
 
-def _combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Vanishing]) -> Made | None:
-    symbols = symbols_of(claim, closure.uncertain)
-    own = Own(exact_values(claim.diagram), closure.prime, closure.seed, closure.uncertain)
+def _combined(field: Combinations, closure: Closure, goal: Goal, vanishing: Sequence[Vanishing]) -> Made | None:
     for block, item in closure.driving:
         if goal.of in item.of and any(
             ca.is_equal(goal.vector, z) for z in item.vectors if z.shape == goal.vector.shape
         ):
-            inputs = [_made_of(own, symbols, rest, vanishing) for rest in closure.remainders(block, item)]
+            inputs = [field.made_of(rest, vanishing) for rest in closure.remainders(block, item)]
             if None not in inputs:
                 names = dict.fromkeys(name for names in inputs for name in names or ())
                 made = listed_text(list(names))
                 return Made(Text("a stable linear equation drives it, and its input, made of ", made, ", vanishes"))
-    used = _made_of(own, symbols, goal.vector, vanishing)
+    used = field.made_of(goal.vector, vanishing)
     if used is not None:
         return Made(Text("it is made of ", listed_text(used)))
-    for name, R in full_rank(claim):
-        if not _can_have(own, symbols, R):
+    for name, R in full_rank(field.claim):
+        if not field.can_have(R):
             continue
         if R.shape[0] == goal.vector.shape[0]:
             seen = R.T @ goal.vector
-            used = _made_of(own, symbols, seen, vanishing)
+            used = field.made_of(seen, vanishing)
             if used is not None:
                 whole = around(goal.of, f"{name}'({{}})", rf"{name.latex}^\top ({{}})", f"{name.unicode}ᵀ({{}})")
                 how = "goes to zero" if used == [whole] else Text("is made of ", listed_text(used))
@@ -131,7 +114,7 @@ def _combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Va
                 return Made(step, (_keeps_rank(name),))
         if R.shape[0] > goal.vector.shape[0]:
             for gone in vanishing:
-                if _made_of(own, symbols, goal.vector, list(_parts(gone, R, goal.vector.numel()))) is not None:
+                if field.made_of(goal.vector, list(_parts(gone, R, goal.vector.numel()))) is not None:
                     transposed = around(name, "{}'", r"{}^\top", "{}ᵀ")
                     text = "it is part of what {R} takes to {gone}, and {name} has full row rank"
                     return Made(sentence(text, R=transposed, gone=gone.of, name=name), (_keeps_rank(name),))
@@ -161,69 +144,100 @@ def full_rank(claim: Claim) -> Iterator[tuple[Text, SX]]:
                 yield Text(name_of(port.name), f" ({name})" * (given.count(port.name) > 1)), R
 
 
-def _can_have(own: Own, symbols: Symbols, R: SX) -> bool:
-    """True for a matrix whose rows are independent at a random point, as almost everywhere then."""
-    sampled, (rows, width) = _sampled(own, symbols, [R], 1), R.shape
-    if sampled is None:
-        return False
-    prime, (values,) = sampled
-    found = rank([[values[column * rows + row] for column in range(width)] for row in range(rows)], prime)
-    return bool(found == rows)
+@final
+class Combinations:
+    """Constant coefficients, solved for at random points of a prime field with the graph's own parameters.
 
+    Parameters
+    ----------
+    uncertain
+        Labels of parameters in intervals, which are free.
+    """
 
-def _made_of(own: Own, symbols: Symbols, target: SX, vanishing: Sequence[Vanishing]) -> list[Text] | None:
-    """The names of those of which the target is a combination with constant coefficients, element by element."""
-    size = target.numel()
-    pieces = [
-        (item.of, item.vector[start : start + size])
-        for item in vanishing
-        if item.vector.numel() % size == 0
-        for start in range(0, item.vector.numel(), size)
-    ]
-    if not pieces:
-        return None
-    chosen = list(range(len(pieces)))
-    rows = _sampled(own, symbols, [target, *(piece for _, piece in pieces)], len(pieces) + 1 + MORE)
-    if rows is None or not _spans(rows, size, chosen):
-        return None
-    for k in range(len(pieces) - 1, -1, -1):  # the fewest that still do
-        if _spans(rows, size, [other for other in chosen if other != k]):
-            chosen.remove(k)
-    return list(dict.fromkeys(pieces[k][0] for k in chosen))
+    def __init__(self, claim: Claim, prime: int, seed: int, uncertain: frozenset[str] = frozenset()) -> None:
+        self.claim, self._uncertain, self._trial = claim, uncertain, _Free(prime, random.Random(seed))
+        self._own = {k: x for k, x in exact_values(claim.diagram).items() if k not in uncertain}
+        self._parameters, self._points = dict[str, list[int]](), list[dict[str, list[int]]]()
+        self._known = dict[Any, tuple[SX, Symbols, Tape, list[list[int] | None]]]()
 
-
-def _spans(rows: tuple[int, list[list[int]]], size: int, chosen: Sequence[int]) -> bool:
-    """At every element: is the first column a combination of the chosen ones, over all sampled points?"""
-    prime, points = rows
-    for element in range(size):
-        columns = [[point[size * (1 + k) + element] for point in points] for k in chosen]
-        target = [point[element] for point in points]
-        if not columns or rank([*columns, target], prime) != rank(columns, prime):
+    def can_have(self, R: SX) -> bool:
+        """True for a matrix whose rows are independent at a random point, as almost everywhere then."""
+        points, (rows, width) = self._sampled([R], 1), R.shape
+        if points is None:
             return False
-    return True
+        columns = [[points[0][column * rows + row] for column in range(width)] for row in range(rows)]
+        return bool(rank(columns, self._trial.prime) == rows)
+
+    def made_of(self, target: SX, vanishing: Sequence[Vanishing]) -> list[Text] | None:
+        """The names of those of which the target is a combination with constant coefficients, element by element."""
+        size = target.numel()
+        whole = [item for item in vanishing if item.vector.numel() % size == 0]
+        names = [item.of for item in whole for _ in range(item.vector.numel() // size)]
+        if not names:
+            return None
+        chosen = list(range(len(names)))
+        points = self._sampled([target, *(item.vector for item in whole)], len(names) + 1 + MORE)
+        if points is None or not self._spans(points, size, chosen):
+            return None
+        for k in range(len(names) - 1, -1, -1):  # the fewest that still do
+            if self._spans(points, size, [other for other in chosen if other != k]):
+                chosen.remove(k)
+        return list(dict.fromkeys(names[k] for k in chosen))
+
+    def _spans(self, points: Sequence[Sequence[int]], size: int, chosen: Sequence[int]) -> bool:
+        """At every element: is the first column a combination of the chosen ones, over all sampled points?"""
+        for element in range(size):
+            columns = [[point[size * (1 + k) + element] for point in points] for k in chosen]
+            target, prime = [point[element] for point in points], self._trial.prime
+            if not columns or rank([*columns, target], prime) != rank(columns, prime):
+                return False
+        return True
+
+    def _sampled(self, expressions: Sequence[SX], count: int) -> list[list[int]] | None:
+        """All elements at random points that share their parameters; None if a denominator vanishes at most points."""
+        found = list[list[int]]()
+        for k in range(4 * count):
+            columns = [self._value(x, k) for x in expressions]
+            if None not in columns:
+                found.append([value for column in columns for value in column or ()])
+            if len(found) == count:
+                return found
+        return None
+
+    def _value(self, x: SX, k: int) -> list[int] | None:
+        """All elements at the k-th point, which is the same for all expressions; None if a denominator vanishes."""
+        key = nodes(x)
+        if key not in self._known:  # with the expression, which keeps its identity
+            symbols = symbols_of(self.claim, self._uncertain)  # with the trajectories' present derivatives
+            self._known[key] = x, symbols, Tape.from_function(symbols.function("made", [ca.vec(ca.densify(x))])), []
+        _, symbols, tape, values = self._known[key]
+        for place in range(len(values), k + 1):
+            try:
+                values += tape.evaluate(self._point(place, symbols), self._trial)
+            except ZeroDivision:
+                values.append(None)
+        return values[k]
+
+    def _point(self, k: int, symbols: Symbols) -> list[list[int]]:
+        while len(self._points) <= k:
+            self._points.append({})
+        return [self._drawn(group, self._points[k]) for group in symbols.groups]
+
+    def _drawn(self, group: Group, point: dict[str, list[int]]) -> list[int]:
+        known, trial = self._parameters if group.kind == "parameter" else point, self._trial
+        if group.label not in known:
+            own = self._own.get(group.label) if group.kind == "parameter" else None
+            free = [trial.random() for _ in range(group.symbol.numel())] if not own else []
+            known[group.label] = free or [trial.residue(value) for value in own or ()]
+        return known[group.label]
 
 
-def _sampled(own: Own, symbols: Symbols, expressions: Sequence[SX], count: int) -> tuple[int, list[list[int]]] | None:
-    """All elements at random points that share their parameters."""
-    tape = Tape.from_function(symbols.function("made", [ca.vec(ca.densify(x)) for x in expressions]))
-    rng = random.Random(own.seed)
-    shift = Shift(own.prime, rng)
-    fixed = {
-        group.label: [
-            shift.random() if group.label in own.free else shift.residue(value) for value in own.values[group.label]
-        ]
-        for group in symbols.groups
-        if group.kind == "parameter"
-    }
-    points = list[list[int]]()
-    for _ in range(4 * count):
-        point = [
-            fixed.get(group.label) or [shift.random() for _ in range(group.symbol.numel())] for group in symbols.groups
-        ]
-        try:
-            points.append(shift.values(tape, point))
-        except ZeroDivision:
-            continue
-        if len(points) == count:
-            return shift.prime, points
-    return None
+@final
+class _Free(Trial):
+    """A field in which signs and absolute values are free values too, one for each argument."""
+
+    def sign(self, value: int) -> int:
+        return self.opaque("sign", (value,))
+
+    def size(self, value: int) -> int:
+        return self.opaque("fabs", (min(value, self.prime - value),))

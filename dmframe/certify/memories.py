@@ -13,11 +13,11 @@ from dmframe.certificate import SX, Gathered, LeastSquaresSteps
 from dmframe.certify.begun import Begun
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim, Part
-from dmframe.certify.definite import Number, is_semidefinite
 from dmframe.certify.starts import ZERO, begun_at, start_of
 from dmframe.diagram.closed_loop import stack
 from dmframe.exact.rational import Interval, evaluate
 from dmframe.linalg import ldl
+from dmframe.prove.definite import Number, is_semidefinite
 from dmframe.text import Text, name_of, sentence, square_of
 
 POSITIVE = sentence("{V} is positive")

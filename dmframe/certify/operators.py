@@ -8,7 +8,7 @@ Both take f and g from `ClosedLoop`, as a run does.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from functools import cached_property
 from typing import final
@@ -31,11 +31,10 @@ class Flow:
 
     def __init__(self, diagram: Diagram, record: Record | None = None) -> None:
         self.diagram, self.loop, self.record = diagram, diagram.loop, Record() if record is None else record
-        loop = self.loop
-        variables = loop.variables
-        self._leaves = [loop.time, *(variable.symbol for variable in variables)]
-        self._rates = [ca.SX(1), *loop.joined(loop.rates_of(variables))]
-        self._labels = ["", *(variable.label for variable in variables)]
+        variables = self.loop.variables
+        rates = [ca.SX(1), *self.loop.joined(self.loop.rates_of(variables))]
+        leaves = [("t", self.loop.time), *((variable.label, variable.symbol) for variable in variables)]
+        self._own = [(label, leaf, rate) for (label, leaf), rate in zip(leaves, rates, strict=True)]
 
     def D(self, expression: SX, of: str) -> SX:
         """d/dt along the closed loop; trajectories and their derivatives are free."""
@@ -44,29 +43,21 @@ class Flow:
 
     def rates_of(self, used: AbstractSet[int]) -> dict[str, SX]:
         """The rates of the states, the time and the trajectories among these symbols, by label."""
-        labels = ["t", *self._labels[1:]]
-        rates = {
-            label: ca.vec(ca.densify(rate))
-            for label, leaf, rate in zip(labels, self._leaves, self._rates, strict=True)
-            if used & symbols_in([leaf])
-        }
-        for (block, port, order), leaf in list(self.diagram.resolver.trajectories.items()):
-            if used & symbols_in([leaf.symbol]):
-                rates[leaf.name] = self.diagram.resolver.trajectory_rate(block, port, order)
-        return rates
+        return {label: ca.vec(ca.densify(rate)) for label, _, rate in self._moving(used)}
 
     def unrecorded(self, expression: SX) -> SX:
         """The same of what the caller examines itself, or has examined as a part."""
-        used = symbols_in([expression])
-        pairs = [
-            (leaf, rate) for leaf, rate in zip(self._leaves, self._rates, strict=True) if used & symbols_in([leaf])
-        ]
+        moving = list(self._moving(symbols_in([expression])))
+        if not moving:
+            return ca.SX(0)
+        return ca.jtimes(expression, stack(leaf for _, leaf, _ in moving), stack(rate for *_, rate in moving))
+
+    def _moving(self, used: AbstractSet[int]) -> Iterator[tuple[str, SX, SX]]:
+        """Label, symbol and rate of what moves among these symbols; the rate of a trajectory may be a new one."""
+        yield from (item for item in self._own if used & symbols_in([item[1]]))
         for (block, port, order), leaf in list(self.diagram.resolver.trajectories.items()):
             if used & symbols_in([leaf.symbol]):
-                pairs.append((leaf.symbol, self.diagram.resolver.trajectory_rate(block, port, order)))
-        if not pairs:
-            return ca.SX(0)
-        return ca.jtimes(expression, stack(leaf for leaf, _ in pairs), stack(rate for _, rate in pairs))
+                yield leaf.name, leaf.symbol, self.diagram.resolver.trajectory_rate(block, port, order)
 
 
 @final

@@ -15,12 +15,13 @@ import numpy as np
 
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
-from dmframe.certify.checked import Checked, Numbers, lower, upper
+from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
-from dmframe.certify.tacit import Tacit, tacit
+from dmframe.certify.tacit import at_one_point
 from dmframe.errors import ValueFault
 from dmframe.exact.balls import UndecidedError
 from dmframe.exact.rational import as_float
+from dmframe.prove.definite import lower, upper
 from dmframe.text import UNNAMED, Text, joined
 
 POINTS: Final = 64
@@ -85,12 +86,12 @@ def _fails(margin: SX, strict: bool, numbers: Numbers) -> bool:
 
 def _undecided(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
     """What `verify` looks at in silence, and decides at the graph's own numbers."""
-    for item in tacit(claim, numbers):
+    for item in at_one_point(claim, numbers):
         margin = item.margin
         if item.begun is not None and set(item.begun.symbols) & numbers.starts.keys():
             margin = item.begun.at(numbers.starts)
         read = item.reads if margin is None else margin
-        if read is None or item.over:
+        if read is None:
             continue
         (joined,) = claim.loop.joined([ca.vec(ca.densify(read))])
         if symbols_in([joined]) & numbers.open and not (margin is not None and _positive(item, joined, numbers)):
@@ -98,7 +99,7 @@ def _undecided(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
             yield Checked(item.name, text, None, False, NEEDED, "undecided", item.strict)
 
 
-def _positive(item: Tacit, margin: SX, numbers: Numbers) -> bool:
+def _positive(item: Checked, margin: SX, numbers: Numbers) -> bool:
     try:
         least = min(map(lower, numbers.enclosed(margin)), default=1)
     except (ValueFault, UndecidedError, OverflowError):

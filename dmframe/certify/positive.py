@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import final
 
-from dmframe.certificate import SX, Lemma, LogDet, Potential, Square
+from dmframe.certificate import Lemma, LogDet, Potential, Square
 from dmframe.certify.assumed import decidable, is_assumed
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.definite import is_mass_matrix, is_matrix, least_body_pivot
-from dmframe.errors import ValueFault
 
 Positive = Square | Potential | LogDet
 """A term that is above zero wherever its vector is not what it should be, and as large as one likes far from there."""
@@ -37,31 +36,19 @@ class Signs:
 
     def dissipates(self, term: Lemma) -> bool:
         """True for a lemma each element of which has a positive weight."""
-        return self._least(term.weight)
+        return self._numbers.above(term.weight)
 
     def _decide(self, term: Positive) -> bool:
+        claim, above = self._claim, self._numbers.above
         if isinstance(term, Potential):
-            return self._least(term.weight) and self._least(term.width)
+            return above(term.weight) and above(term.width)
         if isinstance(term, LogDet):
-            return self._least(term.weight) and self._definite(term.true)
-        if isinstance(term, Square) and is_assumed(term, self._numbers):
+            return above(term.weight) and above(term.true, matrix=True)
+        if is_assumed(term, self._numbers):
             known = decidable(term.weight, self._numbers)
-            return known.is_empty() or self._least(known)
-        if not is_matrix(self._claim, term.weight):
-            return self._least(term.weight)
-        try:
-            return self._numbers.least_pivot((term.weight + term.weight.T) / 2) > 0
-        except (ValueFault, ZeroDivisionError):
-            return least_body_pivot(self._claim.diagram.robot) > 0 and is_mass_matrix(self._claim, term.weight)
-
-    def _definite(self, matrix: SX) -> bool:
-        try:
-            return self._numbers.least_pivot(matrix) > 0
-        except (ValueFault, ZeroDivisionError):
-            return False
-
-    def _least(self, weight: object) -> bool:
-        try:
-            return self._numbers.least(weight) > 0
-        except (ValueFault, ZeroDivisionError):
-            return False
+            return known.is_empty() or above(known)
+        if not is_matrix(claim, term.weight):
+            return above(term.weight)
+        if above((term.weight + term.weight.T) / 2, matrix=True):
+            return True
+        return is_mass_matrix(claim, term.weight) and least_body_pivot(claim.diagram.robot) > 0

@@ -29,6 +29,7 @@ import numpy as np
 
 from dmframe.certificate import SX
 from dmframe.certify.checked import Checked
+from dmframe.certify.risky import instructions
 from dmframe.diagram.bodies import RIM
 from dmframe.diagram.closed_loop import ClosedLoop
 from dmframe.diagram.projection import Ball, Bodies, Box, Projection
@@ -92,15 +93,7 @@ def check_law(projection: Projection, loop: ClosedLoop) -> Checked:
 
 def _branches(expressions: Sequence[SX]) -> Iterator[SX]:
     """What decides between branches: above zero one way, and not above it the other."""
-    waiting = [element for item in expressions for element in ca.vertsplit(ca.vec(ca.densify(item)))]
-    seen = set[int]()
-    while waiting:
-        element = waiting.pop()
-        if element.element_hash() in seen or element.is_leaf():
-            continue
-        seen.add(element.element_hash())
-        parts = [element.dep(i) for i in range(element.n_dep())]
-        waiting += parts
+    for element, parts in instructions(expressions):
         if element.op() in COMPARISONS:
             yield element
         elif element.op() in (ca.OP_FMIN, ca.OP_FMAX):

@@ -25,9 +25,8 @@ import numpy as np
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Assumption, TrueValue
 from dmframe.certify.begun import Begun
-from dmframe.certify.checked import Checked, Numbers, decided, lower
+from dmframe.certify.checked import Checked, Finding, Numbers, sorted_out
 from dmframe.certify.claim import Claim
-from dmframe.certify.definite import Number
 from dmframe.certify.projection_laws import check_law
 from dmframe.certify.smoothness import HORIZON, SAMPLES
 from dmframe.certify.starts import ZERO, begun_at, start_expression, start_of
@@ -35,8 +34,9 @@ from dmframe.certify.symbols import symbols_of
 from dmframe.diagram.closed_loop import ClosedLoop, stack
 from dmframe.diagram.projection import Projection
 from dmframe.errors import ValueFault
-from dmframe.exact import ZeroDivision, zero_test
+from dmframe.exact import ZeroDivision
 from dmframe.exact.rational import Interval, evaluate
+from dmframe.prove.definite import Number, lower
 from dmframe.simulate.start import ROUNDING
 from dmframe.text import Label, Text, sentence
 
@@ -60,13 +60,10 @@ def projection_conditions(
     does not move is not. `start` holds a graph's start values, by the state's name or ``block.state``, which go before
     what the blocks say.
     """
-    found = list(_needed(claim, numbers, start or {}))
-    return [item for item in found if isinstance(item, Checked)], [
-        item for item in found if isinstance(item, Assumption)
-    ]
+    return sorted_out(_needed(claim, numbers, start or {}))
 
 
-def _needed(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> Iterator[Checked | Assumption]:
+def _needed(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> Iterator[Finding]:
     for projection in claim.loop.projections:
         estimate = _estimated(claim, projection)
         if estimate is not None:
@@ -86,14 +83,14 @@ def _estimated(claim: Claim, projection: Projection) -> TrueValue | None:
     return next(found, {}).get(projection.of)
 
 
-def _inside(projection: Projection, truth: SX, numbers: Numbers) -> Iterator[Checked | Assumption]:
+def _inside(projection: Projection, truth: SX, numbers: Numbers) -> Iterator[Finding]:
     """That the true value lies in the set, decided or assumed."""
     text = Text(Label(projection.name), f": true value inside the {projection.kind}")
     room = projection.set.room(truth)
     known, rest = _decidable(room, numbers)
     if known.numel():
         shown = INSIDE[projection.kind].format("true value")
-        yield decided(text, shown, SOURCE, partial(numbers.least, known), strict=False, margin=known)
+        yield numbers.decide(text, shown, SOURCE, known, strict=False)
     loop, handed = numbers.claim.loop, _handed(room, rest, numbers)
     for rows, says in (([row for row in rest if row not in handed], "where the plant starts"), (handed, "a source")):
         if rows:
@@ -157,7 +154,7 @@ def _still(name: str, truth: SX, numbers: Numbers) -> Iterator[Checked]:
     uncertain = [label for label, values in numbers.values.items() if any(isinstance(v, Interval) for v in values)]
     symbols = symbols_of(claim, uncertain)
     try:
-        still = zero_test(symbols.function("rate", [rate]), values=symbols.fixed).zero
+        still = symbols.vanishes("rate", rate)
     except (ValueFault, ZeroDivision) as error:
         yield Checked(said, f"{text}; undecided: {error}", None, False, LEMMA, "undecided")
         return
@@ -167,12 +164,10 @@ def _still(name: str, truth: SX, numbers: Numbers) -> Iterator[Checked]:
 def _normal(name: str, askew: SX, numbers: Numbers) -> Checked:
     text = sentence("weight in {V} times adaptation gain is one number for all elements")
     said = sentence("{name}: projected in the metric of {V}", name=Label(name))
-    margin = ca.vertcat(askew, -askew)
-    least = partial(numbers.least, margin)
-    return decided(said, text, LEMMA, least, strict=False, margin=margin)
+    return numbers.decide(said, text, LEMMA, ca.vertcat(askew, -askew), strict=False)
 
 
-def _starts(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) -> Iterator[Checked | Assumption]:
+def _starts(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) -> Iterator[Finding]:
     """That the estimate starts in the set, decided or assumed. A run that does not is refused."""
     text = Text(Label(projection.name), f": starts inside the {projection.kind}")
     shown = INSIDE[projection.kind].format("start")
@@ -188,8 +183,8 @@ def _starts(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) 
         if margin is not None and margin.numel() < len(rows):
             margin = None  # where it starts depends on more than parameters, though its number does not
         least = partial(_least_room, projection, numbers, start)
-        found = decided(text, shown, SOURCE, least, strict=False, margin=margin)
-        yield replace(found, begun=begun_in(projection, numbers, given))
+        found = numbers.decide(text, shown, SOURCE, ca.SX(), strict=False, least=least)
+        yield replace(found, margin=margin, begun=begun_in(projection, numbers, given))
     if unknown:
         yield Assumption(Text(text, f"{_at(projection, unknown)}: where the plant starts decides it"), SOURCE)
 

@@ -2,30 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
 import casadi as ca
 
 from dmframe.certificate import SX
 from dmframe.certify.sign import SIGNED, Sign, sign_after
-from dmframe.program import DIVISIONS, OPERATIONS, POWERS
+from dmframe.program import DIVISIONS, OPERATIONS, POWERS, read
+
+
+def instructions(expressions: Iterable[SX]) -> Iterator[tuple[SX, list[SX]]]:
+    """Each instruction of expressions once, with its operands."""
+    todo = [element for item in expressions for element in ca.vertsplit(ca.vec(ca.densify(item)))]
+    seen = set[int]()
+    while todo:
+        x = todo.pop()
+        if x.element_hash() not in seen and x.n_dep():
+            seen.add(x.element_hash())
+            parts = [x.dep(k) for k in range(x.n_dep())]
+            yield x, parts
+            todo += parts
 
 
 def risky(outputs: Sequence[SX]) -> Iterator[tuple[int, SX]]:
     """Instructions that divide or are not defined everywhere, with what must keep away from a bad value."""
-    todo = [element for output in outputs for element in ca.vertsplit(ca.vec(ca.densify(output)))]
-    seen = set[int]()
+    column = ca.veccat(ca.SX(0, 1), *map(ca.densify, outputs))
+    function = ca.Function("risky", [], [column], {"allow_free": True})
+    program, expressions = read(function), function.instructions_sx()  # SX.dep takes ten times as long
+    todo, seen = [*program.sources[0]], set[int]()
     while todo:
-        x = todo.pop()
-        if x.element_hash() in seen or not x.n_dep():
+        place = todo.pop()
+        node = program.nodes[place]
+        if place in seen or node.code not in OPERATIONS:
             continue
-        seen.add(x.element_hash())
-        code, parts = x.op(), [x.dep(k) for k in range(x.n_dep())]
-        domain = OPERATIONS[code].domain if code in OPERATIONS else None
-        if domain is not None and not _is_safe(code, parts):
-            yield code, parts[domain]
-        todo += parts
+        seen.add(place)
+        domain = OPERATIONS[node.code].domain
+        if domain is not None:
+            x = expressions[node.line]
+            parts = [x.dep(k) for k in range(x.n_dep())]
+            if not _is_safe(node.code, parts):
+                yield node.code, parts[domain]
+        todo += node.operands
 
 
 _ABOVE: Final = (*DIVISIONS, ca.OP_SQRT, ca.OP_LOG, ca.OP_LOG1P)

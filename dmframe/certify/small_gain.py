@@ -21,10 +21,11 @@ from typing import final
 import casadi as ca
 
 from dmframe.certificate import SX
-from dmframe.certify.checked import Checked, Numbers, upper
+from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim, Part, total
 from dmframe.errors import ValueFault
 from dmframe.exact.rational import as_float
+from dmframe.prove.definite import upper
 from dmframe.text import Text, Written, sentence, square_of
 
 SOURCE = "composition of storage functions"
@@ -119,16 +120,11 @@ def _missing(claim: Claim, numbers: Numbers) -> Iterator[Text]:
 
 def _dominating(claim: Claim) -> list[tuple[Part, list[Part]]]:
     """Each dominating block with the cascades on it."""
-    found = list[tuple[Part, list[Part]]]()
+    found = dict[str, tuple[Part, list[Part]]]()
     for consumer, block in claim.cross_terms:
-        if block is None:
-            continue
-        known = next((consumers for other, consumers in found if other is block), None)
-        if known is None:
-            found.append((block, [consumer]))
-        else:
-            known.append(consumer)
-    return found
+        if block is not None:
+            found.setdefault(block.block, (block, []))[1].append(consumer)
+    return list(found.values())
 
 
 def _need(block: Part, consumers: list[Part], numbers: Numbers) -> Fraction | None:

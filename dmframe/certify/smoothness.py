@@ -172,30 +172,22 @@ def is_above(tape: Tape, place: int) -> bool:
     return all(signs[operand] is Sign.ABOVE for operand in tape.nodes[place].operands)
 
 
-def jumps(expression: SX, still: set[int]) -> bool:
-    """True for an expression with an operation that jumps, of anything but the symbols that stand still."""
+def jumps(expression: SX, still: set[int]) -> set[int]:
+    """The operations of an expression that jump, of anything but the symbols that stand still."""
     symbols = ca.symvar(expression)
     function = ca.Function("jumps", [stack(symbols)], [ca.vec(ca.densify(expression))])
     if not JUMPS & codes(function):
-        return False
+        return set()
     moving = [symbol.element_hash() not in still for symbol in symbols]
-    return any(code in JUMPS for _, code in moving_operations(Tape.from_function(function), [moving]))
+    return {code for _, code in moving_operations(Tape.from_function(function), [moving])} & JUMPS
 
 
 def _field(claim: Claim) -> Findings:
     """Where a rate jumps, solutions slide along the switching set, and their definition has to be stated."""
-    loop = claim.loop
+    loop, still = claim.loop, symbols_in(parameter.symbol for parameter in claim.loop.parameters)
     for variable in loop.variables:
-        (rate,) = loop.joined(loop.rates_of([variable]))
-        symbols = ca.symvar(rate)
-        function = ca.Function("rate", [stack(symbols)], [rate])
-        if not JUMPS & codes(function):
-            continue
-        still = symbols_in(parameter.symbol for parameter in loop.parameters)
-        moving = [symbol.element_hash() not in still for symbol in symbols]
-        jumps = {code for _, code in moving_operations(Tape.from_function(function), [moving])} & JUMPS
-        if jumps:
-            names = ", ".join(sorted(sign_of(code) for code in jumps))
+        if found := jumps(loop.joined(loop.rates_of([variable]))[0], still):
+            names = ", ".join(sorted(sign_of(code) for code in found))
             text = f" holds {names}: where it jumps, the motion is Filippov's solution"
             yield "assumed", Text(Label(f"d {variable.label}/dt"), text)
 

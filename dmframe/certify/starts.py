@@ -14,9 +14,9 @@ from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
 from dmframe.certify.begun import Begun
 from dmframe.certify.checked import Numbers
-from dmframe.certify.definite import Number
 from dmframe.diagram.view import view
 from dmframe.errors import BlockError, ValueFault
+from dmframe.prove.definite import Number
 from dmframe.robot.rational import decimal
 
 ZERO: Final = Fraction(0)
@@ -34,22 +34,15 @@ def start_of(label: str, numbers: Numbers, given: Mapping[str, Any]) -> list[Num
     """
     if label in numbers.starts:
         return list(numbers.starts[label])
-    claim, (block, _, state) = numbers.claim, label.partition(".")
-    model = claim.diagram.models[block]
-    size = model.states[state].numel()
-    for values in (_given(label, numbers, given), model.values.get(state)):
-        if values is not None:
-            return [decimal(float(value)) for value in _spread(values, size)]
-    seen = view(claim.diagram, block, claim.truths)
+    number = _number(label, numbers, given)
+    if number is not None:
+        return [decimal(float(value)) for value in number]
+    size = _size(label, numbers)
     try:
-        with fault_context(block, "start()"):
-            said = model.block.composed_start(seen.u, seen.p, seen.truth).get(state)
+        said = _said(label, numbers)
     except BlockError:  # a start that no run could take; the run says so
         return [None] * size
-    if said is None:
-        return [ZERO] * size
-    (said,) = claim.loop.joined([ca.vec(ca.densify(ca.SX(said)))])
-    return [_value(said[row], numbers) for row in range(size)]
+    return [ZERO] * size if said is None else [_value(said[row], numbers) for row in range(size)]
 
 
 def has_start(label: str, numbers: Numbers, given: Mapping[str, Any]) -> bool:
@@ -57,40 +50,55 @@ def has_start(label: str, numbers: Numbers, given: Mapping[str, Any]) -> bool:
 
     Of the plant's states alone a run may look for one, where a measured signal follows a trajectory.
     """
-    claim, (block, _, state) = numbers.claim, label.partition(".")
-    if not (claim.loop.followed and any(variable.label == label for variable in claim.loop.plant)):
+    loop = numbers.claim.loop
+    if not (loop.followed and any(variable.label == label for variable in loop.plant)):
         return True
-    model = claim.diagram.models[block]
-    if _given(label, numbers, given) is not None or model.values.get(state) is not None:
-        return True
-    seen = view(claim.diagram, block, claim.truths)
     try:
-        with fault_context(block, "start()"):
-            return model.block.composed_start(seen.u, seen.p, seen.truth).get(state) is not None
+        return _number(label, numbers, given) is not None or _said(label, numbers) is not None
     except BlockError:
         return True
 
 
 def start_expression(label: str, numbers: Numbers, given: Mapping[str, Any]) -> SX | None:
     """The same as an expression, of which elements may hold more than parameters; None of a start that is a fault."""
-    claim, (block, _, state) = numbers.claim, label.partition(".")
-    model = claim.diagram.models[block]
-    size = model.states[state].numel()
-    number = _given(label, numbers, given)
-    if number is None:
-        symbols = [p.symbol for p in claim.loop.parameters if p.label == label]
-        if symbols:
-            return ca.vec(symbols[0])
-        number = model.values.get(state)
+    if _given(label, numbers, given) is None:
+        for parameter in numbers.claim.loop.parameters:
+            if parameter.label == label:
+                return ca.vec(parameter.symbol)
+    number = _number(label, numbers, given)
     if number is not None:
-        return ca.SX(ca.DM(_spread(number, size)))
-    seen = view(claim.diagram, block, claim.truths)
+        return ca.SX(ca.DM(number))
     try:
-        with fault_context(block, "start()"):
-            said = model.block.composed_start(seen.u, seen.p, seen.truth).get(state)
+        said = _said(label, numbers)
     except BlockError:
         return None
-    return claim.loop.joined([ca.SX.zeros(size) if said is None else ca.vec(ca.densify(ca.SX(said)))])[0]
+    return ca.SX.zeros(_size(label, numbers)) if said is None else said
+
+
+def _size(label: str, numbers: Numbers) -> int:
+    block, _, state = label.partition(".")
+    size: int = numbers.claim.diagram.models[block].states[state].numel()
+    return size
+
+
+def _number(label: str, numbers: Numbers, given: Mapping[str, Any]) -> np.ndarray | None:
+    """What a graph or a parameter says; one number for all elements, or each, a matrix column by column."""
+    block, _, state = label.partition(".")
+    for values in (_given(label, numbers, given), numbers.claim.diagram.models[block].values.get(state)):
+        if values is not None:
+            array = np.asarray(values, dtype=float)
+            flat = array.ravel(order="F") if array.ndim > 1 else array
+            return np.broadcast_to(flat, (_size(label, numbers),))
+    return None
+
+
+def _said(label: str, numbers: Numbers) -> SX | None:
+    """What the block says, in the leaves of the closed loop; raises `BlockError`."""
+    claim, (block, _, state) = numbers.claim, label.partition(".")
+    seen = view(claim.diagram, block, claim.truths)
+    with fault_context(block, "start()"):
+        said = claim.diagram.models[block].block.composed_start(seen.u, seen.p, seen.truth).get(state)
+    return None if said is None else claim.loop.joined([ca.vec(ca.densify(ca.SX(said)))])[0]
 
 
 def begun_at(
@@ -116,12 +124,6 @@ def begun_at(
             said[label] = None if value is None else ca.densify(value)
             (margin,) = ca.substitute([margin], [ca.vec(variable.symbol)], [symbols[label]])
     return Begun(margin, symbols, said, frozenset(numbers.known))
-
-
-def _spread(values: Any, size: int) -> np.ndarray:
-    """One number for all elements, or each element, a matrix column by column."""
-    array = np.asarray(values, dtype=float)
-    return np.broadcast_to(array.ravel(order="F") if array.ndim > 1 else array, (size,))
 
 
 def _given(label: str, numbers: Numbers, given: Mapping[str, Any]) -> Any:

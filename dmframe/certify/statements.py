@@ -13,13 +13,12 @@ from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Assumption, Clipped, Driven, Gathered, Lemma, LogDet, NormSquare, Square
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.closure import Bases, Closure
-from dmframe.certify.limits import Vanishing, combined, goals
+from dmframe.certify.limits import Combinations, Vanishing, combined, goals
 from dmframe.certify.positive import Positive, Signs
 from dmframe.certify.smoothness import slope
 from dmframe.certify.symbols import Symbols
 from dmframe.diagram.closed_loop import Variable
 from dmframe.diagram.projection import Bodies
-from dmframe.exact import zero_test
 from dmframe.names import symbol
 from dmframe.text import Label, Text, Written, around, name_of, sentence, square_of, text_of
 
@@ -235,8 +234,9 @@ def _conclusions(claim: Claim, closure: Closure, vanishing: Sequence[Vanishing])
     yield from (Statement(item.of, "goes to zero", AGAIN) for item in rests)
     sure = [item for item in (*vanishing, *rests) if item.proved]
     names, wanted = {item.of for item in sure}, _wanted(claim, closure)
+    field = Combinations(claim, closure.prime, closure.seed, closure.uncertain)
     for goal in goals(claim, closure):
-        made = None if goal.of in names else combined(claim, closure, goal, sure)
+        made = None if goal.of in names else combined(field, closure, goal, sure)
         if made is not None:
             yield Statement(goal.of, "goes to zero", made.step, made.assumes, goal.of in wanted)
         if goal.of in wanted and (made is not None or goal.of in names):
@@ -375,5 +375,4 @@ def _is_spent(claim: Claim, square: Square, symbols: Symbols, signs: Signs) -> b
 def _same(square: Square, term: Square, symbols: Symbols) -> bool:
     if square.vector.shape == term.vector.shape and ca.is_equal(square.vector, term.vector):
         return True
-    difference = symbols.function("difference", [square.vector - term.vector])
-    return bool(zero_test(difference, values=symbols.fixed, trials=1).zero)
+    return symbols.vanishes("difference", square.vector - term.vector, trials=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from fractions import Fraction
 from typing import Any
 
 from dmframe.certificate import Clipped, Gathered, Lemma, LogDet, NormSquare, Potential, Square
@@ -39,49 +40,12 @@ def summary(name: str, verdict: Verdict) -> dict[str, Any]:
         "storage": [] if flow is None else _terms(flow, "storage"),
         "dissipation": [] if flow is None else _terms(flow, "dissipation"),
         "residual_bound": None if flow is None else _finite(verdict.residual_bound),
-        "bounded_by": [
-            {
-                "block": b.block,
-                "of": b.of,
-                "bound": _finite(b.value),
-                "constant": b.constant,
-                "times": b.times,
-                "weight": b.weight,
-            }
-            for b in verdict.bounds
-        ],
-        "kappa": None
-        if verdict.kappa is None
-        else {"least": _finite(as_float(verdict.kappa.least)), "chosen": _finite(as_float(verdict.kappa.chosen))},
-        "conditions": [
-            {
-                "name": condition.name,
-                "expression": condition.expression,
-                "value": _finite(condition.value),
-                "holds": condition.holds,
-                "how": condition.how,
-                "source": condition.source,
-            }
-            for condition in verdict.conditions
-        ],
-        "assumptions": [{"text": item.text, "source": item.source} for item in verdict.assumptions],
-        "statements": [
-            {
-                "signal": item.signal,
-                "says": item.says,
-                "step": item.step,
-                "assumes": list(item.assumes),
-                "concludes": item.concludes,
-            }
-            for item in verdict.statements
-        ],
-        "states": None
-        if verdict.states is None
-        else {
-            "bounded": list(verdict.states.bounded),
-            "unfelt": list(verdict.states.unfelt),
-            "open": list(verdict.states.open),
-        },
+        "bounded_by": [_picked(b, "block of value:bound constant times weight") for b in verdict.bounds],
+        "kappa": None if verdict.kappa is None else _picked(verdict.kappa, "least chosen"),
+        "conditions": [_picked(item, "name expression value holds how source") for item in verdict.conditions],
+        "assumptions": [_picked(item, "text source") for item in verdict.assumptions],
+        "statements": [_picked(item, "signal says step assumes concludes") for item in verdict.statements],
+        "states": None if verdict.states is None else _picked(verdict.states, "bounded unfelt open"),
         "fixed": list(verdict.fixed),
         "notices": [],
         "mutants": {
@@ -114,6 +78,17 @@ def _terms(claim: Claim, role: str) -> list[dict[str, Any]]:
         for part in claim.parts
         for term in getattr(part.certificate, role)
     ]
+
+
+def _picked(item: Any, names: str) -> dict[str, Any]:
+    """These attributes as plain data, ``attribute:key`` under another key."""
+    found = dict[str, Any]()
+    for name in names.split():
+        attribute, _, key = name.partition(":")
+        value = getattr(item, attribute)
+        value = as_float(value) if isinstance(value, Fraction) else list(value) if isinstance(value, tuple) else value
+        found[key or attribute] = _finite(value) if isinstance(value, float) else value
+    return found
 
 
 def _finite(value: float | None) -> float | None:

@@ -15,6 +15,7 @@ from dmframe.certificate import SX
 from dmframe.certify.claim import Claim, NotApplicableError
 from dmframe.diagram import ClosedLoop, Diagram, Parameter
 from dmframe.diagram.closed_loop import stack
+from dmframe.exact import zero_test
 from dmframe.port import Side
 from dmframe.robot.rational import decimal
 
@@ -48,6 +49,10 @@ class Symbols:
             free = ", ".join(str(symbol) for symbol in function.get_free())
             raise NotApplicableError(f"a certificate holds {free}, which is no signal and no parameter of this diagram")
         return function
+
+    def vanishes(self, name: str, expression: SX, trials: int = 3) -> bool:
+        """True for what is zero identically. Raises `ValueFault` where it is nowhere defined."""
+        return bool(zero_test(self.function(name, [expression]), values=self.fixed, trials=trials).zero)
 
     @cached_property
     def _inputs(self) -> list[SX]:

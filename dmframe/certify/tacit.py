@@ -8,28 +8,26 @@ not converge to it. None of it is computed by `verify` of a single graph: it is 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Final, final
+from collections.abc import Iterator
+from typing import Any, Final
 
 import casadi as ca
 import numpy as np
 
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Assumption, Clipped, Driven, Gathered, LogDet
-from dmframe.certify.begun import Begun
-from dmframe.certify.checked import Numbers, lower, upper
+from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Bases, Closure
 from dmframe.certify.conditions import load_labels
 from dmframe.certify.contradicted import kept_above
-from dmframe.certify.definite import Number
-from dmframe.certify.divisors import written
+from dmframe.certify.divisors import domains
+from dmframe.certify.linear import stability_margin
 from dmframe.certify.memories import gathered_from_start, pivots_at_start, reads_of
 from dmframe.certify.positive import Signs
 from dmframe.certify.projections import ROUNDED, begun_in, rooms_on_path
 from dmframe.certify.reach import kept_within
-from dmframe.certify.risky import risky
+from dmframe.certify.risky import instructions, risky
 from dmframe.certify.smoothness import HORIZON, SAMPLES, followed_by_numbers
 from dmframe.certify.statements import bases_of
 from dmframe.certify.symbols import symbols_of
@@ -38,7 +36,8 @@ from dmframe.diagram.projection import Ball, Bodies, Box, Projection
 from dmframe.errors import ValueFault
 from dmframe.exact import ZeroDivision
 from dmframe.linalg import ldl, square
-from dmframe.program import DIVISIONS, JUMPS, OPERATIONS
+from dmframe.program import JUMPS
+from dmframe.prove.definite import Number, lower, upper
 from dmframe.robot.parameters import INERTIAL
 from dmframe.robot.pseudo_inertia import pseudo_inertia
 from dmframe.text import Label, Text, joined, name_of, sentence
@@ -49,39 +48,20 @@ TINY: Final = 1e-30
 """By which a load of nothing has pivots above zero."""
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Tacit:
-    """One check that a verdict lists only if it fails.
+def tacit(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
+    """All of it, as conditions that hold. Costs about as much as a part of `verify`, for pages and studies.
 
-    Parameters
-    ----------
-    margin
-        Its least element decides; None where the graph's own numbers are all that it was decided for.
-    reads
-        Where there is no margin: all parameters and starts (`Claim.starts`) on which it depends.
-    opens
-        Where it fails, `verify` would ask something else, or decide it in another way, so that nothing is decided.
-    begun
-        What decides once a start is given.
-    over
-        `verify` decides it over intervals, too.
+    Those with a margin hold where that is above zero, but for `sufficient` ones, of which `verify` would then ask
+    something else; the others as long as what they read keeps its value.
     """
-
-    name: Text
-    margin: SX | None = None
-    reads: SX | None = None
-    strict: bool = True
-    opens: bool = False
-    begun: Begun | None = None
-    over: bool = False
-
-
-def tacit(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
-    """All of it. Costs about as much as a part of `verify`; pages, studies and intervals ask for it."""
     yield from _domains(claim)
     yield from _widths(claim)
     yield from _stable(claim)
+    yield from at_one_point(claim, numbers)
+
+
+def at_one_point(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
+    """What `verify` decides at the graph's own numbers alone, and not over its intervals."""
     yield from _follows(claim, numbers)
     yield from _sets(claim)
     yield from _absent(claim, numbers)
@@ -90,46 +70,32 @@ def tacit(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
     yield from _rooms(claim, numbers)
     yield from _starts(claim, numbers)
     for name, margin, reads in kept_within(claim):
-        yield Tacit(name, margin, reads, opens=True)
+        yield _held(name, margin, reads=reads, sufficient=True)
     for name, reads in kept_above(claim, numbers):
-        yield Tacit(name, reads=reads)
+        yield _held(name, reads=reads)
 
 
-def _domains(claim: Claim) -> Iterator[Tacit]:
-    """As `undefined` looks at divisors and arguments made of parameters alone; and of what bounds a residual."""
+def _held(name: Text, margin: SX | None = None, *, strict: bool = True, **others: Any) -> Checked:
+    """A check that the graph's own numbers pass."""
+    return Checked(name, "", None, True, "", strict=strict, margin=margin, **others)
+
+
+def _domains(claim: Claim) -> Iterator[Checked]:
+    """Divisors and arguments made of parameters alone; and those of what bounds a residual."""
     for name, model in claim.diagram.models.items():
-        yield from _domain(name, claim.risks[name], model.moving)
+        yield from domains(name, claim.risks[name], model.moving)
     moving = symbols_in([claim.loop.state, claim.loop.time, *(leaf.symbol for leaf in claim.loop.trajectories)])
     for part in claim.parts:
         terms = [ca.SX(term.value) for term in part.certificate.excess]
-        yield from _domain(f"{part.block}, what bounds its residual", list(risky(terms)), moving)
+        yield from domains(f"{part.block}, what bounds its residual", list(risky(terms)), moving)
 
 
-def _domain(name: str, risks: Sequence[tuple[int, SX]], moving: set[int]) -> Iterator[Tacit]:
-    for code, part in risks:
-        if symbols_in([part]) & moving or not symbols_in([part]) or code == ca.OP_TAN:
-            continue
-        if code in (*DIVISIONS, ca.OP_FMOD, ca.OP_REMAINDER):
-            # of an interval it has to be of one sign, which its square does not forget
-            yield Tacit(Text(f"{name}: ", written(part), " is not zero"), part * part, over=True)
-            continue
-        text = Text(f"{name}: {OPERATIONS[code].name} of ", written(part), " is defined")
-        if code == ca.OP_SQRT:
-            yield Tacit(text, part, strict=False, over=True)
-        elif code == ca.OP_ACOSH:
-            yield Tacit(text, part - 1, strict=False, over=True)
-        elif code in (ca.OP_ASIN, ca.OP_ACOS, ca.OP_ATANH, ca.OP_ERFINV):
-            yield Tacit(text, ca.vertcat(1 - part, 1 + part), over=True)
-        else:
-            yield Tacit(text, part + 1 if code == ca.OP_LOG1P else part, over=True)
-
-
-def _widths(claim: Claim) -> Iterator[Tacit]:
+def _widths(claim: Claim) -> Iterator[Checked]:
     """As `bounds_of` looks at clipped terms."""
     for part in claim.parts:
         for term in part.certificate.excess:
             if isinstance(term, Clipped):
-                yield Tacit(Text(f"{part.block}: width of the clipped ", term.of, " > 0"), ca.SX(term.width), over=True)
+                yield _held(Text(f"{part.block}: width of the clipped ", term.of, " > 0"), ca.SX(term.width))
 
 
 def _replaced(item: Driven) -> bool:
@@ -137,23 +103,16 @@ def _replaced(item: Driven) -> bool:
     return not all(isinstance(condition, Assumption) for condition in item.otherwise)
 
 
-def _stable(claim: Claim) -> Iterator[Tacit]:
+def _stable(claim: Claim) -> Iterator[Checked]:
     """Stability of linear subsystems with a replacement, as the closure checks it."""
     for part in claim.parts:
         for item in part.certificate.driven:
             if _replaced(item):
                 text = Text(f"{part.block}: the linear equation of ", joined(item.of), " is stable")
-                yield Tacit(text, _stability(item), opens=True, over=True)
+                yield _held(text, stability_margin(item), sufficient=True)
 
 
-def _stability(item: Driven) -> SX:
-    if len(item.rates) == 1:
-        return -ca.SX(item.rates[0][0])
-    (a, b), (c, d) = [[ca.SX(rate) for rate in row] for row in item.rates]
-    return ca.vertcat(ca.vec(-(a + d)), ca.vec(a * d - b * c))
-
-
-def _follows(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
+def _follows(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
     """What follows at the graph's numbers follows at almost all others, or depends on them; in an interval, at zero."""
     if not any(_replaced(item) for part in claim.parts for item in part.certificate.driven):
         return
@@ -171,7 +130,7 @@ def _follows(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
             given = [p.symbol for p in claim.loop.parameters if (p.label in zeros if labels else _fixed(numbers, p))]
             known = [symbol for symbol in ca.vertsplit(stack(given)) if symbol.element_hash() in used]
             name = sentence("what {V} bounds follows at {text} too", text=text)
-            yield Tacit(name, reads=ca.vertcat(ca.SX(0, 1), *known))
+            yield _held(name, reads=ca.vertcat(ca.SX(0, 1), *known))
 
 
 def _fixed(numbers: Numbers, parameter: Parameter) -> bool:
@@ -196,11 +155,11 @@ def _left(closure: Closure) -> list[list[str]]:
     return [sorted(f"{b} {i.of}" for b, i in items) for items in (closure.missed, closure.assumed, closure.given)]
 
 
-def _sets(claim: Claim) -> Iterator[Tacit]:
+def _sets(claim: Claim) -> Iterator[Checked]:
     """A projection's law is the same wherever its set lies, as long as that has an inside."""
     for projection in claim.loop.projections:
         name = Text(Label(projection.name), f": the {projection.kind} has an inside")
-        yield Tacit(name, _inside(projection.set), strict=not isinstance(projection.set, Box), opens=True)
+        yield _held(name, _inside(projection.set), strict=not isinstance(projection.set, Box), sufficient=True)
 
 
 def _inside(kept: Box | Ball | Bodies) -> SX:
@@ -222,37 +181,37 @@ def _pivots(bodies: SX, floor: bool = False) -> list[SX]:
     return found
 
 
-def _absent(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
+def _absent(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
     """The identity was tested with the plant's zeros as zeros: `symbols_of`."""
     for group in symbols_of(claim, numbers.uncertain).groups:
         if group.kind == "parameter" and group.values is not None and not any(group.values):
             name = Text(Label(group.label), " is zero, as the proof takes it")
-            yield Tacit(name, reads=ca.vec(group.symbol))
+            yield _held(name, reads=ca.vec(group.symbol))
 
 
-def _paths(claim: Claim) -> Iterator[Tacit]:
+def _paths(claim: Claim) -> Iterator[Checked]:
     for name, read in followed_by_numbers(claim.diagram, claim):
-        yield Tacit(Text(Label(name), " is continuous"), reads=read)
+        yield _held(Text(Label(name), " is continuous"), reads=read)
 
 
-def _loads(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
+def _loads(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
     """That a load which a mass matrix holds is a body."""
     for label in load_labels(claim):
         (leaf,) = (leaf for leaf in claim.diagram.resolver.trajectories.values() if leaf.name == label)
         pieces, rest = pieces_of(claim, numbers, claim.loop.on_path(leaf.symbol))
         if pieces:
             name = Text(Label(label), " is the inertia of a rigid body")
-            yield Tacit(name, ca.vertcat(*_pivots(ca.vertcat(*pieces), floor=True)), opens=True)
-        yield Tacit(Text(Label(label), " changes when it does in the graph"), reads=rest)
+            yield _held(name, ca.vertcat(*_pivots(ca.vertcat(*pieces), floor=True)), sufficient=True)
+        yield _held(Text(Label(label), " changes when it does in the graph"), reads=rest)
 
 
-def _rooms(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
+def _rooms(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
     """That a true value which a source gives lies in the set of its estimate."""
     for name, room in rooms_on_path(claim, numbers):
         pieces, rest = pieces_of(claim, numbers, room)
         if pieces:
-            yield Tacit(Text(name, ", as a source has it"), ca.vertcat(*pieces) + ROUNDED, strict=False)
-        yield Tacit(Text(name, " changes when it does in the graph"), reads=rest)
+            yield _held(Text(name, ", as a source has it"), ca.vertcat(*pieces) + ROUNDED, strict=False)
+        yield _held(Text(name, " changes when it does in the graph"), reads=rest)
 
 
 def pieces_of(claim: Claim, numbers: Numbers, expression: SX) -> tuple[list[SX], SX]:
@@ -265,7 +224,8 @@ def pieces_of(claim: Claim, numbers: Numbers, expression: SX) -> tuple[list[SX],
     slope = ca.jacobian(expression, loop.time)
     if not slope.is_zero():
         return [], numbers.reads(expression)
-    steps = list(_steps([expression], symbols_in([loop.time])))
+    time = symbols_in([loop.time])
+    steps = [x for x, _ in instructions([expression]) if x.op() in JUMPS and symbols_in([x]) & time]
     if not steps:
         return [expression], ca.SX(0, 1)
     function = ca.Function("steps", [loop.time, loop.p], [ca.vertcat(*steps)])
@@ -275,21 +235,7 @@ def pieces_of(claim: Claim, numbers: Numbers, expression: SX) -> tuple[list[SX],
     return pieces, numbers.reads(ca.vertcat(*steps))
 
 
-def _steps(expressions: Sequence[SX], time: set[int]) -> Iterator[SX]:
-    """What jumps with time in an expression."""
-    waiting = [element for item in expressions for element in ca.vertsplit(ca.vec(item))]
-    seen = set[int]()
-    while waiting:
-        x = waiting.pop()
-        if x.element_hash() in seen or not x.n_dep():
-            continue
-        seen.add(x.element_hash())
-        if x.op() in JUMPS and symbols_in([x]) & time:
-            yield x
-        waiting += [x.dep(k) for k in range(x.n_dep())]
-
-
-def _starts(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
+def _starts(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
     """Requirements of `verify` on a start with a known number."""
     for projection in claim.loop.projections:
         yield _started(projection, numbers)
@@ -300,17 +246,17 @@ def _starts(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
             if isinstance(term, LogDet):
                 begun = pivots_at_start(claim, numbers, {}, term.matrix)
                 name = Text(f"{part.block}: ", term.of, " starts positive definite")
-                yield Tacit(name, ca.SX(0, 1), begun=begun)
+                yield _held(name, ca.SX(0, 1), begun=begun)
     for variable in claim.loop.variables:
         if variable.label in claim.memories:
             yield _gathers(Text(f"{variable.block}: start of ", name_of(variable.name)), variable.symbol, numbers)
 
 
-def _started(projection: Projection, numbers: Numbers) -> Tacit:
+def _started(projection: Projection, numbers: Numbers) -> Checked:
     begun = begun_in(projection, numbers, {})
     name = Text(Label(projection.name), f": starts inside the {projection.kind}")
-    return Tacit(name, ca.SX(0, 1), strict=False, begun=begun)
+    return _held(name, ca.SX(0, 1), strict=False, begun=begun)
 
 
-def _gathers(name: Text, memory: SX, numbers: Numbers) -> Tacit:
-    return Tacit(name, reads=reads_of(numbers, {}, memory))
+def _gathers(name: Text, memory: SX, numbers: Numbers) -> Checked:
+    return _held(name, reads=reads_of(numbers, {}, memory))

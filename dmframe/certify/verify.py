@@ -12,7 +12,7 @@ from typing import Any, Final, Literal, final
 from dmframe.certificate import Assumption
 from dmframe.certify.assemble import assembled
 from dmframe.certify.barriers import barrier_statements, tubes
-from dmframe.certify.checked import Checked, Numbers
+from dmframe.certify.checked import Checked, Numbers, sorted_out
 from dmframe.certify.claim import Claim, NotApplicableError, claim_of
 from dmframe.certify.closure import Closure
 from dmframe.certify.conditions import conditions_of, decide, remedies
@@ -285,7 +285,7 @@ def _in_continuous_time(
     bases = bases_of(claim, symbols, signs)
     bases = replace(bases, vectors=(*bases.vectors, *(tube.position for tube in kept)))
     closure = Closure(claim, numbers, bases, seed=seed)
-    needed, given = decide(closure.conditions(), numbers)
+    needed, given = sorted_out(decide(closure.conditions(), numbers))
     # over intervals more may be required than at any number in them
     conditions += [replace(item, sufficient=bool(numbers.open)) for item in needed]
     smooth = examiner.found()  # with residuals, true values, barriers and linear subsystems, all differentiated by now
@@ -302,7 +302,7 @@ def _in_continuous_time(
 
 
 def _in_discrete_time(claim: Claim, symbols: Symbols, numbers: Numbers, start: Mapping[str, Any], seed: int) -> _Found:
-    conditions, assumptions = discrete_conditions(claim, numbers, start)
+    conditions, assumptions = sorted_out(discrete_conditions(claim, numbers, start))
     rows = [explained(claim, part, item, seed) for part in claim.parts for item in part.certificate.steps]
     conditions += [item for found in rows for item in found.checked]
     assumptions += [item for found in rows for item in found.assumed]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 from dmframe.cli.streams import tell
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 
 
 def analyse_graph(graph: Graph, *, horizon: float, as_json: bool) -> None:

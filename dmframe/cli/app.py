@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -82,8 +83,8 @@ def check(graph: OneGraph, overrides: Overrides = NOTHING, trust: Trust = False)
     from dmframe.cli.graphs import one_graph
 
     loaded = one_graph(graph, overrides, trust=trust)
-    loaded.experiment.intervals(loaded.diagram)
-    loaded.experiment.check_units(loaded.diagram)
+    loaded.intervals()
+    loaded.check_units()
     tell(str(loaded))
     try:
         notices = loaded.check_laws()
@@ -335,3 +336,16 @@ def regressor(
         refuse({"--base": base, "--friction": friction or None}, "it has no effect with --kinematic; leave one out")
     chain = load(robot, base=Path(), free=words(free), hold=angles("--hold", hold), tool=tool)
     return regressor_of(chain, kinds, Wanted(base, kinematic, symbolic, prove, c, python, latex))
+
+
+def app_for(words: Sequence[str]) -> typer.Typer:
+    """Application for a command line: the command that is its first word, or all of them if none is.
+
+    typer reads the signatures of all the commands that it is given, which takes longer than the rest of its work.
+    """
+    named = [each for each in app.registered_commands if each.callback and [each.callback.__name__] == words[:1]]
+    if not named:
+        return app
+    one = copy.copy(app)
+    one.registered_commands = named
+    return one

@@ -14,7 +14,7 @@ from dmframe.errors import UnknownNameError
 from dmframe.files import write_text
 
 if TYPE_CHECKING:
-    from dmframe.graph.named import Named
+    from dmframe.config.named import Named
 
 SCHEMA = "dmframe.schema.json"
 """Schema file next to a new graph; the YAML server of an editor finds it by the graph's first line."""
@@ -22,7 +22,7 @@ SCHEMA = "dmframe.schema.json"
 
 def graphs(as_json: Listed = False) -> None:
     """List the packaged graphs with duration, clock and title."""
-    from dmframe.graph import graphs as registry
+    from dmframe.graph.shelf import graphs as registry
 
     _print(registry(), as_json)
 
@@ -34,8 +34,8 @@ def robots(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, a list or the one robot.")] = False,
 ) -> None:
     """List the packaged robots, or print joints, masses, tool and known errors of one."""
-    from dmframe.graph import robots as registry
     from dmframe.graph.robot_page import robot_data, robot_page
+    from dmframe.graph.shelf import robots as registry
 
     if name is None:
         _print(registry(), as_json)
@@ -75,8 +75,8 @@ def blocks(
     """List the block types, or print one block's page."""
     from dmframe.catalogue import block_types, find_block
     from dmframe.cli.options import refuse
-    from dmframe.graph import blocks as registry
     from dmframe.graph.pages import block_list, block_page
+    from dmframe.graph.shelf import blocks as registry
 
     if kind is not None:
         refuse({"--json": as_json}, "a block's page is text; leave the type out for a list")

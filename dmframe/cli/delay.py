@@ -7,7 +7,7 @@ from dataclasses import asdict
 
 from dmframe.analysis.delay import recorded_delay, signals_of
 from dmframe.cli.streams import tell
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.simulate.keep import Log
 
 NOT_FOUND = 1
@@ -18,7 +18,7 @@ def delay_of(graph: Graph, *, duration: float, as_json: bool) -> int:
     lasting, log = graph.until(duration), None
     if graph.clock is not None:  # independent of the log of the graph; without a clock, `recorded_delay` raises
         log = Log(graph.clock, signals_of(graph.diagram))
-    found = recorded_delay(lasting.experiment.simulate(graph.diagram, log=log))
+    found = recorded_delay(lasting.simulate(graph.diagram, log=log))
     if as_json:
         whole = None if found.refused else found.whole
         tell(json.dumps({"graph": graph.name, **asdict(found), "delay": whole, "refused": found.refused}, indent=2))

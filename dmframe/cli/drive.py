@@ -14,11 +14,11 @@ from dmframe.cli.signals import held_off
 from dmframe.cli.streams import tell
 from dmframe.drive.robots import kind_of
 from dmframe.errors import DmframeError, DriveError, ValueFault
-from dmframe.graph import Graph
-from dmframe.graph.arguments import seconds as time_of
+from dmframe.graph.graph import Graph
 from dmframe.results.folder import drawing, write_data
 from dmframe.results.place import SAMPLES, complete
 from dmframe.results.run import table_of
+from dmframe.units import seconds as time_of
 from dmframe.units import shorten, to_unit
 
 NOT_BORNE = 1

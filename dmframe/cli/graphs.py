@@ -12,9 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from dmframe.catalogue import find_graph
-from dmframe.config import load_experiment
 from dmframe.errors import DmframeError, UnknownNameError, ValueFault
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.trust import remember
 
 _FREE = ("title",)
@@ -23,7 +22,7 @@ _NESTED = re.compile(r"""("(?:\\.|[^"])*"|'(?:''|[^'])*'|[\[\](){}]|,)""")
 
 
 def graphs_of(names: Sequence[str], overrides: Sequence[str], *, trust: bool = False) -> list[Graph]:
-    """Graphs of all names and combinations of swept values; raises the errors of `load_experiment`.
+    """Graphs of all names and combinations of swept values; raises the errors of `Graph.read`.
 
     With `trust`, the code of blocks in the folder of a graph is trusted from now on.
     """
@@ -92,7 +91,7 @@ def alternatives(text: str) -> list[str]:
 
 def _loaded(name: str, overrides: Sequence[str], *, alone: bool) -> Graph:
     try:
-        return Graph(load_experiment(name, overrides))
+        return Graph.read(name, overrides)
     except DmframeError as error:
         for fault in error.faults:
             if not alone and not fault.location and name not in fault.text:

@@ -11,7 +11,7 @@ from dmframe.analysis.rank_region import RankRegion, rank_region
 from dmframe.analysis.rank_report import option_value, proved, rank_summary
 from dmframe.cli.streams import tell
 from dmframe.columns import columns
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.graph.progress import progress_line
 from dmframe.units import plain
 
@@ -22,7 +22,7 @@ def rank_of(graph: Graph, *, tube: float, as_json: bool, **options: Any) -> int:
     """Compute and print the region of a graph; returns the exit status."""
     with progress_line(f"{graph.name}: rank", quiet=as_json) as progress:
         region = rank_region(
-            graph.diagram, graph.experiment.start, duration=graph.duration, tube=tube, progress=progress, **options
+            graph.diagram, graph.start, duration=graph.duration, tube=tube, progress=progress, **options
         )
     tell(json.dumps(rank_summary(graph.name, region), indent=2) if as_json else page(graph, region))
     return 0 if region.holds else NO_REGION

@@ -49,8 +49,10 @@ def _check_places(paths: Sequence[Path]) -> None:
 
 def page(chain: SerialChain, friction: Sequence[str], wanted: Wanted) -> tuple[list[str], bool]:
     """Write the files; returns the parts of the text, and whether all requested proofs hold."""
-    from dmframe.regressor import base_parameters, export_c, self_test, write_out, write_python
-    from dmframe.regressor.typeset import largest_difference, latex, plain_text
+    from dmframe.regressor.base_parameters import base_parameters
+    from dmframe.regressor.export import export_c, self_test
+    from dmframe.regressor.python_source import write_python
+    from dmframe.regressor.typeset import largest_difference, latex, plain_text, write_out
 
     parts, proved = [_parameters(chain, friction, wanted)], True
     if wanted.symbolic or wanted.latex:
@@ -80,7 +82,10 @@ def page(chain: SerialChain, friction: Sequence[str], wanted: Wanted) -> tuple[l
 
 
 def _parameters(chain: SerialChain, friction: Sequence[str], wanted: Wanted) -> str:
-    from dmframe.regressor import DynamicParameters, base_parameters, kinematic_names, kinematic_values, listing
+    from dmframe.regressor.base_parameters import base_parameters
+    from dmframe.regressor.export import kinematic_names, kinematic_values
+    from dmframe.regressor.listing import listing
+    from dmframe.robot.parameters import DynamicParameters
 
     if wanted.kinematic:
         pairs = zip(kinematic_names(chain), kinematic_values(chain), strict=True)

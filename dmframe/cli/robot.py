@@ -10,7 +10,7 @@ from dmframe.cli.streams import tell
 from dmframe.errors import ValueFault
 
 if TYPE_CHECKING:
-    from dmframe.graph import Graph
+    from dmframe.graph.graph import Graph
     from dmframe.virtual import VirtualRobot
 
 

@@ -165,7 +165,7 @@ def robot(
     from dmframe.cli.graphs import one_graph
     from dmframe.cli.options import quantity, whole
     from dmframe.cli.robot import ports_of, serve
-    from dmframe.graph.arguments import seconds as time_of
+    from dmframe.units import seconds as time_of
 
     serve(
         one_graph(graph, overrides, trust=trust),

@@ -15,14 +15,16 @@ from dmframe.cli.signals import held_off
 from dmframe.cli.streams import tell
 from dmframe.copies import shared
 from dmframe.errors import OutputError
-from dmframe.graph import Graph
-from dmframe.graph.arguments import seconds
+from dmframe.graph.doubts import doubts
+from dmframe.graph.graph import Graph
+from dmframe.graph.labels import labels_of
 from dmframe.graph.progress import Bars
-from dmframe.graph.runs import labelled, labels_of
+from dmframe.graph.runs import labelled
 from dmframe.results.folder import drawing, folders_of, safe_name, write_data
 from dmframe.results.place import PAGE, Place, complete, reserved
 from dmframe.results.run import Run, notes_of, numbers_of
 from dmframe.simulate.engine import Choice
+from dmframe.units import seconds
 
 DIVERGED = 1
 MOST = 100
@@ -88,7 +90,7 @@ def run_graphs(
 def _check_page(graph: Graph) -> None:
     from dmframe.page.content import check_chance
 
-    check_chance(graph.experiment, graph.diagram)
+    check_chance(graph, graph.diagram)
 
 
 def _write_pages(place: Place, names: Sequence[str], graphs: Sequence[Graph]) -> None:
@@ -101,7 +103,7 @@ def _write_pages(place: Place, names: Sequence[str], graphs: Sequence[Graph]) ->
 def placed_folder(out: Path | None, graphs: Sequence[Graph], *, force: bool) -> Iterator[Place]:
     """Reserve the given folder, or a new one named by the time."""
     if out is not None:
-        labels = labels_of([(graph.name, graph.experiment) for graph in graphs])
+        labels = labels_of([(graph.name, graph) for graph in graphs])
         with reserved(out, force=force, folders=folders_of(labels)) as place:
             yield place
         return
@@ -153,8 +155,8 @@ def _judged(runs: Sequence[Run], graphs: Sequence[Graph]) -> list[Run]:
 
     After Ctrl-C there are fewer runs than graphs.
     """
-    doubts = [partial(graph.doubts, run.recording) for run, graph in zip(runs, graphs, strict=False)]
-    with shared(doubts, busy=True) as finished:
+    judging = [partial(doubts, graph, run.recording) for run, graph in zip(runs, graphs, strict=False)]
+    with shared(judging, busy=True) as finished:
         for run in runs:
             _ = run.notices
         return [run.noticed(*said) if said else run for run, said in zip(runs, finished(), strict=True)]

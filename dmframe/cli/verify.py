@@ -13,13 +13,13 @@ from dmframe.cli.streams import tell
 from dmframe.errors import ValueFault
 from dmframe.files import check_place as check_file
 from dmframe.files import write_text
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
+from dmframe.graph.labels import labels_of
 from dmframe.graph.progress import progress_line
-from dmframe.graph.runs import labels_of
 from dmframe.remembered.recorder import finish
 
 if TYPE_CHECKING:
-    from dmframe.report import Verification
+    from dmframe.report.verification import Verification
 
 NOT_PROVED = 1
 
@@ -34,9 +34,9 @@ def verify_graphs(
     as_json: bool,
 ) -> int:
     """Verify graphs one after another; returns the exit status. `replay` is the command line."""
-    from dmframe.report import check_place, write_report
-
     if report is not None:
+        from dmframe.report.write import check_place
+
         check_place(report)
     if claim is not None:
         if len(graphs) != 1:
@@ -44,7 +44,7 @@ def verify_graphs(
         check_file(claim)
     for graph in graphs:  # report faults of all graphs before the first proof
         _ = graph.diagram
-    labels = labels_of([(graph.name, graph.experiment) for graph in graphs])
+    labels = labels_of([(graph.name, graph) for graph in graphs])
     found = [replace(graph.verify(seed=seed), label=label) for graph, label in zip(graphs, labels, strict=True)]
     status = 0 if all(each.proved for each in found) else NOT_PROVED
     proved_at = datetime.now(UTC).isoformat(timespec="seconds")
@@ -54,6 +54,8 @@ def verify_graphs(
         if claim is not None:
             _write_claim(claim, found[0])
         if report is not None:  # written before printing, which may fail
+            from dmframe.report.write import write_report
+
             words = [*replay, "--seed", str(seed), "--report", report.name]
             with progress_line("report", quiet=as_json) as progress:
                 write_report(report, found, replay=words, tell=progress)

@@ -1,5 +1,5 @@
-"""Reading of graph files: from YAML text to validated data."""
+"""Reading of graph files: from YAML text to a graph."""
 
-from dmframe.config.experiment import Experiment, load_experiment
+from dmframe.config.graph import BaseGraph
 
-__all__ = ["Experiment", "load_experiment"]
+__all__ = ["BaseGraph"]

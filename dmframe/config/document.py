@@ -87,6 +87,10 @@ class Document:
     data: dict[str, Any]
     root: Node = field(repr=False, compare=False)
 
+    def with_root(self, root: Node) -> Document:
+        """The same text with another mapping."""
+        return Document(self.name, mapping_of(root), root)
+
     def locate(self, path: Sequence[str | int], key: bool = False) -> str:
         """Place of the value at `path`, or of its key: ``graph.yaml:9:31``.
 

@@ -1,10 +1,10 @@
-"""Convert a graph, or a value of one, given by a program into the same nodes as a file's text."""
+"""Values given by a program: converted into the same nodes as a file's text, and lists of values by name."""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from numbers import Number
 from typing import Any
 
@@ -81,6 +81,27 @@ def node_of(value: Any, path: Steps, said: str = "") -> Node:
     raise DocumentError(
         f"{where}: expected a number, a text, a list or keys with values, found {type(value).__name__}", location=said
     )
+
+
+def listed(values: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
+    """Lists of values by name. Raises `ValueFault` for anything else."""
+    example = '{"dynamics.Gamma": [1, 10]}'
+    if not isinstance(values, Mapping):
+        raise ValueFault(f"values: expected values by name, {example}, found {shorten(repr(values), 30)}")
+    tried = dict[str, list[Any]]()
+    for label, several in values.items():
+        if not isinstance(label, str):
+            raise ValueFault(f"values: expected values by name, {example}, found {shorten(repr(label), 30)}")
+        some = isinstance(several, Iterable) and getattr(several, "ndim", 1) > 0  # an array may hold one number
+        if isinstance(several, str | bytes | Mapping) or not some:
+            raise ValueFault(
+                f"values {label}: expected a list of values, {example}, found {shorten(repr(several), 30)}"
+            )
+        tried[label] = list(several)
+    for label, several in tried.items():
+        if not several:
+            raise ValueFault(f"values {label}: expected at least one value, found none")
+    return tried
 
 
 def _check_letters(text: str, where: str, said: str) -> None:

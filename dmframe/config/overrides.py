@@ -74,7 +74,7 @@ def put_at(
         root = _without(document.root, keys[1], said)
     else:
         root = _put(document.root, keys, _by(value, said), said)
-    return Document(document.name, mapping_of(root), root)
+    return document.with_root(root)
 
 
 def put(document: Document, key: str, value: float, said: str) -> Document:

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 from dmframe.catalogue import block_types
 from dmframe.config.document import Document
 from dmframe.config.grammar import KEYS
-from dmframe.errors import DmframeError, Faults, MissingError, UnknownNameError, WiringError
+from dmframe.errors import DmframeError, Faults, MissingError, UnknownNameError, WiringError, visible
 
 TIMES: Final = (("duration",), ("solver", "output"), ("solver", "step"), ("log", "every"), ("clock",))
 """Keys that together determine the amount of computation: a fault in one may be caused by an override of another."""
+
+
+def report(notices: Iterable[str]) -> None:
+    """Print notices on stderr."""
+    for notice in notices:
+        sys.stderr.write(f"{visible(notice)}\n")
 
 
 def placed(error: DmframeError, document: Document, keys: Sequence[str] = KEYS) -> DmframeError:

@@ -8,7 +8,7 @@ next to results contain it. No wires are needed, since these blocks replace the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, final
@@ -17,7 +17,8 @@ from dmframe.block import AbstractBlock
 from dmframe.catalogue import block_modules, find_block, find_reality
 from dmframe.config.document import Document, Kind, Node, mapping_of, read_file
 from dmframe.config.given import node_of
-from dmframe.config.places import placed
+from dmframe.config.places import placed, report
+from dmframe.config.sections import kinds_of
 from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault, raise_all
 from dmframe.port import Side
 
@@ -26,22 +27,29 @@ LIKE: Final = "like"
 NONE: Final = "none"
 """Instead of a set: the ideal channel, for comparison."""
 SET: Final = Kind("reality", "title: ...")
-Find = Callable[[str, Path, str], type[AbstractBlock]]
 Entries = dict[str, tuple[Node, Node]]
 Kinds = Mapping[str, type[AbstractBlock]]
 
 
+Step = Callable[[Document], Document]
+"""A function that sets a value in a document; it can be pickled."""
+
+
 @final
 @dataclass(frozen=True)
-class Expanded:
-    """A document without the key, and notices about the blocks that were left out."""
+class Stating:
+    """A document that still has its key ``reality``, and the later changes, so that the key can be changed again."""
 
     document: Document
-    notices: tuple[str, ...] = ()
+    later: tuple[Step, ...] = ()
+
+    def then(self, *steps: Step) -> Stating:
+        """The same with further changes."""
+        return replace(self, later=(*self.later, *steps))
 
 
-def with_reality(document: Document, base: Path, find: Find = find_block) -> Expanded:
-    """Insert the blocks of the key ``reality`` into a graph; `find` gives the class of a type of the graph's blocks.
+def expanded(document: Document) -> Document:
+    """The document with the blocks of its key ``reality``; blocks that are left out are reported on stderr.
 
     Raises
     ------
@@ -50,14 +58,14 @@ def with_reality(document: Document, base: Path, find: Find = find_block) -> Exp
     """
     root = document.root
     if not isinstance(root.value, dict) or KEY not in root.value:
-        return Expanded(document)
+        return document
     entries: Entries = dict(root.value)
     _, requested = entries.pop(KEY)
     try:
         wanted = _wanted(requested)
         key, blocks = entries.get("blocks", (Node(1, 1, "blocks"), Node(1, 1, {})))
         held = dict(blocks.value) if isinstance(blocks.value, dict) else {}
-        work = _Work(held, _kinds(held, base, find))
+        work = _Work(held, kinds_of(mapping_of(blocks), Path(document.name).parent))
         for name, (at, node) in wanted.items():
             work.put(name, at, node)
         if requested.value == NONE and (own := work.replacing()):
@@ -66,10 +74,9 @@ def with_reality(document: Document, base: Path, find: Find = find_block) -> Exp
         raise placed(error, document) from None
     if isinstance(blocks.value, dict):
         entries["blocks"] = (key, replace(blocks, value=work.blocks))
-    made = replace(root, value=entries)
-    place = requested.said or requested.place(document.name)
-    notices = tuple(f"{place}: notice: {text}" for text in work.left_out)
-    return Expanded(Document(document.name, mapping_of(made), made), notices)
+    place = requested.place(document.name)
+    report(f"{place}: notice: {text}" for text in work.left_out)
+    return document.with_root(replace(root, value=entries))
 
 
 def _wanted(requested: Node) -> Entries:
@@ -122,18 +129,6 @@ def _set(name: str, path: tuple[str, ...]) -> Entries:
     blocks = read_file(file, SET).data.get("blocks")
     node = node_of(blocks if isinstance(blocks, dict) else {}, (), f"{KEY} {name}")
     return dict(node.value) if isinstance(node.value, dict) else {}
-
-
-def _kinds(blocks: Entries, base: Path, find: Find) -> dict[str, type[AbstractBlock]]:
-    """The classes of a graph's blocks; one that cannot be found is reported where blocks are created."""
-    found = dict[str, type[AbstractBlock]]()
-    for name, (_, node) in blocks.items():
-        kind = mapping_of(node).get("type")
-        try:
-            found[name] = find(str(kind), base, "type")
-        except DmframeError:
-            continue
-    return found
 
 
 @final
@@ -220,3 +215,13 @@ def split(values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """The values of the key ``reality``, and all others."""
     real = {label: value for label, value in values.items() if names_reality(str(label))}
     return real, {label: value for label, value in values.items() if label not in real}
+
+
+def after(document: Document, steps: Sequence[Step], faults: list[DmframeError]) -> Document:
+    """The document after some steps; the faults of each are added to `faults`."""
+    for step in steps:
+        try:
+            document = step(document)
+        except DmframeError as error:
+            faults += error.faults
+    return document

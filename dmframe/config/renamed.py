@@ -8,56 +8,33 @@ start values, uncertain parameters and logged signals. The rest of the framework
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, final
+from typing import final
 
 from dmframe.block import AbstractBlock
-from dmframe.catalogue import find_block
-from dmframe.config.document import Document, Node, mapping_of
-from dmframe.errors import DmframeError, ValueFault
+from dmframe.config.document import Document, Node
+from dmframe.config.places import report
+from dmframe.config.sections import kinds_of
+from dmframe.errors import DmframeError, ValueFault, raise_all
 
 Names = Mapping[str, Mapping[str, str]]
 """Former and new names, by block."""
 SECTIONS = ("blocks", "baseline")
-Find = Callable[[str, Path, str], type[AbstractBlock]]
-"""Like `find_block`: the class of a block type from the type, the graph's folder, and the place that names it."""
 
 
-@final
-@dataclass(frozen=True)
-class Renamed:
-    """A document with new names only, the notices, and the faults where both names were given."""
-
-    document: Document
-    notices: tuple[str, ...] = ()
-    faults: tuple[DmframeError, ...] = ()
-
-
-def with_new_names(document: Document, base: Path, find: Find = find_block) -> Renamed:
-    """Replace former names; block files are searched in the folder `base`, and `find` gives the class of a type."""
-    kinds = _kinds(document.data, base, find)
+def with_new_names(document: Document) -> Document:
+    """Replace former names, with notices on stderr; raises `DmframeError` where both names are given."""
+    base = Path(document.name).parent
+    kinds = {section: kinds_of(document.data.get(section), base) for section in SECTIONS}
     if not any(kind.renamed for section in kinds.values() for kind in section.values()):
-        return Renamed(document)
+        return document
     work = _Work(document.name, kinds)
     root = work.graph(document.root)
-    return Renamed(Document(document.name, mapping_of(root), root), tuple(work.notices), tuple(work.faults))
-
-
-def _kinds(data: Mapping[str, Any], base: Path, find: Find) -> dict[str, dict[str, type[AbstractBlock]]]:
-    """The classes of the blocks of both sections; one that cannot be found is reported where blocks are created."""
-    found = dict[str, dict[str, type[AbstractBlock]]]()
-    for section in SECTIONS:
-        entries = data.get(section)
-        found[section] = {}
-        for name, spec in entries.items() if isinstance(entries, dict) else ():
-            kind = spec.get("type") if isinstance(spec, dict) else None
-            try:
-                found[section][name] = find(str(kind), base, "type")
-            except DmframeError:
-                continue
-    return found
+    raise_all(work.faults)
+    report(work.notices)
+    return document.with_root(root)
 
 
 @final

@@ -4,28 +4,38 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from dmframe.block import AbstractBlock, type_name
+from dmframe.catalogue import find_block
 from dmframe.config.document import Document
 from dmframe.config.grammar import GraphFile, RobotSection, robot_name, shown
 from dmframe.config.places import placed
-from dmframe.config.renamed import Find
 from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault
 from dmframe.units import joint_place, to_unit
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
-def check_baseline(section: Any, stated: Any, base: Path, faults: list[DmframeError], find: Find) -> None:
+def kinds_of(section: Any, base: Path) -> dict[str, type[AbstractBlock]]:
+    """The classes of a section's blocks, by name; one that cannot be found is reported where blocks are created."""
+    found = dict[str, type[AbstractBlock]]()
+    for name, spec in section.items() if isinstance(section, dict) else ():
+        with suppress(DmframeError):
+            found[name] = find_block(str(spec.get("type") if isinstance(spec, dict) else None), base, "type")
+    return found
+
+
+def check_baseline(section: Any, stated: Any, base: Path, faults: list[DmframeError]) -> None:
     """Check that its blocks can be created, and that the blocks it removes exist in ``blocks``, given as `stated`."""
     entries, blocks = (item if isinstance(item, dict) else {} for item in (section, stated))
     if entries:
         made = {name: spec for name, spec in entries.items() if spec is not None}
-        blocks_of("baseline", made or None, base, faults, find)
+        blocks_of("baseline", made or None, base, faults)
     faults += [
         UnknownNameError(f"baseline.{name}", "block", name, blocks, path=("baseline", name))
         for name, spec in entries.items()
@@ -33,7 +43,7 @@ def check_baseline(section: Any, stated: Any, base: Path, faults: list[DmframeEr
     ]
 
 
-def blocks_of(key: str, section: Any, base: Path, faults: list[DmframeError], find: Find) -> dict[str, AbstractBlock]:
+def blocks_of(key: str, section: Any, base: Path, faults: list[DmframeError]) -> dict[str, AbstractBlock]:
     """The blocks of a section, ``blocks`` or ``baseline``."""
     made = dict[str, AbstractBlock]()
     for name, spec in section.items() if isinstance(section, dict) else ():
@@ -49,7 +59,7 @@ def blocks_of(key: str, section: Any, base: Path, faults: list[DmframeError], fi
             )
         elif isinstance(spec, dict):
             try:
-                made[name] = _block(path, spec, base, find)
+                made[name] = _block(path, spec, base)
             except DmframeError as error:
                 for fault in error.faults:
                     faults.append(fault)
@@ -58,10 +68,10 @@ def blocks_of(key: str, section: Any, base: Path, faults: list[DmframeError], fi
     return made
 
 
-def _block(path: tuple[str, str], spec: Mapping[str, Any], base: Path, find: Find) -> AbstractBlock:
+def _block(path: tuple[str, str], spec: Mapping[str, Any], base: Path) -> AbstractBlock:
     where = ".".join(path)
     try:
-        kind = find(spec["type"], base, f"{where}.type")
+        kind = find_block(spec["type"], base, f"{where}.type")
     except DmframeError as error:
         error.path = (*path, "type")
         raise

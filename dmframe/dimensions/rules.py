@@ -10,7 +10,7 @@ from typing import Final, final
 from dmframe.certificate import TINY
 from dmframe.dimensions.algebra import ANYTHING, Algebra
 from dmframe.dimensions.dimension import NUMBER, PLAIN
-from dmframe.program import CONST, INPUT, POWERS, Program, by_code
+from dmframe.program import CONST, INPUT, OPERATIONS, POWERS, Program, by_code
 
 _UNLIMITED: Final = 1e9
 """Numbers from here on mean that there is no limit; they have any unit."""
@@ -44,21 +44,21 @@ def dimensions(program: Program, algebra: Algebra, given: Mapping[int, int]) -> 
     """
     rules, numbers = _rules(algebra), _Numbers(algebra)
     values, wrong = list[int](), list[Contradiction]()
-    for place, node in enumerate(program.nodes):
+    for place, (code, a, b, constant, _) in enumerate(program.nodes):
         try:
-            if node.code == INPUT:
+            if code == INPUT:
                 value = given[place]
-            elif node.code == CONST:
-                value = numbers.of(node.constant)
-            elif node.code in POWERS:
-                value = _power(algebra, values[node.a], program.nodes[node.b].constant, values[node.b], program, node.b)
-            elif (rule := rules.get(node.code)) is not None:
-                value = rule(*(values[operand] for operand in node.operands))
+            elif code == CONST:
+                value = numbers.of(constant)
+            elif code in POWERS:
+                value = _power(algebra, values[a], program.nodes[b].constant, values[b], program, b)
+            elif (rule := rules.get(code)) is not None:
+                value = rule(values[a], values[b]) if OPERATIONS[code].arity == 2 else rule(values[a])
             else:
                 value = ANYTHING
         except _Refused:
             value = ANYTHING
-            wrong.append(Contradiction(place, node.operands))
+            wrong.append(Contradiction(place, program.nodes[place].operands))
         values.append(value)
     return values, wrong
 

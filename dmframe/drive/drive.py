@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from dmframe.block.model import SYMBOLIC
-from dmframe.config.experiment import Experiment
+from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.drive.identity import identity
 from dmframe.drive.kept import refusal
@@ -30,13 +30,13 @@ RAMP: Final = 1.0
 """Default time in which a real robot's first motion accelerates to full speed [s]."""
 
 
-def steered_controller(experiment: Experiment, diagram: Diagram, engine: Choice = "auto") -> Steered:
+def steered_controller(experiment: BaseGraph, diagram: Diagram, engine: Choice = "auto") -> Steered:
     """Controller of a graph on a robot's samples. Raises `DmframeError` if no robot can execute it."""
     return Steered(diagram, Controller(diagram, clock_of(experiment), start=experiment.start, engine=engine))
 
 
 def driven(
-    experiment: Experiment,
+    experiment: BaseGraph,
     diagram: Diagram,
     robot: str,
     *,
@@ -124,7 +124,7 @@ def _check_acceleration(limits: Limits) -> None:
         )
 
 
-def _start(experiment: Experiment, diagram: Diagram) -> np.ndarray | None:
+def _start(experiment: BaseGraph, diagram: Diagram) -> np.ndarray | None:
     """Initial joint angles of the graph's plant."""
     column, first = start_state(diagram, experiment.start), 0
     own = {variable.label for variable in diagram.loop.plant}

@@ -24,10 +24,10 @@ import numpy as np
 
 from dmframe.build.compiler import FLAGS, SHARED, find_compiler, processor
 from dmframe.catalogue import loaded_digest
-from dmframe.config.experiment import Experiment
+from dmframe.config import BaseGraph
+from dmframe.config.resolved import resolved, robot_source
 from dmframe.files import encoded
 from dmframe.program import CONST, instructions
-from dmframe.results.resolved import resolved, robot_source
 from dmframe.runtime.controller import control_function, start_function
 from dmframe.runtime.gate import Limits
 from dmframe.runtime.steered import Steered
@@ -42,7 +42,7 @@ LOOP: Final = "closed loop"
 _LIBRARIES: Final = ("casadi", "numpy", "scipy")
 
 
-def identity(experiment: Experiment, steered: Steered, limits: Limits, payload: float) -> Identity:
+def identity(experiment: BaseGraph, steered: Steered, limits: Limits, payload: float) -> Identity:
     """Compute all parts, in about 0.1 s.
 
     Parameters
@@ -52,7 +52,7 @@ def identity(experiment: Experiment, steered: Steered, limits: Limits, payload: 
     """
     files, libraries = _sources(experiment)
     return {
-        "graph": dict(_flat(resolved(experiment.with_duration(1.0)))),
+        "graph": dict(_flat(resolved(experiment.until(1.0)))),
         "block source": files,
         "robot model": _model(experiment),
         "limits": {key: str(value) for key, value in limits.data.items()},
@@ -101,7 +101,7 @@ def _flat(value: Any, path: str = "") -> Iterator[tuple[str, str]]:
         yield path, repr(value)
 
 
-def _model(experiment: Experiment) -> dict[str, str]:
+def _model(experiment: BaseGraph) -> dict[str, str]:
     """Digest of the robot's URDF; meshes do not change commands."""
     source = robot_source(experiment)
     return {} if source is None else {source.urdf.name: digest(source.urdf.read_bytes())}
@@ -152,7 +152,7 @@ def _digest(function: Any) -> str:
     return digest(encoded("\n".join(lines)))
 
 
-def _sources(experiment: Experiment) -> tuple[dict[str, str], set[str]]:
+def _sources(experiment: BaseGraph) -> tuple[dict[str, str], set[str]]:
     """Digests of the blocks' source files and of the local modules that they import; names of imported libraries.
 
     Other data that a block reads, such as a table of numbers, changes the part `LOOP`.

@@ -9,7 +9,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.columns import columns
-from dmframe.config.experiment import Experiment
+from dmframe.config import BaseGraph
 from dmframe.config.sections import tolerance_in
 from dmframe.diagram import Diagram
 from dmframe.drive.bar import Bar, Measured, farthest, quarters
@@ -216,7 +216,7 @@ def conditions(clock: float, duration: float, payload: float) -> list[Condition]
 
 
 def rehearsed(
-    experiment: Experiment,
+    experiment: BaseGraph,
     diagram: Diagram,
     *,
     seconds: float | None = None,
@@ -292,7 +292,7 @@ def _why(run: Measured, ideal: Measured) -> str:
 class _Trial:
     """Simulated drives under a condition, with the graph's controller and with its rival."""
 
-    experiment: Experiment
+    experiment: BaseGraph
     diagram: Diagram
     duration: float
     limits: Limits

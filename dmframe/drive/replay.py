@@ -13,7 +13,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from dmframe.config.experiment import Experiment
+from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.drive.drive import steered_controller
 from dmframe.drive.log import Log, read_log
@@ -169,7 +169,7 @@ class Replay:
         ]
 
 
-def replayed(experiment: Experiment, diagram: Diagram, log: str | Path, *, engine: Choice = "auto") -> Replay:
+def replayed(experiment: BaseGraph, diagram: Diagram, log: str | Path, *, engine: Choice = "auto") -> Replay:
     """Recompute the commands of a record from its measurements, through the same gate.
 
     Parameters

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.model import SYMBOLIC
-from dmframe.config.experiment import Experiment
+from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Followed
 from dmframe.port import Side
@@ -83,7 +83,7 @@ class Rival:
         return bool(np.isfinite(found).all())
 
 
-def law_of(experiment: Experiment, diagram: Diagram) -> tuple[Law | None, str]:
+def law_of(experiment: BaseGraph, diagram: Diagram) -> tuple[Law | None, str]:
     """Rival of a graph; None and the reason if none is applicable."""
     loop, goal, robot = diagram.loop, goal_of(diagram.loop), diagram.robot
     if goal is None or robot is None:
@@ -105,7 +105,7 @@ def law_of(experiment: Experiment, diagram: Diagram) -> tuple[Law | None, str]:
     return Law(lambda t: at(t, p), shown, gain), ""
 
 
-def _answer(experiment: Experiment, diagram: Diagram, goal: Followed, name: str) -> float:
+def _answer(experiment: BaseGraph, diagram: Diagram, goal: Followed, name: str) -> float:
     """Mean sensitivity of the graph's first joint velocity signal to its goal, at the start [1/s]; 0 without one.
 
     For a goal in task space, it is the mean of the diagonal of J times the sensitivity.

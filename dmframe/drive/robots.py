@@ -9,7 +9,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.block.model import SYMBOLIC
-from dmframe.config.experiment import Experiment
+from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.errors import DriveError, UnknownNameError, ValueFault
 from dmframe.robot.symbolic import tool_position
@@ -59,18 +59,18 @@ class Kind:
     """
 
     real: bool
-    make: Callable[[str, Experiment, Diagram, Options], Robot]
+    make: Callable[[str, BaseGraph, Diagram, Options], Robot]
 
 
 def simulated_robot(
-    experiment: Experiment, diagram: Diagram, duration: float, engine: Choice = "auto", **options: Any
+    experiment: BaseGraph, diagram: Diagram, duration: float, engine: Choice = "auto", **options: Any
 ) -> SimulatedRobot:
     """Simulated robot of the graph; options as in `SimulatedRobot`."""
     own = {key: experiment.settings[key] for key in ("start", "solver", "seed", "jitter")}
     return SimulatedRobot(diagram, clock_of(experiment), duration=duration, engine=engine, **{**own, **options})
 
 
-def clock_of(experiment: Experiment) -> float:
+def clock_of(experiment: BaseGraph) -> float:
     """Sampling period [s]. Raises `DriveError` in continuous time."""
     clock = experiment.file.clock
     if clock is None:
@@ -90,7 +90,7 @@ def usual_payload(diagram: Diagram) -> float:
     return float(f"{masses.sum() / 20:.1g}")
 
 
-def _simulated(text: str, experiment: Experiment, diagram: Diagram, options: Options) -> Robot:
+def _simulated(text: str, experiment: BaseGraph, diagram: Diagram, options: Options) -> Robot:
     if text and not (text.isascii() and text.isdigit() and int(text) <= MOST_DELAY):
         raise ValueFault(
             f"--robot sim:{text}: expected a delay of commands in samples, such as sim:2, at most {MOST_DELAY}"
@@ -98,15 +98,15 @@ def _simulated(text: str, experiment: Experiment, diagram: Diagram, options: Opt
     return simulated_robot(experiment, diagram, options.duration, options.engine, delay=int(text or 0))
 
 
-def _universal(text: str, experiment: Experiment, diagram: Diagram, options: Options) -> Robot:
+def _universal(text: str, experiment: BaseGraph, diagram: Diagram, options: Options) -> Robot:
     return UniversalRobot(*_arm("ur", text, experiment, diagram), halt=options.halt, patience=options.patience)
 
 
-def _by_ur_rtde(text: str, experiment: Experiment, diagram: Diagram, options: Options) -> Robot:
+def _by_ur_rtde(text: str, experiment: BaseGraph, diagram: Diagram, options: Options) -> Robot:
     return UrRtde(*_arm("ur_rtde", text, experiment, diagram), patience=options.patience)
 
 
-def _arm(kind: str, text: str, experiment: Experiment, diagram: Diagram) -> tuple[Any, ...]:
+def _arm(kind: str, text: str, experiment: BaseGraph, diagram: Diagram) -> tuple[Any, ...]:
     """Arguments of both UR drivers: address, period, joints, kinematics, and angles of held joints."""
     if not text:
         raise ValueFault(f"--robot {kind}: expected the address of an arm, {kind}:192.168.0.2")
@@ -115,7 +115,7 @@ def _arm(kind: str, text: str, experiment: Experiment, diagram: Diagram) -> tupl
     return text, clock_of(experiment), robot.joint_names, _tool(robot), _holds(experiment)
 
 
-def _xarm(text: str, experiment: Experiment, diagram: Diagram, options: Options) -> Robot:
+def _xarm(text: str, experiment: BaseGraph, diagram: Diagram, options: Options) -> Robot:
     if not text:
         raise ValueFault("--robot xarm: expected the address of an arm, xarm:192.168.1.2")
     robot = diagram.robot
@@ -130,7 +130,7 @@ def _check_joints(robot: Any, known: Sequence[str], expected: str) -> None:
         raise DriveError(f"{expected} in their order, found {', '.join(strange) or 'another'}")
 
 
-def _holds(experiment: Experiment) -> dict[str, float]:
+def _holds(experiment: BaseGraph) -> dict[str, float]:
     """Angles of the joints that the graph holds [rad]."""
     section = experiment.file.robot
     return dict(section.hold) if section is not None else {}

@@ -8,7 +8,7 @@ from typing import Final, final
 
 from dmframe.exact.tape import Tape
 from dmframe.exact.trial import Trial
-from dmframe.program import BY_NAME, CONST, INPUT, OPERATIONS
+from dmframe.program import BY_NAME, CONST, INPUT, OPERATIONS, Node
 
 _SIGNED: Final = frozenset(BY_NAME[name].code for name in ("sign", "fabs"))
 _SIGNS: Final = 1
@@ -45,6 +45,7 @@ class Evaluation:
         self._tape, self._inputs, self._trial = tape, list(inputs), trial
         self._places: Sequence[int] = range(len(tape)) if places is None else places
         self._moving = {position: 2 << place for place, position in enumerate(moving)}
+        self._again_at = dict[int, list[tuple[int, Node]]]()
         self.values = [0] * len(tape)
         nodes = tape.nodes
         tape.compute(((place, nodes[place]) for place in self._places), self.values, self._inputs, trial)
@@ -66,9 +67,12 @@ class Evaluation:
         self.values = self._again(_SIGNS, self._inputs)
 
     def _again(self, mask: int, inputs: Sequence[Sequence[int]]) -> list[int]:
-        values, nodes = self.values.copy(), self._tape.nodes
-        found = sorted(place for own, places in self._depending.items() if own & mask for place in places)
-        self._tape.compute(((place, nodes[place]) for place in found), values, inputs, self._trial)
+        if mask not in self._again_at:
+            nodes = self._tape.nodes
+            found = sorted(place for own, places in self._depending.items() if own & mask for place in places)
+            self._again_at[mask] = [(place, nodes[place]) for place in found]
+        values = self.values.copy()
+        self._tape.compute(self._again_at[mask], values, inputs, self._trial)
         return values
 
     @cached_property

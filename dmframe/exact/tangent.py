@@ -93,16 +93,13 @@ _IF: Final = BY_NAME["if_else_zero"].code
 def between(tape: Tape, moving: Collection[int], outputs: Collection[int]) -> tuple[int, ...]:
     """Places of the instructions that these outputs need and that these inputs change, in order."""
     nodes, inputs, moved = tape.nodes, frozenset(moving), set[int]()
-    for place, node in enumerate(nodes):
-        if node.code == INPUT:
-            if node.a in inputs:
-                moved.add(place)
-        elif node.code != CONST and any(operand in moved for operand in node.operands):
+    for place, (code, a, b, _, _) in enumerate(nodes):
+        if a in inputs if code == INPUT else code in OPERATIONS and (a in moved or b in moved):
             moved.add(place)
     wanted = {place for j in outputs for place in tape.program.sources[j]} & moved
     for place in range(len(nodes) - 1, -1, -1):
         if place in wanted and nodes[place].code != INPUT:
-            wanted.update(operand for operand in nodes[place].operands if operand in moved)
+            wanted.update(moved.intersection(nodes[place].operands))
     return tuple(sorted(wanted))
 
 

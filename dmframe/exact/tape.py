@@ -19,6 +19,10 @@ _ADD, _SUB, _MUL, _DIV, _NEG, _SQ, _TWICE, _INV, _SIN, _COS, _SIGN, _FABS = (
 )
 _INPUT, _CONST = INPUT, CONST
 _KNOWN: Final = frozenset((INPUT, CONST, *OPERATIONS))
+_OPAQUE: Final = (
+    frozenset(OPERATIONS) - POWERS - {_ADD, _SUB, _MUL, _DIV, _NEG, _SQ, _TWICE, _INV, _SIN, _COS, _SIGN, _FABS}
+)
+"""Functions that the field does not have."""
 _LARGEST_POWER: Final = 2**16
 
 
@@ -131,6 +135,10 @@ class Tape:
                 values[k] = 2 * values[a]
             elif code == _CONST:
                 values[k] = trial.residue(numbers[constant])
+            elif code in _OPAQUE:
+                operation = OPERATIONS[code]
+                at = (values[a] % p, values[b] % p) if operation.arity == 2 else (values[a] % p,)
+                values[k] = trial.opaque(operation.name, at)
             elif code == _DIV:
                 values[k] = values[a] * trial.inverse(values[b]) % p
             elif code == _INV:
@@ -143,12 +151,10 @@ class Tape:
                 values[k] = trial.sign(values[a] % p)
             elif code == _FABS:
                 values[k] = trial.size(values[a] % p)
-            elif code in POWERS and b in self._whole:
+            elif b in self._whole:
                 exponent = self._whole[b]
                 values[k] = (
                     pow(values[a], exponent, p) if exponent >= 0 else pow(trial.inverse(values[a]), -exponent, p)
                 )
-            else:
-                operation = OPERATIONS[code]
-                at = (values[a] % p, values[b] % p) if operation.arity == 2 else (values[a] % p,)
-                values[k] = trial.opaque(operation.name, at)
+            else:  # a power
+                values[k] = trial.opaque(OPERATIONS[code].name, (values[a] % p, values[b] % p))

@@ -91,7 +91,7 @@ class Trial:
 
     def call(self, name: str, *arguments: int) -> int:
         """The value of a function at numbers that need not be reduced."""
-        given = tuple(argument % self.prime for argument in arguments)
+        given = tuple([argument % self.prime for argument in arguments])
         if name in ("cos", "sin"):
             return self.cos_sin(given[0])[name == "sin"]
         if name in ("sign", "fabs"):
@@ -168,12 +168,13 @@ class Trial:
 
     def opaque(self, name: str, arguments: tuple[int, ...]) -> int:
         """The free value of a function at reduced arguments; a condition that is 0 or 1 decides what it can."""
+        key = (name, arguments)
+        value = self._values.get(key)
+        if value is not None:
+            return value
         if name == "if_else_zero" and (arguments[0] in (0, 1) or arguments[1] == 0):
             return arguments[1] if arguments[0] else 0
         if name == "not" and arguments[0] == 0:
             return 1
-        key = (name, arguments)
-        value = self._values.get(key)
-        if value is None:
-            value = self._values[key] = self.random()
+        value = self._values[key] = self.random()
         return value

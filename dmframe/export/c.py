@@ -14,7 +14,8 @@ import casadi as ca
 
 from dmframe.codegen.function import ONE, written
 from dmframe.codegen.source import helpers
-from dmframe.config.experiment import Experiment
+from dmframe.config import BaseGraph
+from dmframe.config.resolved import resolved_text
 from dmframe.diagram import Diagram
 from dmframe.diagram.parts import split
 from dmframe.errors import OutputError
@@ -23,7 +24,6 @@ from dmframe.export.replay import Computed, computed_by_c, first_sample, kept, s
 from dmframe.files import encoded, expanded, write_bytes, writing
 from dmframe.results.folder import provenance
 from dmframe.results.place import locked
-from dmframe.results.resolved import resolved_text
 from dmframe.units import plain
 from dmframe.version import version
 
@@ -235,7 +235,7 @@ def own_file(name: str) -> str:
     return files("dmframe.export").joinpath(name).read_text(encoding="utf-8")
 
 
-def export_c(experiment: Experiment, diagram: Diagram, folder: str | Path) -> list[Path]:
+def export_c(experiment: BaseGraph, diagram: Diagram, folder: str | Path) -> list[Path]:
     """Write a graph's controller as C99 into a new folder, with an example and a test; returns the files.
 
     ``NAME.c`` and ``NAME.h`` are the controller; ``replay.c`` compares the compiled code with the first samples of a
@@ -286,7 +286,7 @@ def write_all(place: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
     return files
 
 
-def files_of(experiment: Experiment, diagram: Diagram, program: Program) -> dict[str, str]:
+def files_of(experiment: BaseGraph, diagram: Diagram, program: Program) -> dict[str, str]:
     """All files of an exported controller, by name."""
     wanted = {f"{program.name}.c": source(program), f"{program.name}.h": header(program)}
     samples = samples_of(experiment, diagram, program)
@@ -302,7 +302,7 @@ def files_of(experiment: Experiment, diagram: Diagram, program: Program) -> dict
     }
 
 
-def origin(experiment: Experiment, model: str) -> dict[str, str]:
+def origin(experiment: BaseGraph, model: str) -> dict[str, str]:
     """Provenance files; `model` is the hash of the closed loop."""
     text = resolved_text(experiment)
     made = provenance(experiment, text, field_hash=model)

@@ -20,7 +20,7 @@ import casadi as ca
 
 from dmframe.build.compiler import CompileFailed, find_compiler
 from dmframe.codegen.source import helpers
-from dmframe.config.experiment import Experiment
+from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.diagram.parts import split
 from dmframe.errors import EngineError, OutputError
@@ -69,7 +69,7 @@ class Unit:
                 yield kind, item
 
 
-def export_fmus(experiment: Experiment, diagram: Diagram, folder: str | Path, fmi: Version) -> list[Path]:
+def export_fmus(experiment: BaseGraph, diagram: Diagram, folder: str | Path, fmi: Version) -> list[Path]:
     """Write the controller and the robot of a graph as two FMUs into a folder; returns them.
 
     Their steps are one sampling period. Coupled with the controller first, and with its commands passed to the robot

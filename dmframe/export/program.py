@@ -13,7 +13,7 @@ from typing import Any, Final, final
 import casadi as ca
 
 from dmframe.block.model import symbols_in
-from dmframe.config.experiment import Experiment
+from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import EngineError, OutputError
@@ -109,7 +109,7 @@ class Program:
     model: str
 
 
-def program_of(experiment: Experiment, diagram: Diagram) -> Program:
+def program_of(experiment: BaseGraph, diagram: Diagram) -> Program:
     """Controller of a graph.
 
     Raises

@@ -11,7 +11,7 @@ import numpy as np
 
 from dmframe.build.compiler import CompileFailed, find_compiler
 from dmframe.build.trial import called
-from dmframe.config.experiment import Experiment
+from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.errors import EngineError
 from dmframe.export.compare import compared
@@ -49,7 +49,7 @@ class Computed(NamedTuple):
     switched: tuple[str, ...]
 
 
-def samples_of(experiment: Experiment, diagram: Diagram, program: Program) -> Samples:
+def samples_of(experiment: BaseGraph, diagram: Diagram, program: Program) -> Samples:
     """Measurements of a simulation, and the commands and states that the controller computes from them.
 
     Raises `EngineError` if the first results are not finite.

@@ -8,7 +8,7 @@ from typing import Any, final
 import casadi as ca
 
 from dmframe.block.model import symbols_in
-from dmframe.config.experiment import Experiment
+from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import EngineError, listed
@@ -51,7 +51,7 @@ class Robot:
     torque: Any
 
 
-def robot_of(experiment: Experiment, diagram: Diagram) -> Robot:
+def robot_of(experiment: BaseGraph, diagram: Diagram) -> Robot:
     """Robot of a graph.
 
     Raises

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple, final
 from xml.etree import ElementTree
 from xml.sax.saxutils import escape, unescape
 
-from dmframe.config.experiment import Experiment
+from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.errors import EngineError
 from dmframe.export.c import about, c_text, commented, files_of, new_folder, origin, own_file, unit_of, write_all
@@ -23,7 +23,7 @@ from dmframe.version import version
 _WHOLE: Final = 1e-6
 
 
-def export_ros2(experiment: Experiment, diagram: Diagram, folder: str | Path) -> list[Path]:
+def export_ros2(experiment: BaseGraph, diagram: Diagram, folder: str | Path) -> list[Path]:
     """Write a graph's controller as a ROS 2 package into a new folder; returns the files.
 
     It is a chainable controller of ros2_control around the exported C: an update of the manager is one sample. Its

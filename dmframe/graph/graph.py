@@ -4,115 +4,39 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, final
 
 from dmframe import notebook
-from dmframe.block import AbstractBlock, type_name
 from dmframe.block.model import SYMBOLIC
-from dmframe.config import Experiment
-from dmframe.diagram import Diagram
+from dmframe.config import BaseGraph
+from dmframe.config.given import listed
 from dmframe.errors import DmframeError, ValueFault, raise_all
-from dmframe.graph.arguments import listed, seconds
-from dmframe.graph.named import Named
-from dmframe.graph.progress import Bar, progress_line, shown
-from dmframe.results.run import Run
-from dmframe.units import plain, to_unit
+from dmframe.graph.doubts import doubts
+from dmframe.graph.progress import progress_line, shown
+from dmframe.units import plain, seconds, to_unit
 
 if TYPE_CHECKING:
     from dmframe.drawing import Drawing
     from dmframe.drive import Rehearsal, Replay
+    from dmframe.graph.progress import Bar
     from dmframe.page import Page
-    from dmframe.report import Analysis, Explanation, Verification
+    from dmframe.report.analysis import Analysis
+    from dmframe.report.explanation import Explanation
+    from dmframe.report.verification import Verification
+    from dmframe.results.run import Run
     from dmframe.runtime import Controller
-    from dmframe.simulate import Recording
     from dmframe.simulate.engine import Choice
     from dmframe.virtual import VirtualRobot
 
-LONG = 10.0
-"""From this duration [s] on a run also checks the stability near the set-point, which takes a fraction of a second."""
-
 
 @final
-@dataclass(frozen=True, repr=False, eq=False)
-class Graph:
+class Graph(BaseGraph):
     """A controller, its robot, and their run settings. It is immutable: `set` returns another graph.
 
-    A notebook displays its block diagram, title and blocks. Its ``str`` is the output of ``dmframe check``.
-
-    Parameters
-    ----------
-    experiment
-        The graph file that has been read and checked.
+    A notebook displays its block diagram, title and blocks. Its ``str`` is the output of ``dmframe check``. Its file,
+    blocks, settings and diagram are those of `dmframe.config.BaseGraph`.
     """
-
-    experiment: Experiment
-
-    @property
-    def name(self) -> str:
-        """The file's name without its suffix."""
-        return self.experiment.name
-
-    @property
-    def title(self) -> str:
-        """The graph's title, one line."""
-        return self.experiment.file.title
-
-    @property
-    def clock(self) -> float | None:
-        """Sampling period of the controller [s]; None in continuous time."""
-        return self.experiment.file.clock
-
-    @property
-    def duration(self) -> float:
-        """Simulated time [s]."""
-        return self.experiment.file.duration
-
-    @property
-    def blocks(self) -> Named[AbstractBlock]:
-        """The blocks by name; their parameters are attributes, ``g.blocks["dynamics"].Gamma``."""
-        held = self.experiment.blocks
-        facts = {name: {"type": type_name(type(block)), "side": block.side.value} for name, block in held.items()}
-        return Named("block", facts, held.__getitem__)
-
-    @property
-    def robot(self) -> Any:
-        """The robot's chain of joints, a `dmframe.robot.SerialChain`; None without a robot."""
-        return self.experiment.robot
-
-    @cached_property
-    def diagram(self) -> Diagram:
-        """Blocks wired and flattened into one closed loop. Raises `DmframeError` with every fault of the wiring."""
-        return self.experiment.diagram()
-
-    @cached_property
-    def text(self) -> str:
-        """The complete graph as YAML, with all defaults: loading it gives the same run."""
-        from dmframe.results.resolved import resolved_text
-
-        return resolved_text(self.experiment)
-
-    def set(self, values: Mapping[str, Any] | None = None, /, **keys: Any) -> Graph:
-        """Another graph with some values changed, ``g.set({"dynamics.Gamma": 50, "clock": "2 ms"})``.
-
-        Parameters
-        ----------
-        values
-            By ``block.parameter`` or a key of the graph file; numbers in the port's own units, texts with a unit, lists
-            and arrays.
-        keys
-            Keys of the graph file, ``g.set(clock="2 ms", duration=20)``.
-
-        Raises
-        ------
-        DmframeError
-            All faults of the new values at once. Faults of sizes and wires are raised when the graph is used.
-        """
-        if not isinstance(values, Mapping | None):
-            raise ValueFault(f"set: expected values by name, {{'dynamics.Gamma': 3}}, found {values!r:.40}")
-        return Graph(self.experiment.changed({**(values or {}), **keys}))
 
     def variants(self, values: Mapping[str, Iterable[Any]]) -> list[Graph]:
         """The graph with each combination of some values, ``g.variants({"dynamics.Gamma": [1, 10, 100]})``.
@@ -130,10 +54,6 @@ class Graph:
         raise_all(faults)
         return made
 
-    def until(self, duration: float | str) -> Graph:
-        """The same graph with another duration, ``20`` or ``"20 s"``."""
-        return Graph(self.experiment.with_duration(seconds("until", duration)))
-
     def reality(self, like: str | Mapping[str, Any] = "ur") -> Graph:
         """The graph with channel models between controller and robot, as with its key ``reality``.
 
@@ -148,10 +68,6 @@ class Graph:
             An unknown set or block type, or invalid parameters.
         """
         return self.set(reality=like)
-
-    def baseline(self) -> Graph:
-        """The graph with the blocks of its key ``baseline``. Raises `MissingError` if it has no such key."""
-        return Graph(self.experiment.baseline())
 
     def run(
         self,
@@ -180,40 +96,13 @@ class Graph:
             An unreachable start pose, an integrator that fails at once, or a run too long to store. A run that
             diverges is not a fault: `Run.divergence` gives the place.
         """
+        from dmframe.results.run import Run
+
         graph = self if until is None else self.until(until)
         with shown(progress, graph.name, graph.duration) as bar:
-            recording = graph.experiment.simulate(self.diagram, engine=engine, progress=bar)
-        return Run(graph.experiment, self.warned(recording) if judge else recording)
-
-    def warned(self, recording: Recording) -> Recording:
-        """A run of this graph with the notices of `doubts`."""
-        said = self.doubts(recording)
-        return replace(recording, notices=(*recording.notices, *said)) if said else recording
-
-    def doubts(self, recording: Recording) -> tuple[str, ...]:
-        """Notices that cannot be derived from a run: an unreachable path, and an unstable sampled loop.
-
-        They report a path that leaves the tool's reach during the run, and a sampled loop that is unstable near its
-        set-point. For a UR10 this takes half a second.
-        """
-        from dmframe.certify.reach import out_of_reach
-
-        with SYMBOLIC:
-            left = tuple(
-                f"{text}: no controller can follow it there" for text in out_of_reach(self.diagram, recording.duration)
-            )
-        if self.clock is None or recording.divergence is not None or recording.duration < LONG:
-            return left
-        from dmframe.analysis.period import TOLERANCE, sampled_radius
-
-        radius = sampled_radius(recording.diagram, self.clock, self.experiment.start)
-        if radius is None or radius <= 1 + TOLERANCE:
-            return left
-        said = (
-            f"with its estimates at their true values this loop is unstable near its set-point on a clock of "
-            f"{plain(self.clock, 's')}, spectral radius {radius:.4g}: a longer run may diverge; `analyse` gives details"
-        )
-        return (*left, said)
+            recording = graph.simulate(self.diagram, engine=engine, progress=bar)
+        run = Run(graph, recording)
+        return run.noticed(*doubts(self, recording)) if judge else run
 
     def check_laws(self) -> tuple[str, ...]:
         """Compare the printed laws and the docstrings of its blocks with their code, as `dmframe check` does.
@@ -238,14 +127,14 @@ class Graph:
         seed
             Of the random points and primes.
         """
-        from dmframe.report import Verification
+        from dmframe.report.verification import Verification
 
         if isinstance(seed, bool) or not isinstance(seed, int):
             raise ValueFault(f"seed: expected a whole number, found {seed!r:.40}")
         with progress_line(self.name) as tell:
             tell("proving")
-            verdict = self.experiment.verify(self.diagram, seed=seed)
-        return Verification(self.experiment, self.diagram, verdict, seed)
+            verdict = self.verdict(seed=seed)
+        return Verification(self, self.diagram, verdict, seed)
 
     def analyse(self, horizon: float | str = 20.0) -> Analysis:
         """Linearise it at its set-point: margins and passivity of the servo, poles, the largest stable period.
@@ -261,24 +150,20 @@ class Graph:
             No equilibrium, or no goal to follow.
         """
         from dmframe.analysis import analyse
-        from dmframe.config.places import placed
-        from dmframe.report import Analysis
+        from dmframe.report.analysis import Analysis
 
-        experiment, diagram, until = self.experiment, self.diagram, seconds("horizon", horizon)
-        try:
-            with progress_line(self.name) as tell, SYMBOLIC:
-                found = analyse(
-                    diagram,
-                    self.clock,
-                    solver=experiment.solver,
-                    start=experiment.start,
-                    horizon=until,
-                    uncertain=experiment.intervals(diagram),
-                    tell=tell,
-                )
-        except DmframeError as error:
-            raise placed(error, experiment.document) from None
-        return Analysis(experiment, found)
+        until = seconds("horizon", horizon)
+        with progress_line(self.name) as tell, SYMBOLIC, self.placing():
+            found = analyse(
+                self.diagram,
+                self.clock,
+                solver=self.solver,
+                start=self.start,
+                horizon=until,
+                uncertain=self.intervals(),
+                tell=tell,
+            )
+        return Analysis(self, found)
 
     def controller(self, *, engine: Choice = "auto") -> Controller:
         """Its controller alone, one sample at a time, for a loop in real time.
@@ -299,7 +184,7 @@ class Graph:
             raise ValueFault(
                 f"{self.name}: expected a clock such as 8 ms, found continuous; set one: set(clock='8 ms')"
             )
-        return Controller(self.diagram, self.clock, start=self.experiment.start, engine=engine)
+        return Controller(self.diagram, self.clock, start=self.start, engine=engine)
 
     def drive(
         self,
@@ -348,9 +233,10 @@ class Graph:
             The graph drives no robot, the file has faults, or the graph may not drive a real robot.
         """
         from dmframe.drive import driven, load_limits
+        from dmframe.results.run import Run
 
         recording = driven(
-            self.experiment,
+            self,
             self.diagram,
             robot,
             until=None if until is None else seconds("until", until),
@@ -364,7 +250,7 @@ class Graph:
             stop_requested=asked,
             record=record,
         )
-        return Run(self.experiment, recording)
+        return Run(self, recording)
 
     def rehearse(
         self,
@@ -389,7 +275,7 @@ class Graph:
 
         with progress_line(self.name) as tell:
             return rehearsed(
-                self.experiment,
+                self,
                 self.diagram,
                 seconds=None if until is None else seconds("until", until),
                 payload=None if payload is None else to_unit(payload, "kg"),
@@ -409,13 +295,13 @@ class Graph:
         from dmframe.drive import replayed
         from dmframe.files import expanded
 
-        return replayed(self.experiment, self.diagram, expanded(log), engine=engine)
+        return replayed(self, self.diagram, expanded(log), engine=engine)
 
     def explain(self) -> Explanation:
         """Explain the law, signals and certificate of each block; the graph is proved for it."""
-        from dmframe.report import Explanation
+        from dmframe.report.explanation import Explanation
 
-        return Explanation(self.experiment, self.diagram, self.verify().verdict)
+        return Explanation(self, self.diagram, self.verify().verdict)
 
     def draw(self) -> Drawing:
         """Its block diagram; a notebook displays it, and `Drawing.save` writes SVG, PNG, PDF or Mermaid."""
@@ -445,8 +331,8 @@ class Graph:
         verdict, found = self.verify().verdict, None
         if periods:
             with progress_line(self.name) as tell, SYMBOLIC:
-                found = stable_periods(self.diagram, self.clock, verdict, self.experiment.start, tell)
-        page = Page(self.experiment, self.diagram, verdict, found)
+                found = stable_periods(self.diagram, self.clock, verdict, self.start, tell)
+        page = Page(self, self.diagram, verdict, found)
         _ = page.html
         return page
 
@@ -468,10 +354,10 @@ class Graph:
         from dmframe.export import export_c, export_fmus, export_ros2
 
         if kind in ("c", "ros2"):
-            return (export_c if kind == "c" else export_ros2)(self.experiment, self.diagram, folder)
+            return (export_c if kind == "c" else export_ros2)(self, self.diagram, folder)
         if kind not in ("fmi2", "fmi3"):
             raise ValueFault(f"kind: expected c, fmi2, fmi3 or ros2, found {kind!r}")
-        return export_fmus(self.experiment, self.diagram, folder, 2 if kind == "fmi2" else 3)
+        return export_fmus(self, self.diagram, folder, 2 if kind == "fmi2" else 3)
 
     def virtual_robot(self, **behaviour: Any) -> VirtualRobot:
         """Its arm and servo behind an emulated UR controller, to which clients of a UR can connect.
@@ -489,27 +375,7 @@ class Graph:
         """
         from dmframe.virtual import VirtualRobot
 
-        return VirtualRobot(self.experiment, self.diagram, **behaviour)
-
-    def save(self, path: str | Path) -> Path:
-        """Write `text` to a new file. Raises `OutputError` if the file exists already or cannot be written."""
-        from dmframe.files import expanded, write_text
-
-        _ = self.diagram  # faults of sizes and wires, too
-        path = expanded(path)
-        write_text(path, self.text, new=True)
-        return path
-
-    def __reduce__(self) -> Any:
-        """Pickled without its diagram, which is built again."""
-        return Graph, (self.experiment,)
-
-    def __eq__(self, other: object) -> bool:
-        """Graphs are equal if their texts are; the same text gives the same run."""
-        return isinstance(other, Graph) and (self.name, self.text) == (other.name, other.text)
-
-    def __hash__(self) -> int:
-        return hash((self.name, self.text))
+        return VirtualRobot(self, self.diagram, **behaviour)
 
     def __repr__(self) -> str:
         clock = "in continuous time" if self.clock is None else f"every {plain(self.clock, 's')}"
@@ -518,7 +384,7 @@ class Graph:
     def __str__(self) -> str:
         from dmframe.graph.pages import check_page
 
-        return check_page(self.experiment, self.diagram)
+        return check_page(self)
 
     def _repr_html_(self) -> str:
         from dmframe.drawing import svg

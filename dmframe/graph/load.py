@@ -6,9 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from dmframe.config import load_experiment
 from dmframe.config.document import read_document
-from dmframe.config.experiment import experiment_of
 from dmframe.config.given import document_of
 from dmframe.errors import ValueFault
 from dmframe.graph.graph import Graph
@@ -53,10 +51,10 @@ def load(source: str | Path | Mapping[str, Any] | Graph, *, name: str = "", trus
     if isinstance(source, Graph):
         return source
     if isinstance(source, Mapping):
-        return Graph(experiment_of(document_of(source, name or TEXT)))
+        return Graph.of(document_of(source, name or TEXT))
     if isinstance(source, str) and "\n" in source:
-        return Graph(experiment_of(read_document(source, name or TEXT)))
+        return Graph.of(read_document(source, name or TEXT))
     if not isinstance(source, str | Path):
         found = type(source).__name__
         raise ValueFault(f"load: expected a graph's name, its path, its text or a dictionary, found {found}")
-    return Graph(load_experiment(source))
+    return Graph.read(source)

@@ -10,7 +10,7 @@ from typing import Any, Final
 from dmframe.block import AbstractBlock, type_name
 from dmframe.block.prose import about, prose
 from dmframe.columns import columns, page_width, width
-from dmframe.config import Experiment
+from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.diagram.wiring import Ahead, Derived, Drawn, Period, Source, Time, Wire
 from dmframe.formula import Line
@@ -26,9 +26,9 @@ from dmframe.simulate.warnings import unread
 from dmframe.units import plain
 
 
-def check_page(graph: Experiment, diagram: Diagram) -> str:
+def check_page(graph: BaseGraph) -> str:
     """Blocks, wires, sizes, states and clock of a graph that builds."""
-    loop = diagram.loop
+    diagram, loop = graph.diagram, graph.diagram.loop
     clock = "continuous time" if graph.file.clock is None else f"every {plain(graph.file.clock, 's')}"
     letters = ", ".join(f"{letter} = {size} ({by})" for letter, (size, by) in diagram.sizes.bound.items())
     blocks = (

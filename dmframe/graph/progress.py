@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, final
 
-from dmframe.simulate.march import Progress as Bar
-
 if TYPE_CHECKING:  # rich is not imported if standard error is not displayed
     from rich.console import Console
+
+    from dmframe.simulate.march import Progress as Bar
 
 __all__ = ["Bar", "Bars", "counting", "progress_line", "shown"]
 

@@ -9,18 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final, overload
 
 from dmframe import notebook
-from dmframe.batch.runner import numbers_between
-from dmframe.config import Experiment
+from dmframe.config import BaseGraph
 from dmframe.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault, raise_all
-from dmframe.files import made_distinct
-from dmframe.graph.arguments import seconds
+from dmframe.graph.doubts import doubts
 from dmframe.graph.graph import Graph
+from dmframe.graph.labels import labels_of
 from dmframe.graph.load import load
 from dmframe.graph.progress import Bars
 from dmframe.plotting import FORMATS
 from dmframe.results.run import HEADS, NOTE, Run, drawn, ended, row, saved, table_of
 from dmframe.simulate import Recording, simulate_many
-from dmframe.units import plain, shorten
+from dmframe.units import plain, seconds, shorten
 
 if TYPE_CHECKING:
     import pandas
@@ -167,10 +166,10 @@ def compare(
 
 def ran_together(graphs: Sequence[Graph], engine: Choice) -> list[Run] | None:
     """Runs of graphs that share one closed loop and its settings, in one build; None if they differ in more."""
-    base = graphs[0].experiment
-    found = [
-        numbers_between(base, graph.experiment) if _same_settings(base, graph.experiment) else None for graph in graphs
-    ]
+    from dmframe.batch.runner import numbers_between
+
+    base = graphs[0]
+    found = [numbers_between(base, graph) if _same_settings(base, graph) else None for graph in graphs]
     numbers = [each for each in found if each is not None]
     if len(numbers) < len(graphs):
         return None
@@ -179,43 +178,27 @@ def ran_together(graphs: Sequence[Graph], engine: Choice) -> list[Run] | None:
         return None
     raise_all([fault for fault in runs if isinstance(fault, DmframeError)][:1])
     return [
-        Run(graph.experiment, graph.warned(recording))
+        Run(graph, recording).noticed(*doubts(graph, recording))
         for graph, recording in zip(graphs, runs, strict=True)
         if isinstance(recording, Recording)
     ]
 
 
-def _same_settings(base: Experiment, other: Experiment) -> bool:
+def _same_settings(base: BaseGraph, other: BaseGraph) -> bool:
     """The files differ in their blocks alone."""
     return base.file.model_copy(update={"blocks": {}}) == other.file.model_copy(update={"blocks": {}})
 
 
 def labelled(runs: Sequence[Run]) -> Runs:
     """Runs with unique labels: the graph's name, and the values that were set if several have one name."""
-    labels = labels_of([(run.name, run.experiment) for run in runs])
-    return Runs(tuple(Run(run.experiment, run.recording, label) for run, label in zip(runs, labels, strict=True)))
-
-
-def labels_of(items: Sequence[tuple[str, Experiment]]) -> list[str]:
-    """Names, made distinct by the values set in their graphs, or by a number."""
-    labels = list[str]()
-    for name, experiment in items:
-        alike = [set(other.overrides) for called, other in items if called == name]
-        own = [text for text in experiment.overrides if not all(text in others for others in alike)]
-        labels.append(f"{name} {', '.join(map(_short, own))}".strip())
-    return made_distinct(labels, lambda label, count: f"{label} {count}")
-
-
-def _short(override: str) -> str:
-    """``dynamics.Gamma=1`` as ``Gamma=1``."""
-    label, _, value = override.partition("=")
-    return f"{label.rpartition('.')[2]}={shorten(value, 20)}"
+    labels = labels_of([(run.name, run.graph) for run in runs])
+    return Runs(tuple(Run(run.graph, run.recording, label) for run, label in zip(runs, labels, strict=True)))
 
 
 def _set_in(run: Run) -> dict[str, Any]:
     """Values that were set in a run's graph, by label."""
     found = dict[str, Any]()
-    for text in run.experiment.overrides:
+    for text in run.graph.overrides:
         label, _, value = text.partition("=")
         try:
             found[label] = json.loads(value)

@@ -7,10 +7,10 @@ from html import escape
 from typing import Any, final
 
 from dmframe.block import AbstractBlock, type_name
+from dmframe.config.named import Named
 from dmframe.errors import DmframeError
 from dmframe.graph.graph import Graph
 from dmframe.graph.load import load
-from dmframe.graph.named import Named
 from dmframe.robot.chain import SerialChain
 from dmframe.units import to_unit
 

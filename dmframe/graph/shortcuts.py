@@ -11,7 +11,8 @@ from dmframe.graph.load import load
 
 if TYPE_CHECKING:
     from dmframe.drawing import Drawing
-    from dmframe.report import Analysis, Verification
+    from dmframe.report.analysis import Analysis
+    from dmframe.report.verification import Verification
     from dmframe.results.run import Run
     from dmframe.simulate.engine import Choice
 

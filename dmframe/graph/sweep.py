@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 import numpy as np
 
-from dmframe.batch import Measured, Runner, Runs, Wanted
 from dmframe.batch.columns import FIGURES, PREFIX, error_figures, limits_in, units_of
-from dmframe.batch.figures import ERROR, TURN, merged
+from dmframe.batch.figures import ERROR, TURN, Measured, Wanted, merged
+from dmframe.batch.runner import Runner, Runs
+from dmframe.config.given import listed
 from dmframe.errors import DmframeError, ValueFault, raise_all
-from dmframe.graph.arguments import listed
 from dmframe.graph.graph import Graph
 from dmframe.graph.load import load
 from dmframe.parameter import Spec, specs
@@ -138,7 +138,7 @@ def _wanted(base: Graph, signals: Sequence[str], limits: Mapping[str, float | st
 def _column(base: Graph, label: str, several: Sequence[Any]) -> np.ndarray | None:
     """Values of a block's parameter as numbers, a row each; None for other values."""
     spec = _spec(base, label)
-    if spec is None or getattr(base.experiment.blocks[label.partition(".")[0]], label.partition(".")[2]) is None:
+    if spec is None or getattr(base.blocks[label.partition(".")[0]], label.partition(".")[2]) is None:
         return None
     try:
         return np.array([_number(value, spec.unit) for value in several], dtype=float)
@@ -152,7 +152,7 @@ def _number(value: Any, unit: str) -> Any:
 
 def _spec(base: Graph, label: str) -> Spec | None:
     block, _, name = label.partition(".")
-    return specs(type(base.experiment.blocks[block])).get(name) if block in base.experiment.blocks else None
+    return specs(type(base.blocks[block])).get(name) if block in base.blocks else None
 
 
 def _measured(
@@ -170,13 +170,13 @@ def _measured(
     for run in range(runs):
         members[tuple(int(places[label][run]) for label in others)].append(run)
     several, faults, runner = list[Runs](), list[DmframeError](), Runner()
-    runner.own_loop(base.experiment, base.diagram)
+    runner.own_loop(base, base.diagram)
     for chosen, some in members.items():
         try:
             values = {label: tried[label][place] for label, place in zip(others, chosen, strict=True)}
             graph = base.set(values) if values else base
             rows = {label: column[places[label][some]] for label, column in columns.items()}
-            several.append(Runs(graph.experiment, rows, len(some)))
+            several.append(Runs(graph, rows, len(some)))
         except DmframeError as error:
             faults += error.faults
     raise_all(faults)

@@ -12,7 +12,8 @@ import numpy as np
 from dmframe.certify import Verdict
 from dmframe.certify.checked import Checked
 from dmframe.codegen.wasm import loop_module
-from dmframe.config import Experiment
+from dmframe.config import BaseGraph
+from dmframe.config.resolved import resolved_text, robot_source
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import ValueFault
@@ -25,7 +26,6 @@ from dmframe.page.sliders import sliders_of
 from dmframe.report.command import command
 from dmframe.report.verdict_text import verdict_text
 from dmframe.results.dataset import axis_labels, elements
-from dmframe.results.resolved import resolved_text, robot_source
 from dmframe.simulate.bounds import bounds_of
 from dmframe.simulate.start import start_state
 from dmframe.simulate.step import MOST_SUBSTEPS, PLAIN_STEP, RK4_STABLE
@@ -38,7 +38,7 @@ HORIZON = 20.0
 
 
 def content_of(
-    experiment: Experiment, diagram: Diagram, verdict: Verdict, periods: Periods | None = None
+    experiment: BaseGraph, diagram: Diagram, verdict: Verdict, periods: Periods | None = None
 ) -> dict[str, Any]:
     """Collect the data of a page, with the compressed WebAssembly module in base64.
 
@@ -95,7 +95,7 @@ def content_of(
     }
 
 
-def check_chance(experiment: Experiment, diagram: Diagram) -> None:
+def check_chance(experiment: BaseGraph, diagram: Diagram) -> None:
     """Raise `ValueFault` for a loop with random numbers; call it before any computation."""
     loop = diagram.loop
     if loop.drawn.numel() or experiment.file.jitter:
@@ -177,7 +177,7 @@ def _rows(diagram: Diagram, group: Group) -> list[str]:
     return [element.name for element in elements(diagram, letter, group.size)] if letter else []
 
 
-def _robot(experiment: Experiment, diagram: Diagram, functions: Functions, state: np.ndarray) -> dict[str, Any] | None:
+def _robot(experiment: BaseGraph, diagram: Diagram, functions: Functions, state: np.ndarray) -> dict[str, Any] | None:
     chain = experiment.robot
     if chain is None or not functions.scene or functions.posed is None:
         return None

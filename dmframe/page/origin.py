@@ -8,8 +8,8 @@ from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
 from typing import Any, Final
 
-from dmframe.config import Experiment
-from dmframe.results.resolved import robot_source
+from dmframe.config import BaseGraph
+from dmframe.config.resolved import robot_source
 
 SOURCE: Final = "SOURCE.md"
 """File of a packaged robot with its origin and licence in the first paragraphs."""
@@ -21,7 +21,7 @@ MOST: Final = 20_000
 """Maximum length of a licence [characters]."""
 
 
-def origin_of(experiment: Experiment) -> dict[str, Any] | None:
+def origin_of(experiment: BaseGraph) -> dict[str, Any] | None:
     """Origin of the robot from its `SOURCE.md`, and its licences; None without a robot."""
     source = robot_source(experiment)
     if source is None:

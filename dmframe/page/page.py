@@ -14,7 +14,7 @@ from typing import Any, Final, final
 
 from dmframe import notebook
 from dmframe.certify import Verdict
-from dmframe.config import Experiment
+from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.errors import OutputError
 from dmframe.files import check_place, expanded, is_file, write_text, writing
@@ -45,7 +45,7 @@ class Page:
         Largest stable sampling periods near the set-point; None if not computed.
     """
 
-    experiment: Experiment
+    experiment: BaseGraph
     diagram: Diagram
     verdict: Verdict
     periods: Periods | None = None

@@ -17,6 +17,7 @@ from dmframe.exact import Tape
 from dmframe.exact.ring import needed
 from dmframe.exact.tangent import Tangents, between
 from dmframe.program import Program
+from dmframe.prove.rules import Rule
 
 Out = str
 """Name of an output of the program."""
@@ -56,24 +57,9 @@ class Term:
 
 @final
 @dataclass(frozen=True)
-class Steps:
-    """Steps of an estimate from sample to sample, ``normalised`` or of ``least_squares``.
+class Steps(Rule):
+    """Steps of an estimate from sample to sample, with the outputs that their rule reads."""
 
-    Parameters
-    ----------
-    sizes
-        How many parameters each output of the estimator has.
-    rows
-        How many pairs ``h0, y0, h1, y1 ...`` the parts hold besides ``theta, true, gain, floor``, ``lower, upper`` of a
-        box, and ``gathered, retention`` of least squares.
-    """
-
-    rule: Literal["normalised", "least_squares"]
-    estimate: str
-    memory: str
-    sizes: tuple[int, ...]
-    rows: int
-    box: bool
     parts: Mapping[str, Out]
 
 

@@ -14,13 +14,15 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from fractions import Fraction
+from functools import partial
 from hashlib import sha256
-from typing import Any, Final
+from types import UnionType
+from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
 from dmframe.errors import ValueFault
 from dmframe.exact.literal import exact
 from dmframe.program import BY_NAME, CONST, INPUT, OPERATIONS, Node, Pattern, Program
-from dmframe.prove.claim import Claim, Line, Part, Relation, Steps, Symbol, Term
+from dmframe.prove.claim import Claim
 from dmframe.prove.sound import hold_sound
 
 VERSION: Final = 1
@@ -86,7 +88,7 @@ def from_json(text: str) -> Claim:
             given = found["version"] if isinstance(found, dict) else found
             raise ValueFault(f"a claim: expected version {VERSION}, found {given!r:.60}")
         del found["version"]
-        claim = _claim(_with(Claim, found))
+        claim: Claim = _read(Claim, found)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, ZeroDivisionError, RecursionError) as error:
         text = f"found {type(error).__name__}: {error}"
         raise ValueFault(f"a claim: expected what `to_json` writes, {text:.300}") from None
@@ -129,106 +131,36 @@ def _number(item: Any) -> Fraction:
     return Fraction(item)
 
 
-def _one_of(item: Any, names: Sequence[str]) -> Any:
-    if item not in names:
-        raise ValueError(f"expected one of {', '.join(names)}, found {item!r:.60}")
-    return item
-
-
 def _list(item: Any, read: Callable[[Any], Any]) -> tuple[Any, ...]:
     if not isinstance(item, list):
         raise TypeError(f"expected a list, found {item!r:.60}")
     return tuple(map(read, item))
 
 
-def _texts(item: Any, count: int) -> tuple[str, ...]:
-    found = _list(item, _text)
-    if len(found) != count:
-        raise ValueError(f"expected {count} texts, found {len(found)}")
-    return found
-
-
-def _named(item: Any) -> dict[str, str]:
+def _read(kind: Any, item: Any) -> Any:
+    """What JSON holds as a value of an annotated type; raises `TypeError` or `ValueError` for anything else."""
+    origin, parts = get_origin(kind), get_args(kind)
+    if kind in _SCALARS:
+        return _SCALARS[kind](item)
+    if hasattr(kind, "__dataclass_fields__"):
+        given, kinds = _with(kind, item), get_type_hints(kind)
+        return kind(**{name: _read(kinds[name], value) for name, value in given.items()})
+    if origin is UnionType:
+        return None if item is None else _read(parts[0], item)
+    if origin is Literal:
+        if item not in parts:
+            raise ValueError(f"expected one of {', '.join(parts)}, found {item!r:.60}")
+        return item
+    if origin is tuple and parts[-1] is ...:
+        return _list(item, partial(_read, parts[0]))
+    if origin is tuple:
+        found = _list(item, _text)
+        if len(found) != len(parts):
+            raise ValueError(f"expected {len(parts)} texts, found {len(found)}")
+        return found
     if not isinstance(item, dict):
         raise TypeError(f"expected an object, found {item!r:.60}")
-    return {label: _text(out) for label, out in item.items()}
-
-
-def _claim(item: Mapping[str, Any]) -> Claim:
-    return Claim(
-        symbols=_list(item["symbols"], _symbol),
-        gains=_list(item["gains"], _text),
-        program=_program(item["program"]),
-        operator=_one_of(item["operator"], ("flow", "sample")),
-        moves=_named(item["moves"]),
-        plant_moves=_named(item["plant_moves"]),
-        reversed=_list(item["reversed"], _text),
-        stored_states=_list(item["stored_states"], _text),
-        parts=_list(item["parts"], _part),
-        composed=_list(item["composed"], lambda each: _texts(each, 4)),
-    )
-
-
-def _symbol(item: Any) -> Symbol:
-    found = _with(Symbol, item)
-    values = None if found["values"] is None else _list(found["values"], _number)
-    return Symbol(_text(found["label"]), _text(found["kind"]), _whole(found["size"]), values)
-
-
-def _part(item: Any) -> Part:
-    found = _with(Part, item)
-
-    def terms(role: str) -> tuple[Term, ...]:
-        return _list(found[role], _term)
-
-    return Part(
-        block=_text(found["block"]),
-        weight=_text(found["weight"]),
-        stored=terms("stored"),
-        dissipation=terms("dissipation"),
-        residual=terms("residual"),
-        errors=terms("errors"),
-        supply=_text(found["supply"]),
-        consumed=None if found["consumed"] is None else _term(found["consumed"]),
-        lemma=_text(found["lemma"]),
-        memories=_list(found["memories"], lambda each: _texts(each, 3)),
-        symmetric=_list(found["symmetric"], lambda each: _texts(each, 2)),
-        steps=_list(found["steps"], _steps),
-        lines=_list(found["lines"], _line),
-        plant=_list(found["plant"], _relation),
-        solved=_list(found["solved"], _text),
-    )
-
-
-def _term(item: Any) -> Term:
-    found = _with(Term, item)
-    return Term(_text(found["name"]), _text(found["rule"]), _named(found["parts"]))
-
-
-def _steps(item: Any) -> Steps:
-    found = _with(Steps, item)
-    if not isinstance(found["box"], bool):
-        raise TypeError(f"expected a box or none, found {found['box']!r}")
-    return Steps(
-        rule=_one_of(found["rule"], ("normalised", "least_squares")),
-        estimate=_text(found["estimate"]),
-        memory=_text(found["memory"]),
-        sizes=_list(found["sizes"], _whole),
-        rows=_whole(found["rows"]),
-        box=found["box"],
-        parts=_named(found["parts"]),
-    )
-
-
-def _line(item: Any) -> Line:
-    found = _with(Line, item)
-    when = None if found["when"] is None else _text(found["when"])
-    return Line(_text(found["state"]), _text(found["newest"]), _text(found["before"]), when)
-
-
-def _relation(item: Any) -> Relation:
-    found = _with(Relation, item)
-    return Relation(_text(found["momentum"]), _text(found["rest"]))
+    return {label: _read(parts[1], value) for label, value in item.items()}
 
 
 def _program(item: Any) -> Program:
@@ -265,3 +197,18 @@ def _node(place: int, node: Sequence[Any], inputs: Sequence[Pattern]) -> Node:
     if len(given) != operation.arity or max(a, b) >= place:
         raise ValueError(f"the instruction {place}, {name} of {given}")
     return Node(operation.code, a, b, 0.0, place)
+
+
+def _flag(item: Any) -> bool:
+    if not isinstance(item, bool):
+        raise TypeError(f"expected true or false, found {item!r:.60}")
+    return item
+
+
+_SCALARS: Final[Mapping[Any, Callable[[Any], Any]]] = {
+    str: _text,
+    int: _whole,
+    bool: _flag,
+    Fraction: _number,
+    Program: _program,
+}

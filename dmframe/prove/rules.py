@@ -7,9 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, final
-
-from dmframe.prove.claim import Steps
+from typing import Any, Final, Literal, final
 
 Column = Sequence[Any]
 
@@ -33,6 +31,27 @@ def dot(ring: Any, left: Column, right: Column) -> Any:
     return ring.reduced(total) if not (type(total) is int and total == 0) else 0
 
 
+@dataclass(frozen=True)
+class Rule:
+    """Kind and sizes of steps of an estimate, ``normalised`` or of ``least_squares``.
+
+    Parameters
+    ----------
+    sizes
+        How many parameters each output of the estimator has.
+    rows
+        How many pairs ``h0, y0, h1, y1 ...`` the parts hold besides ``theta, true, gain, floor``, ``lower, upper`` of a
+        box, and ``gathered, retention`` of least squares.
+    """
+
+    rule: Literal["normalised", "least_squares"]
+    estimate: str
+    memory: str
+    sizes: tuple[int, ...]
+    rows: int
+    box: bool
+
+
 @final
 @dataclass(frozen=True)
 class Taken:
@@ -44,7 +63,7 @@ class Taken:
     gained: Any
 
 
-def taken(ring: Any, steps: Steps, parts: Mapping[str, Column]) -> Taken:
+def taken(ring: Any, steps: Rule, parts: Mapping[str, Column]) -> Taken:
     """Take the steps; raises where a divisor vanishes."""
     return _RULES[steps.rule](ring, steps, parts)
 
@@ -58,7 +77,7 @@ def _pieces(sizes: Sequence[int], column: Column) -> list[Column]:
     return [column[end - size : end] for end, size in zip(ends, sizes, strict=True)]
 
 
-def _rows(steps: Steps, parts: Mapping[str, Column]) -> list[tuple[list[Column], Column]]:
+def _rows(steps: Rule, parts: Mapping[str, Column]) -> list[tuple[list[Column], Column]]:
     return [(_pieces(steps.sizes, parts[f"h{k}"]), parts[f"y{k}"]) for k in range(steps.rows)]
 
 
@@ -66,7 +85,7 @@ def _into_box(ring: Any, value: Any, lower: Any, upper: Any) -> Any:
     return ring.call("fmin", ring.call("fmax", value, lower), upper)
 
 
-def _normalised(ring: Any, steps: Steps, parts: Mapping[str, Column]) -> Taken:
+def _normalised(ring: Any, steps: Rule, parts: Mapping[str, Column]) -> Taken:
     r"""For each row :math:`\theta \leftarrow \theta + \Gamma h \varepsilon / n`, :math:`n = \nu + h' \Gamma h`."""
     found, moved, lost, gained = list[Any](), ring.number(0), ring.number(0), ring.number(0)
     (floor,), rows = parts["floor"], _rows(steps, parts)
@@ -96,7 +115,7 @@ def _normalised(ring: Any, steps: Steps, parts: Mapping[str, Column]) -> Taken:
     return Taken({steps.estimate: found}, *(_half(ring, ring.reduced(total)) for total in (moved, lost, gained)))
 
 
-def _least_squares(ring: Any, steps: Steps, parts: Mapping[str, Column]) -> Taken:
+def _least_squares(ring: Any, steps: Rule, parts: Mapping[str, Column]) -> Taken:
     r"""For each row :math:`\theta \leftarrow \theta + W^{-1} h \varepsilon / n`, :math:`G \leftarrow G + h h'/\nu`."""
     found, kept = list[Any](), list[Any]()
     moved, lost, gained = ring.number(0), ring.number(0), ring.number(0)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from dmframe import notebook
 from dmframe.columns import columns
-from dmframe.config import Experiment
+from dmframe.config import BaseGraph
 from dmframe.report.linear import EMULATION_HEADS, JOINT_HEADS, LinearView, rows_of
 from dmframe.units import plain
 
@@ -37,7 +37,7 @@ class Analysis:
         The numbers.
     """
 
-    experiment: Experiment
+    experiment: BaseGraph
     found: LoopAnalysis
 
     @property

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from dmframe.catalogue import graphs
-from dmframe.config import Experiment
+from dmframe.config import BaseGraph
 from dmframe.files import is_file
 
 ENDINGS = (".yaml", ".yml")
@@ -24,7 +24,7 @@ class Command(NamedTuple):
     swapped: tuple[str, ...] = ()
 
 
-def command(experiment: Experiment, verb: str) -> Command:
+def command(experiment: BaseGraph, verb: str) -> Command:
     """``dmframe VERB GRAPH --set ...``, quoted; a graph without a file has to be written to one first.
 
     A baseline has to be written to a file too, except for ``run``, which has the option ``--baseline``.

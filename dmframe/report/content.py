@@ -12,7 +12,7 @@ from dmframe.certify import Verdict
 from dmframe.certify.checked import Checked
 from dmframe.certify.statements import Statement
 from dmframe.certify.summary import summary
-from dmframe.config import Experiment
+from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.formula import PrintedLaw, laws_of
 from dmframe.formula.where import where
@@ -150,7 +150,7 @@ class Content:
     resolved: str
 
 
-def opening(experiment: Experiment, verdict: Verdict) -> Opening:
+def opening(experiment: BaseGraph, verdict: Verdict) -> Opening:
     """First page of a report, without a simulation."""
     last = [item for item in verdict.statements if item.concludes]
     return Opening(
@@ -164,7 +164,7 @@ def opening(experiment: Experiment, verdict: Verdict) -> Opening:
 
 
 def gather(
-    experiment: Experiment,
+    experiment: BaseGraph,
     diagram: Diagram,
     verdict: Verdict,
     *,
@@ -173,9 +173,9 @@ def gather(
     tell: Callable[[str], None] = lambda _: None,
 ) -> Content:
     """Collect the report on one graph, which is simulated for it; `tell` receives progress messages."""
+    from dmframe.config.resolved import resolved_text
     from dmframe.drawing import mermaid, svg
     from dmframe.results.folder import provenance
-    from dmframe.results.resolved import resolved_text
 
     resolved = resolved_text(experiment)
     laws = verdict.flow_claim.laws if verdict.flow_claim is not None else laws_of(diagram)
@@ -210,7 +210,7 @@ def _assumptions(verdict: Verdict) -> tuple[tuple[str, str], ...]:
     return tuple((text_of(item.text).marked, text_of(item.source).marked) for item in verdict.assumptions)
 
 
-def _facts(experiment: Experiment, diagram: Diagram) -> list[tuple[str, str]]:
+def _facts(experiment: BaseGraph, diagram: Diagram) -> list[tuple[str, str]]:
     clock = experiment.file.clock
     own = sum(variable.symbol.numel() for variable in diagram.loop.controller)
     facts = [

@@ -12,7 +12,7 @@ from dmframe.block import AbstractBlock
 from dmframe.block.prose import about
 from dmframe.certify import Verdict
 from dmframe.certify.true_values import estimates_of
-from dmframe.config import Experiment
+from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import WORDS, known_truths
 from dmframe.errors import DmframeError, visible
@@ -74,7 +74,7 @@ class BlockFacts:
     knows: tuple[str, ...]
 
 
-def facts_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> tuple[BlockFacts, ...]:
+def facts_of(experiment: BaseGraph, diagram: Diagram, verdict: Verdict) -> tuple[BlockFacts, ...]:
     """Facts about all blocks, in signal-flow order."""
     claim = verdict.flow_claim
     claimed = claim.laws if claim is not None else {}
@@ -167,7 +167,7 @@ def _estimates(
     ]
 
 
-def _starts(experiment: Experiment, diagram: Diagram) -> dict[str, np.ndarray]:
+def _starts(experiment: BaseGraph, diagram: Diagram) -> dict[str, np.ndarray]:
     """Initial states by label; empty for an unreachable start, which `run` reports."""
     try:
         whole = start_state(diagram, experiment.start)

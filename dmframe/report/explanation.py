@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple, final
 from dmframe import notebook
 from dmframe.certify import Verdict
 from dmframe.columns import page_width
-from dmframe.config import Experiment
+from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import WORDS
 from dmframe.errors import listed
@@ -59,7 +59,7 @@ class Explanation:
         Result of `verify`.
     """
 
-    experiment: Experiment
+    experiment: BaseGraph
     diagram: Diagram
     verdict: Verdict
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, final
 
-from dmframe.config import Experiment
+from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.diagram.fingerprint import short
 from dmframe.errors import DmframeError, listed
@@ -58,7 +58,7 @@ class LinearView:
     numbers: Mapping[str, Any] = field(default_factory=dict)
 
 
-def linear_view(experiment: Experiment, diagram: Diagram, tell: Callable[[str], None] = lambda _: None) -> LinearView:
+def linear_view(experiment: BaseGraph, diagram: Diagram, tell: Callable[[str], None] = lambda _: None) -> LinearView:
     """Linearise at the set-point at the start of the path; an analysis error becomes `sentence`."""
     from dmframe.analysis import analyse, bode_svg, nyquist_svg
 

@@ -9,13 +9,12 @@ from typing import Any, final
 import numpy as np
 
 from dmframe.certify import Verdict
-from dmframe.certify.along import Along, along
-from dmframe.certify.along_steps import sampled_along
-from dmframe.config import Experiment
+from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
 from dmframe.exact.rational import as_float
 from dmframe.plotting import figure_svg
+from dmframe.results.along import Along, along
 from dmframe.results.metrics import tracking_error, turn_error
 from dmframe.results.storage_figure import storage_picture
 from dmframe.simulate import Log, Recording
@@ -56,7 +55,7 @@ class Measured:
 
 
 def measure(
-    experiment: Experiment, diagram: Diagram, verdict: Verdict, tell: Callable[[str], None] = lambda _: None
+    experiment: BaseGraph, diagram: Diagram, verdict: Verdict, tell: Callable[[str], None] = lambda _: None
 ) -> Measured:
     """Simulate the graph for the duration in its file, and evaluate V along the run if it is defined."""
     clock = experiment.file.clock
@@ -165,23 +164,20 @@ def _run_facts(run: Recording) -> tuple[list[tuple[str, str]], dict[str, Any]]:
 
 
 def _along(verdict: Verdict, run: Recording) -> tuple[Along | None, str]:
-    if verdict.samples is not None:
-        if verdict.outcome == "refuted":
-            return None, "$V$ is not shown, since its certificate is refuted."
-        try:
-            return sampled_along(verdict.samples, run), ""
-        except DmframeError as error:
-            return None, f"$V$ is not shown: {error.text}."
-    if verdict.flow_claim is None:
+    claim = verdict.claim
+    if claim is None:
         return None, "A graph without a certificate has no $V$."
     if verdict.outcome == "refuted":
         return None, "$V$ is not shown, since its certificate is refuted."
-    if verdict.flow_claim.cascaded and verdict.kappa is None:
+    if claim.cascaded and verdict.kappa is None:
         return (
             None,
             "$V$ is not shown, since no weight $\\kappa$ makes its derivative negative at these parameter values.",
         )
-    return along(verdict.flow_claim, run, as_float(verdict.kappa.chosen) if verdict.kappa else 1.0), ""
+    try:
+        return along(claim, run, as_float(verdict.kappa.chosen) if verdict.kappa else 1.0), ""
+    except DmframeError as error:
+        return None, f"$V$ is not shown: {error.text}."
 
 
 def _v_facts(found: Along, clock: float | None) -> tuple[list[tuple[str, str]], dict[str, Any]]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, final
 
 from dmframe.certify import Verdict
 from dmframe.certify.summary import summary
-from dmframe.config import Experiment
+from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.files import expanded
 from dmframe.report.verdict_text import verdict_text
@@ -40,7 +40,7 @@ class Verification:
         Distinguishes several verifications of graphs with one name.
     """
 
-    experiment: Experiment
+    experiment: BaseGraph
     diagram: Diagram
     verdict: Verdict
     seed: int = 0
@@ -147,10 +147,10 @@ def command(found: Sequence[Verification], path: Path) -> list[str]:
     return ["dmframe", "verify", *map(place, found), *said, "--seed", str(found[0].seed), "--report", path.name]
 
 
-def _again(experiment: Experiment, verdict: bytes, seed: int, label: str) -> Verification:
+def _again(experiment: BaseGraph, verdict: bytes, seed: int, label: str) -> Verification:
     """Restore a pickled verification."""
     import casadi as ca
 
     with ca.global_unpickle_context():
         found = pickle.loads(verdict)
-    return Verification(experiment, experiment.diagram(), found, seed, label)
+    return Verification(experiment, experiment.diagram, found, seed, label)

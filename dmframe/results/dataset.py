@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 
 from dmframe.block.faults import fault_context
-from dmframe.config.experiment import Experiment
+from dmframe.config import BaseGraph
+from dmframe.config.resolved import resolved_text
 from dmframe.diagram import Diagram
 from dmframe.files import encoded, printable
 from dmframe.port import Element
-from dmframe.results.resolved import resolved_text
 from dmframe.simulate import Recording, Solver
 from dmframe.simulate.step import FIXED
 from dmframe.units import sliding
@@ -50,14 +50,14 @@ class Table:
     attributes: Mapping[str, Any]
 
 
-def table(run: Recording, experiment: Experiment | None = None, seed: int | None = None) -> Table:
+def table(run: Recording, graph: BaseGraph | None = None, seed: int | None = None) -> Table:
     """Every recorded state and output as a variable ``block.signal`` over time, with its unit.
 
     Dimensions are named joint, axis, parameter; any other size gets its own dimension.
 
     Parameters
     ----------
-    experiment
+    graph
         The graph of the run; name, title, SHA-256 of the resolved text and model hash (`Diagram.fingerprint`) become
         attributes.
     seed
@@ -82,13 +82,13 @@ def table(run: Recording, experiment: Experiment | None = None, seed: int | None
     if "parameter" in entries:
         units = [element.unit for element in entries["parameter"]]
         coordinates["parameter_unit"] = Labelled(("parameter",), units, {"long_name": "unit", "units": "1"})
-    return Table(coordinates, variables, _attributes(run, experiment, seed))
+    return Table(coordinates, variables, _attributes(run, graph, seed))
 
 
-def _attributes(run: Recording, experiment: Experiment | None, seed: int | None) -> dict[str, Any]:
+def _attributes(run: Recording, graph: BaseGraph | None, seed: int | None) -> dict[str, Any]:
     attributes: dict[str, Any] = {
-        "title": printable(experiment.file.title or experiment.name) if experiment else "dmframe run",
-        "graph": printable(experiment.name) if experiment else "",
+        "title": printable(graph.file.title or graph.name) if graph else "dmframe run",
+        "graph": printable(graph.name) if graph else "",
         "clock": "continuous" if run.clock is None else f"{run.clock!r} s",
         "duration": f"{run.duration!r} s",
         "solver": _solver(run.solver, run.clock),
@@ -97,9 +97,9 @@ def _attributes(run: Recording, experiment: Experiment | None, seed: int | None)
     }
     if run.drive:
         attributes["drive"] = json.dumps(dict(run.drive))
-    if experiment is not None:
+    if graph is not None:
         attributes["field_hash"] = run.diagram.fingerprint
-        attributes["graph_sha256"] = hashlib.sha256(encoded(resolved_text(experiment))).hexdigest()
+        attributes["graph_sha256"] = hashlib.sha256(encoded(resolved_text(graph))).hexdigest()
     if seed is not None:
         attributes["seed"] = seed
     if run.divergence is not None:
@@ -107,11 +107,11 @@ def _attributes(run: Recording, experiment: Experiment | None, seed: int | None)
     return attributes
 
 
-def dataset(run: Recording, experiment: Experiment | None = None, seed: int | None = None) -> xarray.Dataset:
+def dataset(run: Recording, graph: BaseGraph | None = None, seed: int | None = None) -> xarray.Dataset:
     """`table` as an xarray dataset."""
     import xarray
 
-    source = table(run, experiment, seed)
+    source = table(run, graph, seed)
     return xarray.Dataset(
         {name: (item.dimensions, item.values, dict(item.attributes)) for name, item in source.variables.items()},
         {name: (item.dimensions, item.values, dict(item.attributes)) for name, item in source.coordinates.items()},
@@ -119,7 +119,7 @@ def dataset(run: Recording, experiment: Experiment | None = None, seed: int | No
     )
 
 
-def netcdf(run: Recording, experiment: Experiment | None = None, seed: int | None = None) -> bytes:
+def netcdf(run: Recording, graph: BaseGraph | None = None, seed: int | None = None) -> bytes:
     """`table` as a compressed NetCDF file, without xarray, whose import takes half a second.
 
     Written in memory: on a full disk HDF5 prints tracebacks and can abort the process.
@@ -127,7 +127,7 @@ def netcdf(run: Recording, experiment: Experiment | None = None, seed: int | Non
     import h5netcdf
     import h5py
 
-    source, file = table(run, experiment, seed), io.BytesIO()
+    source, file = table(run, graph, seed), io.BytesIO()
     with h5netcdf.File(file, "w") as made:
         for item in (*source.variables.values(), *source.coordinates.values()):
             for name, size in zip(item.dimensions, np.shape(item.values), strict=True):

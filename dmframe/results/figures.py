@@ -21,7 +21,7 @@ from dmframe.results.error_figure import error_figure
 from dmframe.results.estimate_figure import estimate_figure
 from dmframe.results.path_figure import path_figure
 from dmframe.results.place import FIGURES, OF_EACH
-from dmframe.results.run_like import RunLike
+from dmframe.results.run import Run
 from dmframe.results.signal_figure import signal_figure
 from dmframe.results.storage_figure import storage_figure
 
@@ -70,7 +70,7 @@ class Figures(Mapping[str, Any]):
         return "".join(notebook.picture(figure, f"{name} of {self.about}") for name, figure in self.items())
 
 
-def figures_of(runs: Mapping[str, RunLike]) -> Figures:
+def figures_of(runs: Mapping[str, Run]) -> Figures:
     """All applicable figures: ``error``, ``path``, ``commands``, ``effort``, and by run ``storage`` and ``estimates``.
 
     With several runs, the last two are ``storage_<name>`` and ``estimates_<name>``.
@@ -79,12 +79,12 @@ def figures_of(runs: Mapping[str, RunLike]) -> Figures:
     return Figures({name: figure for name, figure in made.items() if figure is not None}, ", ".join(runs))
 
 
-Drawn = Callable[[Mapping[str, RunLike]], dict[str, bytes]]
+Drawn = Callable[[Mapping[str, Run]], dict[str, bytes]]
 """Function from the runs, maybe with V added, to the contents of all figure files."""
 
 
 @contextmanager
-def drawing(runs: Mapping[str, RunLike], formats: Sequence[str]) -> Iterator[Drawn]:
+def drawing(runs: Mapping[str, Run], formats: Sequence[str]) -> Iterator[Drawn]:
     """Start drawing `figures_of` on other cores; yields a function that returns the figure files.
 
     Matplotlib takes most of the time of a short run, so data can be written in the meantime. V is drawn last and in
@@ -95,7 +95,7 @@ def drawing(runs: Mapping[str, RunLike], formats: Sequence[str]) -> Iterator[Dra
         figure = make()
         return {} if figure is None else files_of(figure, name, ", ".join(runs), formats)
 
-    def jobs(of: Mapping[str, RunLike], *, stored: bool) -> list[Callable[[], dict[str, bytes]]]:
+    def jobs(of: Mapping[str, Run], *, stored: bool) -> list[Callable[[], dict[str, bytes]]]:
         wanted = {name: make for name, make in _makers(of).items() if (make.func is storage_figure) is stored}
         return [partial(drawn, name, make) for name, make in wanted.items()]
 
@@ -105,14 +105,14 @@ def drawing(runs: Mapping[str, RunLike], formats: Sequence[str]) -> Iterator[Dra
     early = jobs(runs, stored=False)
     with shared(early[::-1]) as finished:  # the first ones are the fastest, so the processes end together
 
-        def files(known: Mapping[str, RunLike]) -> dict[str, bytes]:
+        def files(known: Mapping[str, Run]) -> dict[str, bytes]:
             own = [job() for job in jobs(known, stored=True)]
             return {name: content for found in (*own, *finished()) for name, content in found.items()}
 
         yield files
 
 
-def _makers(runs: Mapping[str, RunLike]) -> dict[str, partial[Any]]:
+def _makers(runs: Mapping[str, Run]) -> dict[str, partial[Any]]:
     """Functions that draw the figures, by name."""
     recordings = _recordings(runs)
     made: dict[str, partial[Any]] = {
@@ -125,16 +125,16 @@ def _makers(runs: Mapping[str, RunLike]) -> dict[str, partial[Any]]:
     return made
 
 
-def _recordings(runs: Mapping[str, RunLike]) -> Runs:
+def _recordings(runs: Mapping[str, Run]) -> Runs:
     return {name: run.recording for name, run in runs.items()}
 
 
-def signals_figure(runs: Mapping[str, RunLike], labels: Sequence[str]) -> Figures:
+def signals_figure(runs: Mapping[str, Run], labels: Sequence[str]) -> Figures:
     """Figure of signals over time, a panel each; raises `UnknownNameError` for a signal that no run recorded."""
     return Figures({"signals": signal_figure(_recordings(runs), labels)}, ", ".join(runs))
 
 
-def error_picture(runs: Mapping[str, RunLike]) -> str:
+def error_picture(runs: Mapping[str, Run]) -> str:
     """HTML picture of the tracking error; empty without a goal."""
     figure = error_figure(_recordings(runs))
     return "" if figure is None else notebook.picture(figure, f"tracking error of {', '.join(runs)}")

@@ -15,15 +15,15 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
 
-from dmframe.config.experiment import Experiment
+from dmframe.config import BaseGraph
+from dmframe.config.resolved import companions, resolved_text, robot_source
 from dmframe.errors import OutputError
 from dmframe.files import encoded, made_distinct, write_bytes, writing
 from dmframe.plotting import FORMATS, checked_formats
 from dmframe.results import figures
 from dmframe.results.dataset import netcdf
 from dmframe.results.place import SAMPLES, Place, built, clear_figures, complete, reserved
-from dmframe.results.resolved import companions, resolved_text, robot_source
-from dmframe.results.run_like import RunLike
+from dmframe.results.run import Run
 from dmframe.results.summary import summary_of
 
 _PACKAGES = (
@@ -45,7 +45,7 @@ _LONGEST: Final = 150
 
 def write_run(
     path: str | Path | Place,
-    runs: Sequence[RunLike],
+    runs: Sequence[Run],
     *,
     plots: bool = True,
     formats: Sequence[str] = FORMATS[:1],
@@ -91,7 +91,7 @@ def write_run(
 
 def write_data(
     place: Place,
-    runs: Sequence[RunLike],
+    runs: Sequence[Run],
     *,
     seed: int | None = None,
     command: Sequence[str] | None = None,
@@ -114,15 +114,15 @@ def write_data(
 
 
 @contextmanager
-def drawing(runs: Sequence[RunLike], formats: Sequence[str]) -> Iterator[Callable[[Place, Sequence[RunLike]], None]]:
+def drawing(runs: Sequence[Run], formats: Sequence[str]) -> Iterator[Callable[[Place, Sequence[Run]], None]]:
     """Start drawing figures; yields a function that writes them next to the data, or raises `OutputError`."""
 
-    def named(items: Sequence[RunLike]) -> dict[str, RunLike]:
+    def named(items: Sequence[Run]) -> dict[str, Run]:
         return dict(zip(_names([run.name for run in items]), items, strict=True))
 
     with figures.drawing(named(runs), formats) as drawn:
 
-        def write(place: Place, known: Sequence[RunLike]) -> None:
+        def write(place: Place, known: Sequence[Run]) -> None:
             try:
                 with writing(place.path, "figures"):
                     for name, content in drawn(named(known)).items():
@@ -156,24 +156,24 @@ def _names(labels: Sequence[str]) -> list[str]:
 
 def _write_one(
     place: Path,
-    run: RunLike,
+    run: Run,
     data: dict[str, Any],
     seed: int | None,
     command: Sequence[str] | None,
     now: datetime | None,
 ) -> None:
-    text = resolved_text(run.experiment)
+    text = resolved_text(run.graph)
     (place / "graph.yaml").write_bytes(encoded(text))
-    for name, source in companions(run.experiment).items():
+    for name, source in companions(run.graph).items():
         shutil.copyfile(source, place / name)
     _write_json(place / "summary.json", data)
     # hash of the diagram that ran, not of the graph, as in `verify --json`
     field_hash = run.recording.diagram.fingerprint
-    made = provenance(run.experiment, text, field_hash=field_hash, seed=seed, command=command, now=now)
+    made = provenance(run.graph, text, field_hash=field_hash, seed=seed, command=command, now=now)
     if run.recording.drive:
         made["drive"] = dict(run.recording.drive)
     _write_json(place / "provenance.json", made)
-    (place / "signals.nc").write_bytes(netcdf(run.whole, run.experiment, seed))
+    (place / "signals.nc").write_bytes(netcdf(run.whole, run.graph, seed))
 
 
 def _write_json(file: Path, data: dict[str, Any]) -> None:
@@ -181,7 +181,7 @@ def _write_json(file: Path, data: dict[str, Any]) -> None:
 
 
 def provenance(
-    experiment: Experiment,
+    graph: BaseGraph,
     text: str,
     *,
     field_hash: str,
@@ -190,7 +190,7 @@ def provenance(
     now: datetime | None = None,
 ) -> dict[str, Any]:
     """Data to reproduce a run: versions, machine, command, time, digests, seed, model hash `Diagram.fingerprint`."""
-    source = robot_source(experiment)
+    source = robot_source(graph)
     return {
         "time": (now or datetime.now(UTC)).astimezone(UTC).isoformat(timespec="seconds"),
         "command": list(sys.argv if command is None else command),
@@ -199,7 +199,7 @@ def provenance(
         "versions": {name: _version(name) for name in _PACKAGES},
         "graph_sha256": hashlib.sha256(encoded(text)).hexdigest(),
         "field_hash": field_hash,
-        "robot": experiment.robot.name if experiment.robot is not None else None,
+        "robot": graph.robot.name if graph.robot is not None else None,
         "urdf": source.urdf.name if source else None,
         "urdf_sha256": hashlib.sha256(source.urdf.read_bytes()).hexdigest() if source else None,
         "seed": seed,

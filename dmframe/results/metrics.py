@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import ClassVar, final
+from dataclasses import dataclass, field
+from typing import final
 
 import casadi as ca
 import numpy as np
@@ -19,42 +19,33 @@ from dmframe.text import Text
 from dmframe.units import plain
 
 EIGHTHS = 8
+DEGREES = "deg"
+"""Unit of `TurnError`."""
 FARTHEST = 8.0
 """Squared Frobenius distance of two rotation matrices half a turn apart."""
 _ROUNDING = 1e-9  # tolerance, in eighths, for an instant k T at the start of an eighth
 
 
-@final
 @dataclass(frozen=True, repr=False)
-class TrackingError:
-    r"""Actual minus desired, :math:`e = s - s_d`.
+class Deviation:
+    """Deviation over a run, summarised by its RMS.
 
     Parameters
     ----------
     signal
-        ``"x - x_d"``, or a signal that a block derives from x_d.
-    unit
-        Unit of `values`, `norm` and the RMS values.
+        Its name.
     times
         (N,) [s].
-    values
-        (N, rows).
-    norm
-        (N,), Euclidean.
     rms_by_eighth
-        RMS of the norm over each eighth of the planned duration; None for eighths that were not reached.
-    desired, actual
-        Labels ``block.port`` of the two signals.
+        RMS of its size over each eighth of the planned duration; None for eighths that were not reached.
+    unit
+        Of all values.
     """
 
-    signal: Text
-    unit: str
+    signal: str
     times: np.ndarray
-    values: np.ndarray
-    norm: np.ndarray
     rms_by_eighth: tuple[float | None, ...]
-    desired: str
-    actual: str
+    unit: str
 
     @property
     def rms_final(self) -> float | None:
@@ -63,41 +54,46 @@ class TrackingError:
 
     def __repr__(self) -> str:
         first, last = ("-" if rms is None else plain(rms, self.unit) for rms in self.rms_by_eighth[:: EIGHTHS - 1])
-        return f"<TrackingError {self.signal}: {first} in the first eighth, {last} in the last>"
+        return f"<{type(self).__name__} {self.signal}: {first} in the first eighth, {last} in the last>"
 
 
 @final
 @dataclass(frozen=True, repr=False)
-class TurnError:
-    r"""Angle between actual and desired tool orientation, :math:`2 \arcsin(|R - R_d| / \sqrt 8)`.
+class TrackingError(Deviation):
+    r"""Actual minus desired, :math:`e = s - s_d`; its signal is ``"x - x_d"``, or what a block derives from x_d.
 
     Parameters
     ----------
-    signal
-        The label ``block.R_apart`` of :math:`|R - R_d|^2`.
-    times
-        (N,) [s].
-    angle
-        (N,), from 0 to 180 [deg].
-    rms_by_eighth
-        RMS over each eighth of the planned duration [deg]; None for eighths that were not reached.
+    values
+        (N, rows).
+    norm
+        (N,), Euclidean.
+    desired, actual
+        Labels ``block.port`` of the two signals.
     """
 
-    signal: str
-    times: np.ndarray
+    signal: Text
+    values: np.ndarray
+    norm: np.ndarray
+    desired: str
+    actual: str
+
+
+@final
+@dataclass(frozen=True, repr=False)
+class TurnError(Deviation):
+    r"""Angle between actual and desired tool orientation, :math:`2 \arcsin(|R - R_d| / \sqrt 8)`.
+
+    Its signal is the label ``block.R_apart`` of :math:`|R - R_d|^2`.
+
+    Parameters
+    ----------
+    angle
+        (N,), from 0 to 180 [deg].
+    """
+
+    unit: str = field(default=DEGREES, kw_only=True)
     angle: np.ndarray
-    rms_by_eighth: tuple[float | None, ...]
-
-    unit: ClassVar[str] = "deg"
-
-    @property
-    def rms_final(self) -> float | None:
-        """RMS over the last eighth [deg]; None if the run did not reach it."""
-        return self.rms_by_eighth[-1]
-
-    def __repr__(self) -> str:
-        first, last = ("-" if rms is None else plain(rms, self.unit) for rms in self.rms_by_eighth[:: EIGHTHS - 1])
-        return f"<TurnError: {first} in the first eighth, {last} in the last>"
 
 
 def turn_error(run: Recording) -> TurnError | None:
@@ -107,7 +103,7 @@ def turn_error(run: Recording) -> TurnError | None:
         return None
     with np.errstate(invalid="ignore"):  # before a divergence
         angle = np.degrees(2 * np.arcsin(np.sqrt(np.clip(run[label][:, 0] / FARTHEST, 0.0, 1.0))))
-    return TurnError(label, run.time, angle, rms_by_eighth(run.time, angle, run.duration))
+    return TurnError(label, run.time, rms_by_eighth(run.time, angle, run.duration), angle)
 
 
 def turn_of(loop: ClosedLoop) -> SX | None:

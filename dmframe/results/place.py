@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final, final
 
 from dmframe.errors import OutputError
-from dmframe.files import hidden_name, is_hidden, sync, sync_below, write_text, writing
+from dmframe.files import flocked, hidden_name, is_hidden, sync, sync_below, write_text, writing
 from dmframe.plotting import FORMATS
 from dmframe.seal import SEAL, BrokenSeal, FolderSeal, digest_of, seal_of
 
@@ -162,18 +162,8 @@ def clear_figures(folder: Path) -> None:
 
 def _locked(folder: Path, path: Path) -> int | None:
     """Lock a folder for the life of this process; None on systems without locks."""
-    try:
-        import fcntl
-    except ImportError:
-        return None
-    lock = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(lock)
-        raise OutputError(f"{path}: another process writes there; name another folder") from None
-    except OSError:  # some network drives have no locks
-        os.close(lock)
+    busy = f"{path}: another process writes there; name another folder"
+    if (lock := flocked(folder, os.O_RDONLY, busy)) is None:
         return None
     try:
         same = os.path.samestat(os.fstat(lock), folder.stat())
@@ -181,7 +171,7 @@ def _locked(folder: Path, path: Path) -> int | None:
         same = False
     if not same:  # replaced before it was locked
         os.close(lock)
-        raise OutputError(f"{path}: another process writes there; name another folder")
+        raise OutputError(busy)
     return lock
 
 

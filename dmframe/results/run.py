@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -12,7 +13,7 @@ import numpy as np
 
 from dmframe import notebook
 from dmframe.columns import columns
-from dmframe.config import Experiment
+from dmframe.config import BaseGraph
 from dmframe.errors import DmframeError, UnknownNameError, ValueFault
 from dmframe.files import expanded
 from dmframe.plotting import FORMATS
@@ -46,7 +47,7 @@ class Run:
 
     Parameters
     ----------
-    experiment
+    graph
         The graph that ran.
     recording
         States and outputs as plain arrays.
@@ -54,14 +55,20 @@ class Run:
         Name in tables and legends; default: the name of the graph.
     """
 
-    experiment: Experiment
+    graph: BaseGraph
     recording: Recording
     label: str = field(default="")
 
     @property
     def name(self) -> str:
         """Name in tables and legends."""
-        return self.label or self.experiment.name
+        return self.label or self.graph.name
+
+    @property
+    def experiment(self) -> BaseGraph:
+        """Former name of `graph`, with a notice."""
+        warnings.warn("run.experiment is now run.graph", DeprecationWarning, stacklevel=2)
+        return self.graph
 
     @property
     def time(self) -> np.ndarray:
@@ -81,7 +88,7 @@ class Run:
 
     def noticed(self, *texts: str) -> Run:
         """The same run with more notices of its own; V is not computed again."""
-        again = Run(self.experiment, replace(self.recording, notices=(*self.recording.notices, *texts)), self.label)
+        again = Run(self.graph, replace(self.recording, notices=(*self.recording.notices, *texts)), self.label)
         if "_storage" in vars(self):
             vars(again)["_storage"] = self._storage
         return again
@@ -89,7 +96,7 @@ class Run:
     @cached_property
     def data(self) -> xarray.Dataset:
         """Recorded signals ``block.signal`` over time with units and element names, and V if defined."""
-        return dataset(self.whole, self.experiment)
+        return dataset(self.whole, self.graph)
 
     @property
     def whole(self) -> Recording:
@@ -113,14 +120,14 @@ class Run:
     @cached_property
     def _storage(self) -> Storage | DmframeError:
         try:
-            return storage_of(self.recording, self.experiment)
+            return storage_of(self.recording, self.graph)
         except DmframeError as error:
             return error
 
     @cached_property
     def _recorded(self) -> xarray.Dataset:
         """`data` without V, whose evaluation takes time."""
-        return dataset(self.recording, self.experiment)
+        return dataset(self.recording, self.graph)
 
     @cached_property
     def error(self) -> TrackingError | None:
@@ -197,7 +204,7 @@ class Run:
     def __reduce__(self) -> Any:
         """Pickle without the diagram, which is rebuilt from the graph."""
         arrays = {name: value for name, value in vars(self.recording).items() if name != "diagram"}
-        return _again, (self.experiment, arrays, self.label)
+        return _again, (self.graph, arrays, self.label)
 
     def __repr__(self) -> str:
         lasted = self.divergence or self.recording.interrupted
@@ -213,7 +220,7 @@ class Run:
         rows = [row(self)]
         notes = [*(f"notice: {notice}" for notice in self.notices), *map(str, self.shown), *ended(self)]
         return (
-            notebook.heading(self.name, self.experiment.file.title)
+            notebook.heading(self.name, self.graph.file.title)
             + notebook.table(rows, HEADS)
             + notebook.paragraphs([NOTE, *notes])
             + error_picture({self.name: self})
@@ -252,7 +259,7 @@ def saved(runs: Sequence[Run], folder: str | Path, *, plots: bool, formats: Sequ
 
 def row(run: Run) -> tuple[str, ...]:
     """Table row of a run, columns `HEADS`."""
-    data = summary(run.experiment.name, run.recording)
+    data = summary(run.graph.name, run.recording)
     error, turn = data["error"], data["turn"]
     clock = data["clock"] if data["clock"] == "continuous" else plain(data["clock"], "s")
     first, last = (", ".join(_rms(each, index) for each in (error, turn) if each) or "-" for index in (0, -1))
@@ -300,6 +307,6 @@ def notes_of(runs: Sequence[Run]) -> list[str]:
     return lines
 
 
-def _again(experiment: Experiment, arrays: dict[str, Any], label: str) -> Run:
+def _again(graph: BaseGraph, arrays: dict[str, Any], label: str) -> Run:
     """Restore a pickled run."""
-    return Run(experiment, Recording(diagram=experiment.diagram(), **arrays), label)
+    return Run(graph, Recording(diagram=graph.diagram, **arrays), label)

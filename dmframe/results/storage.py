@@ -9,12 +9,12 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from dmframe.certify.along import Along
 from dmframe.certify.claim import Claim
-from dmframe.certify.storage_unit import StorageUnit, storage_unit
-from dmframe.certify.unproved import claimed_along
-from dmframe.config import Experiment
+from dmframe.config import BaseGraph
 from dmframe.errors import DmframeError, listed
+from dmframe.results.along import Along
+from dmframe.results.claimed import claimed_along
+from dmframe.results.storage_unit import StorageUnit, storage_unit
 from dmframe.simulate import Recording
 from dmframe.simulate.recording import ExtraSignal
 from dmframe.simulate.warnings import between
@@ -143,10 +143,10 @@ class Storage:
         }
 
 
-def storage_of(recording: Recording, experiment: Experiment) -> Storage:
+def storage_of(recording: Recording, graph: BaseGraph) -> Storage:
     """V of a run; raises `DmframeError` if it is not defined."""
-    intervals = experiment.intervals(recording.diagram)
-    return Storage(*claimed_along(recording, intervals, experiment.start), recording)
+    intervals = graph.intervals(recording.diagram)
+    return Storage(*claimed_along(recording, intervals, graph.start), recording)
 
 
 def no_storage(error: DmframeError) -> dict[str, Any]:

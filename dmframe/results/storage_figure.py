@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from dmframe.certify.along import Along
 from dmframe.errors import DmframeError
 from dmframe.plotting import draw_curve, frame, look, page, span, tame, verbatim
+from dmframe.results.along import Along
 from dmframe.results.drawn_runs import note_below, run_label
-from dmframe.results.run_like import RunLike
+from dmframe.results.run import Run
 from dmframe.simulate import Recording
 
 CURVES = 6
@@ -25,7 +25,7 @@ FAINT = 1e-9
 """Lower limit of the axis relative to the largest value of a term."""
 
 
-def storage_figure(name: str, run: RunLike) -> Any:
+def storage_figure(name: str, run: Run) -> Any:
     """V of the certificates and its largest terms over time; None without a certificate."""
     try:
         storage = run.storage

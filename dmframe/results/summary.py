@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dmframe.errors import DmframeError
-from dmframe.results.metrics import TrackingError, TurnError, tracking_error, turn_error
-from dmframe.results.run_like import RunLike
+from dmframe.results.metrics import Deviation, tracking_error, turn_error
 from dmframe.results.shown import shown_by
 from dmframe.results.storage import no_storage
 from dmframe.simulate import Recording
 
+if TYPE_CHECKING:
+    from dmframe.results.run import Run
 
-def summary_of(run: RunLike, out: str | None = None) -> dict[str, Any]:
+
+def summary_of(run: Run, out: str | None = None) -> dict[str, Any]:
     """`summary` with V and its warning."""
     try:
         storage = run.storage.summary
     except DmframeError as error:
         storage = no_storage(error)
-    data = summary(run.experiment.name, run.recording, out)
+    data = summary(run.graph.name, run.recording, out)
     out = data.pop("out")
     return {**data, "storage": storage, "notices": list(run.notices), "out": out}
 
@@ -62,7 +64,7 @@ def summary(name: str, run: Recording, out: str | None = None) -> dict[str, Any]
     }
 
 
-def _error(error: TrackingError | TurnError | None) -> dict[str, Any] | None:
+def _error(error: Deviation | None) -> dict[str, Any] | None:
     if error is None:
         return None
     rms = [_number(value) for value in error.rms_by_eighth]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import itertools
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, final
@@ -85,6 +85,7 @@ class SymbolicRobot:
         pairs = zip(ca.vertsplit(self._a_k.symbol), kinematic, strict=True)
         self.a_k = ca.vertcat(*(ca.SX(0) if value == 0 else symbol for symbol, value in pairs))
         self.inertia = self._inertia.symbol
+        self._stated: dict[str, tuple[list[Any], Any]] = {}
 
     def with_numbers(self, chain: SerialChain) -> SymbolicRobot:
         """The same symbols with the values of another chain, which has the same joints.
@@ -108,6 +109,7 @@ class SymbolicRobot:
     def with_free_axes(self) -> tuple[SymbolicRobot, Any, Any]:
         """The same robot with all axes and rotations as symbols; and columns of these symbols, joints and tool."""
         other = copy.copy(self)
+        other._stated = {}
         other._placements = [(ca.SX.sym("rotation", 3, 3), ca.SX.sym("axis", 3)) for _ in self._placements]
         other._tool_rotation = ca.SX.sym("tool_rotation", 3, 3)
         axes = ca.vertcat(*(ca.vertcat(ca.vec(R), a) for R, a in other._placements))
@@ -228,23 +230,36 @@ class SymbolicRobot:
 
     def momentum_regressor(self, q: Any, dq: Any) -> Any:
         r"""Y_p(q, dq) of the joints' momentum :math:`M(q) \dot q = Y_p a`, SX (n, 10 n)."""
-        at, along, still = ca.SX.sym("q", self.n), ca.SX.sym("dq", self.n), ca.SX(self.n, 1)
-        momentum = self.inverse_dynamics(at, still, still, along, gravity_share=0)
-        return ca.substitute([ca.jacobian(momentum, self.inertia)], [at, along], [ca.densify(q), ca.densify(dq)])[0]
+
+        def stated(at: Any, along: Any) -> Any:
+            still = ca.SX(self.n, 1)
+            return ca.jacobian(self.inverse_dynamics(at, still, still, along, gravity_share=0), self.inertia)
+
+        return self._at("momentum", stated, q, dq)
 
     def kinetic_regressor(self, q: Any, dq: Any) -> Any:
         r"""Y_c(q, dq) of :math:`\partial_q (\tfrac12 \dot q^\top M(q) \dot q) = C(q, \dot q)^\top \dot q = Y_c a`,
         SX (n, 10 n), the rate of the momentum in addition to the applied torques: :math:`\dot M = C + C^\top`.
         """
-        at, along, still = ca.SX.sym("q", self.n), ca.SX.sym("dq", self.n), ca.SX(self.n, 1)
-        energy = ca.dot(along, self.inverse_dynamics(at, still, still, along, gravity_share=0)) / 2
-        slope = ca.jacobian(ca.gradient(energy, at), self.inertia)
-        return ca.substitute([slope], [at, along], [ca.densify(q), ca.densify(dq)])[0]
+
+        def stated(at: Any, along: Any) -> Any:
+            still = ca.SX(self.n, 1)
+            energy = ca.dot(along, self.inverse_dynamics(at, still, still, along, gravity_share=0)) / 2
+            return ca.jacobian(ca.gradient(energy, at), self.inertia)
+
+        return self._at("kinetic", stated, q, dq)
 
     def gravity_regressor(self, q: Any) -> Any:
         """Y_g(q) of g(q) = Y_g a, SX (n, 10 n)."""
-        at = ca.SX.sym("q", self.n)
-        return ca.substitute([ca.jacobian(self.gravity_torque(at), self.inertia)], [at], [ca.densify(q)])[0]
+        return self._at("gravity", lambda at: ca.jacobian(self.gravity_torque(at), self.inertia), q)
+
+    def _at(self, name: str, stated: Callable[..., Any], *given: Any) -> Any:
+        """A function of columns of n, stated once at symbols, at other columns: samplers need it at many points."""
+        if name not in self._stated:
+            symbols = [ca.SX.sym("x", self.n) for _ in given]
+            self._stated[name] = symbols, stated(*symbols)
+        symbols, expression = self._stated[name]
+        return ca.substitute([expression], symbols, [ca.densify(x) for x in given])[0]
 
     def mass_matrix(self, q: Any, inertia: Any = None) -> Any:
         r"""M(q), SX (n, n), by composite bodies; symmetric by construction.

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from dmframe.errors import OutputError
-from dmframe.graph import load
+from dmframe.graph.load import load
 from dmframe.study.packing import write_graph
 from dmframe.study.plan import Study
 from dmframe.study.results import Results

@@ -16,11 +16,11 @@ from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim, NotApplicableError, claim_of
 from dmframe.certify.conditions import conditions_of
 from dmframe.certify.over import over_intervals
-from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
 from dmframe.errors import DmframeError, NeedsDiagramError, ValueFault
 from dmframe.exact.rational import Interval
+from dmframe.graph.graph import Graph
 from dmframe.robot.rational import decimal
 from dmframe.study.box import box_of, has_bounds, hull
 from dmframe.study.grid import changed, given_of
@@ -46,7 +46,7 @@ def with_tuned(study: Study, factors: Sequence[Factor], values: Mapping[str, flo
     DmframeError
         A graph has no such parameter, or the value is not allowed.
     """
-    bases = dict[str, Experiment]()
+    bases = dict[str, Graph]()
     for name, base in study.bases.items():
         found = dict[str, np.ndarray]()
         for factor in factors:
@@ -70,20 +70,20 @@ class Proofs:
         ValueFault
             The graph has no certificate to prove.
         """
-        experiment = study.points[point].graph.experiment
+        graph = study.points[point].graph
         with SYMBOLIC:
-            claim = self._claim(study, experiment)
-            box = _intervals(study, experiment, claim.diagram) if everywhere else {}
+            claim = self._claim(study, graph)
+            box = _intervals(study, graph, claim.diagram) if everywhere else {}
             numbers = Numbers(claim, box)
             try:
-                checked, _ = conditions_of(claim, numbers, experiment.start)
+                checked, _ = conditions_of(claim, numbers, graph.start)
                 checked = over_intervals(checked, claim, numbers)
             except NotApplicableError as error:
-                raise _no_claim(experiment, error.text) from None
+                raise _no_claim(graph, error.text) from None
         return [item for item in checked if not item.holds]
 
-    def _claim(self, study: Study, experiment: Experiment) -> Claim:
-        diagram, numbers = study.runner.loop_of(experiment)
+    def _claim(self, study: Study, graph: Graph) -> Claim:
+        diagram, numbers = study.runner.loop_of(graph)
         try:
             claim = self.claims.get(id(diagram.resolver))
             if claim is None:
@@ -91,20 +91,20 @@ class Proofs:
             varied = with_values(diagram, numbers)
             return replace(claim, diagram=varied, loop=varied.loop)
         except NeedsDiagramError:
-            return claim_of(experiment.diagram())
+            return claim_of(graph.diagram)
         except NotApplicableError as error:
-            raise _no_claim(experiment, error.text) from None
+            raise _no_claim(graph, error.text) from None
 
 
-def _no_claim(experiment: Experiment, why: str) -> DmframeError:
+def _no_claim(graph: Graph, why: str) -> DmframeError:
     return ValueFault(
-        f"tune.subject_to: {experiment.name} has no certificate whose conditions could be checked: {why}; remove "
+        f"tune.subject_to: {graph.name} has no certificate whose conditions could be checked: {why}; remove "
         f"{CONDITIONS}, subject_to: []",
         path=("tune", "subject_to"),
     )
 
 
-def _intervals(study: Study, experiment: Experiment, diagram: Diagram) -> dict[str, Sequence[Interval]]:
+def _intervals(study: Study, graph: Graph, diagram: Diagram) -> dict[str, Sequence[Interval]]:
     """Intervals of the sampled parameters that contain the graph's own values too."""
     for factor in study.factors:
         if factor.spread is not None and not has_bounds(factor.spread):
@@ -114,9 +114,7 @@ def _intervals(study: Study, experiment: Experiment, diagram: Diagram) -> dict[s
         for item in diagram.loop.parameters
     }
     drawn = {
-        label: found
-        for label, found in box_of(diagram, study.factors, experiment.start).intervals.items()
-        if label in own
+        label: found for label, found in box_of(diagram, study.factors, graph.start).intervals.items() if label in own
     }
     return hull(drawn, {label: own[label] for label in drawn})
 
@@ -133,12 +131,12 @@ def unstable(study: Study, point: int, period: float) -> float | None:
 
     Down to the graph's own clock. At most zero if the loop is stable at all of them; None if no set-point was found.
     """
-    experiment = study.points[point].graph.experiment
-    diagram, numbers = study.runner.loop_of(experiment)
+    graph = study.points[point].graph
+    diagram, numbers = study.runner.loop_of(graph)
     varied, worst = with_values(diagram, numbers), -math.inf
-    own = experiment.file.clock or period
+    own = graph.file.clock or period
     while True:
-        radius = sampled_radius(varied, period, experiment.start)
+        radius = sampled_radius(varied, period, graph.start)
         if radius is None:
             return None
         worst = max(worst, radius - 1)

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 from dmframe.errors import DmframeError, MissingError, visible
 from dmframe.interrupts import in_child
 from dmframe.study.chunks import Chunk
-from dmframe.study.executor import Answer, Computed, Failed, compute, machine, versions
+from dmframe.study.executor import Answer, Computed, Executor, Failed, compute, machine, versions
 from dmframe.study.packing import packed, unpacked
 
 if TYPE_CHECKING:
@@ -46,8 +46,8 @@ def exposed(address: str) -> list[str]:
 
 
 @final
-class Cluster:
-    """The workers of a dask scheduler, an `Executor`.
+class Cluster(Executor):
+    """The workers of a dask scheduler.
 
     Parameters
     ----------

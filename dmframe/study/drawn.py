@@ -73,17 +73,17 @@ class Drawn:
 
 def drawn_of(study: Study, index: int, diagram: Diagram, box: Box, verdict: Verdict) -> Drawn:
     """Examine the samples of a grid point whose box is not proved as a whole."""
-    count, experiment = min(study.samples, LOOKED), study.points[index].graph.experiment
-    stated, values = experiment.intervals(diagram), study.values(index, 0, count)
-    found = None if box.unknown else held_at(diagram, experiment.start, values, count, verdict, stated)
+    count, graph = min(study.samples, LOOKED), study.points[index].graph
+    stated, values = graph.intervals(diagram), study.values(index, 0, count)
+    found = None if box.unknown else held_at(diagram, graph.start, values, count, verdict, stated)
     found = np.full(count, OPEN) if found is None else found
     begun = time.perf_counter()
     for sample in np.flatnonzero(found == OPEN)[:SINGLE].tolist():
         if time.perf_counter() - begun > SECONDS:
             break
         with suppress(DmframeError):
-            graph = study.graph_of(sample * len(study.points) + index)
-            found[sample] = HOLDS if graph.experiment.verify().outcome == "proved" else FAILS
+            verdict = study.graph_of(sample * len(study.points) + index).verdict()
+            found[sample] = HOLDS if verdict.outcome == "proved" else FAILS
     return Drawn(found == HOLDS, found == OPEN)
 
 

@@ -77,6 +77,7 @@ def run_study(
     *,
     workers: int | None = None,
     scheduler: str | None = None,
+    executor: Executor | None = None,
     force: bool = False,
     chunk: int | None = None,
     report: Callable[[State], None] | None = None,
@@ -92,6 +93,8 @@ def run_study(
         Processes on this machine; by default as many as there are cores.
     scheduler
         Address of a dask scheduler, whose workers compute instead.
+    executor
+        What computes the chunks instead of these two, such as `InProcess`.
     force
         If the folder holds another study, delete its runs.
     chunk
@@ -131,7 +134,8 @@ def run_study(
         update()
         if not state.complete:
             try:
-                with Pool(study, workers) if scheduler is None else Cluster(study, scheduler) as executor:
+                executor = executor or (Pool(study, workers) if scheduler is None else Cluster(study, scheduler))
+                with executor:
                     sizes = Sizes(len(study.points), study.samples, extents=store.extents, each=each, work=WORK)
                     _Dispatcher(store, executor, state, update).all(sizes)
             except WorkersLost as lost:

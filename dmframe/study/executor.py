@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import platform
 import time
+from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Protocol, final
+from typing import TYPE_CHECKING, Any, Self, final
 
 from dmframe.errors import visible
 from dmframe.study.chunks import Chunk
@@ -58,24 +59,47 @@ class Failed:
 Answer = tuple[Chunk, Computed | Failed]
 
 
-class Executor(Protocol):
+class Executor(ABC):
     """Computes chunks, several at once; a context manager that ends its workers."""
 
     @property
     def count(self) -> int:
         """How many chunks are computed at once."""
+        return 1
 
+    @abstractmethod
     def submit(self, chunk: Chunk) -> None:
         """Queue a chunk."""
 
+    @abstractmethod
     def ended(self, timeout: float) -> Answer | None:
         """A finished chunk; None if there is none within the timeout [s]."""
 
-    def __enter__(self) -> Executor: ...
+    def __enter__(self) -> Self:
+        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
+    @abstractmethod
+    def __exit__(self, *_: object) -> None: ...
+
+
+@final
+class InProcess(Executor):
+    """Computes in this process, one chunk at a time: for a debugger, and for tests of everything but the workers."""
+
+    def __init__(self, study: Study) -> None:
+        self._study, self._waiting = study, deque[Chunk]()
+
+    def submit(self, chunk: Chunk) -> None:
+        """Queue a chunk."""
+        self._waiting.append(chunk)
+
+    def ended(self, timeout: float) -> Answer | None:
+        """Compute the first chunk that waits."""
+        chunk = self._waiting.popleft() if self._waiting else None
+        return chunk and (chunk, compute(self._study, chunk))
+
+    def __exit__(self, *_: object) -> None:
+        self._waiting.clear()
 
 
 def compute(study: Study, chunk: Chunk) -> Computed | Failed:

@@ -10,13 +10,13 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.config.document import Document, Node, mapping_of
-from dmframe.config.experiment import Experiment
 from dmframe.config.given import node_of
 from dmframe.config.grammar import KEYS, shown
 from dmframe.config.overrides import put_at
 from dmframe.config.reality import names_reality
 from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault, raise_all
 from dmframe.files import made_distinct
+from dmframe.graph.graph import Graph
 from dmframe.study.grammar import own_name
 from dmframe.study.varied import SETTINGS, Factor
 from dmframe.units import shorten
@@ -170,7 +170,7 @@ def _named(name: str, key: str, node: Node, document: Document) -> Case:
     return Case(key, tuple(sets), graph=graph)
 
 
-def changed(base: Experiment, sets: Sequence[Given]) -> Experiment:
+def changed(base: Graph, sets: Sequence[Given]) -> Graph:
     """A graph with values of the study file. Raises `DmframeError`, each fault at its place in the study."""
     if not sets:
         return base
@@ -186,14 +186,14 @@ def changed(base: Experiment, sets: Sequence[Given]) -> Experiment:
     return made
 
 
-def scaled(experiment: Experiment, factors: Sequence[tuple[Axis, float]]) -> Experiment:
+def scaled(graph: Graph, factors: Sequence[tuple[Axis, float]]) -> Graph:
     """A graph whose parameters are multiplied by the factors of some axes."""
     if not factors:
-        return experiment
+        return graph
     values = dict[str, np.ndarray]()
     for axis, factor in factors:
-        Factor(axis.name, axis.scaled, "scale", None, None, "").put(values, np.array([[factor]]), experiment)
-    return changed(experiment, given_of(values, f"grid.{', grid.'.join(axis.name for axis, _ in factors)}"))
+        Factor(axis.name, axis.scaled, "scale", None, None, "").put(values, np.array([[factor]]), graph)
+    return changed(graph, given_of(values, f"grid.{', grid.'.join(axis.name for axis, _ in factors)}"))
 
 
 def given_of(values: Mapping[str, np.ndarray], place: str) -> list[Given]:
@@ -201,7 +201,7 @@ def given_of(values: Mapping[str, np.ndarray], place: str) -> list[Given]:
     return [Given(label, node_of(rows[0].tolist(), (label,), place), place) for label, rows in values.items()]
 
 
-def with_values_of(axis: Axis, graphs: Sequence[Experiment]) -> Axis:
+def with_values_of(axis: Axis, graphs: Sequence[Graph]) -> Axis:
     """The axis with the values of its cases in their graphs: numbers in their unit if all are numbers, else texts."""
     own = [case.sets[0].label for case in axis.cases if len(case.sets) == 1 and case.value == ""]
     if len(own) < len(axis.cases):  # factors, graphs and named cases have their values already
@@ -215,17 +215,17 @@ def with_values_of(axis: Axis, graphs: Sequence[Experiment]) -> Axis:
     return replace(axis, cases=tuple(replace(case, value=text) for case, text in zip(axis.cases, texts, strict=True)))
 
 
-def _number(label: str, experiment: Experiment) -> tuple[float | None, str]:
+def _number(label: str, graph: Graph) -> tuple[float | None, str]:
     """A value as the graph parses it, and its unit; None if it is not one number."""
     from dmframe.parameter import specs
 
     keys = label.removeprefix("blocks.").split(".")
-    if len(keys) == 2 and keys[0] in experiment.blocks:
-        block = experiment.blocks[keys[0]]
+    if len(keys) == 2 and keys[0] in graph.blocks:
+        block = graph.blocks[keys[0]]
         value, spec = getattr(block, keys[1], None), specs(type(block)).get(keys[1])
         unit = spec.unit if spec else ""
     else:
-        value, unit = experiment.file, _TIMES.get(label, "")
+        value, unit = graph.file, _TIMES.get(label, "")
         for key in keys:
             value = getattr(value, key, None)
     if isinstance(value, bool) or not isinstance(value, int | float):

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from dmframe.config.experiment import Experiment
-from dmframe.results.resolved import companions, resolved, robot_source
+from dmframe.config.resolved import companions, resolved, robot_source
+from dmframe.graph.graph import Graph
 from dmframe.study.design import Spread
 from dmframe.version import version
 
@@ -74,25 +74,25 @@ def key_of(identity: Mapping[str, Any]) -> str:
 def files_of(study: Study) -> dict[str, str]:
     """Digest of each file that decides the dynamics: sources of blocks, models of robots."""
     found = dict[str, str]()
-    for experiment in graphs_of(study):
-        for path in _paths(experiment):
+    for graph in graphs_of(study):
+        for path in _paths(graph):
             found.setdefault(path.name, hashlib.sha256(path.read_bytes()).hexdigest())
     return dict(sorted(found.items()))
 
 
-def graphs_of(study: Study) -> list[Experiment]:
+def graphs_of(study: Study) -> list[Graph]:
     """Its graphs, and one for each case with a block or a robot of its own: together they name all files."""
     points = study.cases_that(lambda axis: any(label.split(".")[0] in ("blocks", "robot") for label in axis.labels))
-    return [*study.bases.values(), *(point.graph.experiment for point in points)]
+    return [*study.bases.values(), *(point.graph for point in points)]
 
 
-def _paths(experiment: Experiment) -> list[Path]:
-    found = list(companions(experiment).values())
-    for block in experiment.blocks.values():
+def _paths(graph: Graph) -> list[Path]:
+    found = list(companions(graph).values())
+    for block in graph.blocks.values():
         file = inspect.getsourcefile(type(block))
         if file is not None and Path(file).is_file():
             found.append(Path(file))
-    source = robot_source(experiment)
+    source = robot_source(graph)
     if source is not None:
         found.append(source.urdf)
     return found

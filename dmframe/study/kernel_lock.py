@@ -8,8 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, final
 
-from dmframe.errors import OutputError
-from dmframe.files import writing
+from dmframe.files import flocked, writing
 
 FOLDER_LOCK: Final = ".dmframe-study.lock"
 """The file that is locked while a process writes to a study's folder."""
@@ -24,26 +23,20 @@ class KernelLock:
     """
 
     def __init__(self, path: Path) -> None:
-        self._path, self._descriptor = path, -1
+        self._path = path
+        self._descriptor: int | None = None
 
     def acquire(self) -> bool:
         """Wait for the lock."""
-        import fcntl
-
         with writing(self._path, "file"):
-            file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX)
-        except BaseException:
-            os.close(file)
-            raise
-        self._descriptor = file
+            self._descriptor = flocked(self._path, os.O_RDWR | os.O_CREAT)
         return True
 
     def release(self) -> None:
         """Release the lock."""
-        file, self._descriptor = self._descriptor, -1
-        os.close(file)
+        file, self._descriptor = self._descriptor, None
+        if file is not None:
+            os.close(file)
 
 
 def journal_lock(path: Path) -> Any:
@@ -60,22 +53,11 @@ def journal_lock(path: Path) -> Any:
 @contextmanager
 def alone_in(folder: Path) -> Iterator[None]:
     """Lock a folder while this process uses it, if the system has ``flock``. Raises `OutputError` if it is locked."""
-    try:
-        import fcntl
-    except ImportError:
-        yield
-        return
+    busy = f"{folder}: another study runs there; wait until it has ended, or name another folder"
     with writing(folder, "folder"):
-        descriptor = os.open(folder / FOLDER_LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+        descriptor = flocked(folder / FOLDER_LOCK, os.O_RDWR | os.O_CREAT, busy)
     try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise OutputError(
-                f"{folder}: another study runs there; wait until it has ended, or name another folder"
-            ) from None
-        except OSError:  # some network drives have no locks
-            pass
         yield
     finally:
-        os.close(descriptor)
+        if descriptor is not None:
+            os.close(descriptor)

@@ -13,10 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from dmframe.config.document import Document
-from dmframe.config.experiment import Experiment
+from dmframe.config.resolved import companions, resolved_text
 from dmframe.files import encoded, write_text, writing
-from dmframe.graph import Graph
-from dmframe.results.resolved import companions, resolved_text
+from dmframe.graph.graph import Graph
 
 if TYPE_CHECKING:
     from dmframe.study.plan import Study
@@ -27,7 +26,7 @@ GRAPH: Final = "graph.yaml"
 def write_graph(graph: Graph, path: Path) -> None:
     """Write a graph, and the files that it names into the same folder. Raises `OutputError`."""
     write_text(path, graph.text)
-    for name, source in companions(graph.experiment).items():
+    for name, source in companions(graph).items():
         target = path.with_name(name)
         if source.resolve() != target.resolve():
             with writing(target):
@@ -40,34 +39,34 @@ def folder_files(study: Study) -> dict[str, bytes]:
     The study itself; its graph with all defaults written out; graphs, blocks and robots that it names by path.
     """
     text, found = study.text, {GRAPH: encoded(resolved_text(study.bases[""]))}
-    for key, experiment in study.bases.items():
-        name, path = Path(key or study.file.graph), Path(experiment.document.name)
+    for key, graph in study.bases.items():
+        name, path = Path(key or study.file.graph), Path(graph.document.name)
         if name.suffix not in (".yaml", ".yml") or name.is_absolute():
             continue
         if ".." in name.parts:  # outside of the folder
             text = text.replace(str(name), str(path.resolve()))
             continue
         found[str(name)] = path.read_bytes()
-    for experiment in study.graphs:
-        base = Path(experiment.document.name).parent
+    for graph in study.graphs:
+        base = Path(graph.document.name).parent
         place = next(
             (Path(key or study.file.graph).parent for key, each in study.bases.items() if _base(each) == base), Path()
         )
         if place.is_absolute():
             continue
-        for inner, path in _own(experiment):
+        for inner, path in _own(graph):
             found[str(place / inner)] = path.read_bytes()
     return {**found, "study.yaml": encoded(text)}
 
 
-def _base(experiment: Experiment) -> Path:
-    return Path(experiment.document.name).parent
+def _base(graph: Graph) -> Path:
+    return Path(graph.document.name).parent
 
 
-def _own(experiment: Experiment) -> Iterator[tuple[Path, Path]]:
+def _own(graph: Graph) -> Iterator[tuple[Path, Path]]:
     """Files that a graph names in its own folder or below: relative and absolute paths."""
-    base = _base(experiment).resolve()
-    for path in companions(experiment).values():
+    base = _base(graph).resolve()
+    for path in companions(graph).values():
         if path.resolve().is_relative_to(base):
             yield path.resolve().relative_to(base), path
 
@@ -90,7 +89,7 @@ class _Packer(pickle.Pickler):
         self.folders = dict[Path, int]()
 
     def reducer_override(self, value: Any) -> Any:
-        if isinstance(value, Experiment):
+        if isinstance(value, Graph):
             number = self.folders.setdefault(_base(value), len(self.folders))
             return _placed, (number, value.document, value.name, value.overrides)
         return NotImplemented
@@ -102,9 +101,9 @@ def packed(study: Study) -> bytes:
     packer = _Packer(stream)
     packer.dump(study)
     files = dict[tuple[int, str], bytes]()
-    for experiment in study.graphs:
-        number = packer.folders.setdefault(_base(experiment), len(packer.folders))
-        files |= {(number, str(inner)): path.read_bytes() for inner, path in _own(experiment)}
+    for graph in study.graphs:
+        number = packer.folders.setdefault(_base(graph), len(packer.folders))
+        files |= {(number, str(inner)): path.read_bytes() for inner, path in _own(graph)}
     return pickle.dumps(Parcel(stream.getvalue(), files), protocol=pickle.HIGHEST_PROTOCOL)
 
 
@@ -126,9 +125,7 @@ _root = Path()
 """Folder of the parcel that is being unpacked; a worker unpacks one at a time."""
 
 
-def _placed(number: int, document: Document, name: str, overrides: tuple[str, ...]) -> Experiment:
+def _placed(number: int, document: Document, name: str, overrides: tuple[str, ...]) -> Graph:
     """A graph of a parcel."""
-    from dmframe.config.experiment import experiment_of
-
     place = _root / str(number) / Path(document.name).name
-    return replace(experiment_of(replace(document, name=str(place))), name=name, overrides=overrides)
+    return replace(Graph.of(replace(document, name=str(place))), name=name, overrides=overrides)

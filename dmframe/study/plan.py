@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from dmframe.batch import Runner
 from dmframe.batch.columns import Column, Columns, row_of
+from dmframe.batch.runner import Runner
 from dmframe.config.document import Document
-from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, ValueFault, raise_all
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording
 from dmframe.study.design import Design
 from dmframe.study.grammar import StudyFile, raise_placed
@@ -59,7 +58,7 @@ class Point:
         base = study.bases[next((case.graph for case in reversed(self.cases) if case.graph), "")]
         found = changed(base, [given for case in self.cases for given in case.sets])
         pairs = zip(study.axes, self.cases, strict=True)
-        return Graph(scaled(found, [(axis, case.factor) for axis, case in pairs if case.factor is not None]))
+        return scaled(found, [(axis, case.factor) for axis, case in pairs if case.factor is not None])
 
     def __repr__(self) -> str:
         values = ", ".join(f"{key}={value}" for key, value in self.values.items())
@@ -96,7 +95,7 @@ class Study:
     text: str
     document: Document = field(repr=False)
     file: StudyFile
-    bases: Mapping[str, Experiment]
+    bases: Mapping[str, Graph]
     axes: tuple[Axis, ...]
     factors: tuple[Factor, ...]
 
@@ -129,7 +128,7 @@ class Study:
     @cached_property
     def noisy(self) -> bool:
         """True if a loop has noise or jitter; all samples of a point get the same realisation."""
-        jitter = any(bool(experiment.file.jitter) for experiment in self.bases.values())
+        jitter = any(bool(graph.file.jitter) for graph in self.bases.values())
         jitter |= any(label == "jitter" for axis in self.axes for label in axis.labels)
         jitter |= any("jitter" in factor.labels for factor in self.factors)
         return jitter or any(diagram.loop.noises for diagram in self.diagrams)
@@ -196,10 +195,10 @@ class Study:
 
     def values_of(self, point: int, samples: np.ndarray) -> dict[str, np.ndarray]:
         """`values` of any samples."""
-        drawn, experiment = self.drawn_at(samples), self.points[point].graph.experiment
+        drawn, graph = self.drawn_at(samples), self.points[point].graph
         found = dict[str, np.ndarray]()
         for factor in self.factors:
-            factor.put(found, np.stack([drawn[name] for name in factor.columns], axis=1), experiment)
+            factor.put(found, np.stack([drawn[name] for name in factor.columns], axis=1), graph)
         return found
 
     def rows(self, point: int, first: int, stop: int, *, threads: int = 1) -> Columns:
@@ -229,9 +228,9 @@ class Study:
             raise ValueFault(f"run: expected one from 0 to {self.runs - 1}, found {run!r:.40}")
         sample, point = divmod(run, len(self.points))
         numbers = {label: found[0].tolist() for label, found in self.values(point, sample, sample + 1).items()}
-        experiment = self.points[point].graph.experiment
-        experiment = experiment.changed(numbers) if numbers else experiment
-        return Graph(replace(experiment, name=f"{self.name}_{run}"))
+        graph = self.points[point].graph
+        graph = graph.set(numbers) if numbers else graph
+        return replace(graph, name=f"{self.name}_{run}")
 
     def run(
         self,
@@ -290,7 +289,7 @@ class Study:
     def diagrams(self) -> list[Diagram]:
         """The closed loops of the cases of each axis, the others at their first case."""
         points = [self.points[0], *self.cases_that(_shapes)]
-        found = [self.runner.loop_of(point.graph.experiment)[0] for point in points]
+        found = [self.runner.loop_of(point.graph)[0] for point in points]
         return list({id(diagram): diagram for diagram in found}.values())
 
     def cases_that(self, shape: Callable[[Axis], bool]) -> list[Point]:
@@ -304,7 +303,7 @@ class Study:
         return found
 
     @property
-    def graphs(self) -> list[Experiment]:
+    def graphs(self) -> list[Graph]:
         """Graphs that together name all files of blocks and robots."""
         return graphs_of(self)
 

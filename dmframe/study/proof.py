@@ -10,10 +10,10 @@ from dmframe.block.model import SYMBOLIC
 from dmframe.certify import Verdict, verify
 from dmframe.certify.checked import Checked
 from dmframe.certify.over import NEEDED
-from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
 from dmframe.errors import DmframeError
+from dmframe.graph.graph import Graph
 from dmframe.study.box import Box, box_of, hull
 from dmframe.study.drawn import Drawn, drawn_of
 from dmframe.study.plan import Study
@@ -77,20 +77,20 @@ def proofs_of(study: Study, names: Sequence[str]) -> list[Proof]:
     for point in study.points[:MOST]:
         name = names[point.index]
         try:
-            experiment = point.graph.experiment
-            diagram, numbers = study.runner.loop_of(experiment)
+            graph = point.graph
+            diagram, numbers = study.runner.loop_of(graph)
             diagram = with_values(diagram, numbers) if numbers else diagram
-            found.append(_proof(study, point.index, name, diagram, experiment))
+            found.append(_proof(study, point.index, name, diagram, graph))
         except DmframeError as error:
             found.append(Proof(point.index, name, Box({}, {}, 1.0, ()), None, str(error)))
     return found
 
 
-def _proof(study: Study, index: int, name: str, diagram: Diagram, experiment: Experiment) -> Proof:
-    start = experiment.start
+def _proof(study: Study, index: int, name: str, diagram: Diagram, graph: Graph) -> Proof:
+    start = graph.start
     box = box_of(diagram, study.factors, start)
     with SYMBOLIC:
-        verdict = verify(diagram, uncertain=hull(box.intervals, experiment.intervals(diagram)), start=start)
+        verdict = verify(diagram, uncertain=hull(box.intervals, graph.intervals(diagram)), start=start)
     drawn = None
     if (verdict.outcome != "proved" or box.unknown) and study.samples > 1 and study.factors:
         drawn = drawn_of(study, index, diagram, box, verdict)

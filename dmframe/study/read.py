@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cache
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -12,13 +11,12 @@ from typing import Any
 from pydantic import ValidationError
 
 from dmframe.catalogue import find_graph
-from dmframe.config import load_experiment
 from dmframe.config.document import Document, Steps, read_document, read_file
-from dmframe.config.experiment import Experiment
 from dmframe.config.given import document_of
 from dmframe.config.grammar import fault_of
 from dmframe.errors import DmframeError, UnknownNameError, ValueFault
 from dmframe.files import expanded
+from dmframe.graph.graph import Graph
 from dmframe.study.grammar import STUDY, StudyFile, keys_at, own_name, raise_placed
 from dmframe.study.grid import Axis, Given, axis_of, changed, scaled, with_values_of
 from dmframe.study.journal import begun_as
@@ -139,7 +137,7 @@ def _is_group(value: Any) -> bool:
 
 def _graphs(
     file: StudyFile, document: Document, folder: Path, overrides: Sequence[str]
-) -> tuple[dict[str, Experiment], list[Axis], list[DmframeError]]:
+) -> tuple[dict[str, Graph], list[Axis], list[DmframeError]]:
     """The graphs that the study names with the section ``set`` applied, and the axes of the grid."""
     faults, axes = list[DmframeError](), list[Axis]()
     for name in file.grid:
@@ -156,7 +154,7 @@ def _graphs(
                     place = ("grid", axis.name, str(case.value), "graph")
                 names.setdefault(case.graph, (case.graph, place))
     sets = [Given(label, document.node(("set", label)), document.locate(("set", label))) for label in file.set]
-    bases = dict[str, Experiment]()
+    bases = dict[str, Graph]()
     for key, (name, place) in names.items():
         try:
             bases[key] = changed(_graph(name, folder, overrides), sets)
@@ -167,17 +165,17 @@ def _graphs(
     return (bases if "" in bases and len(bases) == len(names) else {}), axes, faults
 
 
-def _graph(name: str, folder: Path, overrides: Sequence[str]) -> Experiment:
+def _graph(name: str, folder: Path, overrides: Sequence[str]) -> Graph:
     path = folder / name
     found = path if name.endswith((".yaml", ".yml")) and not Path(name).is_absolute() else find_graph(name)
-    return load_experiment(found, overrides)
+    return Graph.read(found, overrides)
 
 
-def _in_graphs(bases: Mapping[str, Experiment], axes: Sequence[Axis]) -> tuple[list[Axis], list[DmframeError]]:
+def _in_graphs(bases: Mapping[str, Graph], axes: Sequence[Axis]) -> tuple[list[Axis], list[DmframeError]]:
     """The axes with the values of their cases: each applied to the graph, the other axes at their first."""
     faults, found = list[DmframeError](), list[Axis]()
     for k, axis in enumerate(axes):
-        graphs = list[Experiment]()
+        graphs = list[Graph]()
         for case in axis.cases:
             cases = [case if j == k else other.cases[0] for j, other in enumerate(axes)]
             base = bases[next((each.graph for each in reversed(cases) if each.graph), "")]
@@ -195,9 +193,9 @@ def _in_graphs(bases: Mapping[str, Experiment], axes: Sequence[Axis]) -> tuple[l
     return found, faults
 
 
-def _factors(file: StudyFile, base: Experiment, axes: Sequence[Axis]) -> tuple[list[Factor], list[DmframeError]]:
+def _factors(file: StudyFile, base: Graph, axes: Sequence[Axis]) -> tuple[list[Factor], list[DmframeError]]:
     """What is sampled, bound to the graph."""
-    found, faults = factors_of("sample", file.sample.variations, base, cache(base.diagram))
+    found, faults = factors_of("sample", file.sample.variations, base, lambda: base.diagram)
     faults += set_twice(found, {label for axis in axes for label in axis.labels})
     columns = [axis.name for axis in axes] + [name for each in found for name in each.columns]
     for name in {name for name in columns if columns.count(name) > 1}:

@@ -158,7 +158,7 @@ def _saved(results: Results, findings: Findings) -> list[Saved]:
 
 def _robots(results: Results) -> bool:
     """True if a parameter of the plant is sampled."""
-    blocks = results.study.points[0].graph.experiment.blocks
+    blocks = results.study.points[0].graph.blocks
     drawn = {label.partition(".")[0] for factor in results.study.factors for label in factor.labels}
     return any(blocks[name].side is Side.PLANT for name in drawn & blocks.keys())
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import polars as pl
     import xarray as xr
 
-    from dmframe.graph import Graph
+    from dmframe.graph.graph import Graph
     from dmframe.study.plan import Study
 
 STUDY: Final = "study"

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dmframe.batch import Runs, Wanted
 from dmframe.batch.columns import Column, Columns, columns_of, joined, limits_in, rows_of, units_of
-from dmframe.batch.figures import ERROR, TURN
+from dmframe.batch.figures import ERROR, TURN, Wanted
+from dmframe.batch.runner import Runs
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, UnknownNameError
 from dmframe.study.grammar import raise_placed
@@ -51,8 +51,7 @@ def _unknown(section: str, label: str, known: Iterable[str]) -> DmframeError:
 def rows(study: Study, several: Sequence[tuple[int, np.ndarray]], threads: int) -> Columns:
     """The table's rows of some samples at each of several grid points, one point after another."""
     items = [
-        Runs(study.points[point].graph.experiment, study.values_of(point, samples), len(samples))
-        for point, samples in several
+        Runs(study.points[point].graph, study.values_of(point, samples), len(samples)) for point, samples in several
     ]
     found = study.runner.measure(items, partial(wanted_of, study), threads=threads)
     heads = [_head(study, point, samples) for point, samples in several]

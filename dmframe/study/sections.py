@@ -339,7 +339,7 @@ def _met(each: Proof) -> str:
 
 def scope(study: Study) -> str:
     """Graphs and duration of the runs, for the page's head."""
-    experiments = [point.graph.experiment for point in study.points]
+    experiments = [point.graph for point in study.points]
     names = list(dict.fromkeys(each.name for each in experiments))
     times = sorted({each.file.duration for each in experiments})
     shown = [*names[:GRAPHS], f"{len(names) - GRAPHS} more"] if len(names) > GRAPHS else names

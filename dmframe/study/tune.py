@@ -283,7 +283,7 @@ def _measuring(study: Study, section: TuneSection) -> Study:
     texts = (*section.minimise, *section.subject_to)
     needed = [signal for text in texts for signal in signals_of(text)]
     if any(text.partition("<")[0].split()[-1:] == [EFFORT] for text in texts):
-        needed += efforts(study.runner.loop_of(study.points[0].graph.experiment)[0])
+        needed += efforts(study.runner.loop_of(study.points[0].graph)[0])
     measure = study.file.measure
     signals = tuple(dict.fromkeys([*measure.signals, *needed]))
     file = study.file.model_copy(update={"measure": measure.model_copy(update={"signals": signals})})
@@ -292,7 +292,7 @@ def _measuring(study: Study, section: TuneSection) -> Study:
 
 def _bound(study: Study, section: TuneSection, factors: tuple[Factor, ...], threads: int) -> Tuning:
     faults, columns = list[DmframeError](), study.measures
-    diagram = study.runner.loop_of(study.points[0].graph.experiment)[0]
+    diagram = study.runner.loop_of(study.points[0].graph)[0]
     objectives, bounds, period, conditions = list[Statistic](), list[Bound](), None, list[str]()
     for text in section.minimise:
         try:

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from dmframe.analysis.period import TOLERANCE, sampled_radius
-from dmframe.config.experiment import Experiment
 from dmframe.errors import MissingError
 from dmframe.files import write_bytes, write_text, writing
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.study.cautions import LONGER, notices, with_unit
 from dmframe.study.packing import write_graph
 from dmframe.study.plan import Study
@@ -22,7 +21,7 @@ from dmframe.study.trials import Trial, front_of
 from dmframe.study.tune import Tuning
 
 if TYPE_CHECKING:
-    from dmframe.report import Verification
+    from dmframe.report.verification import Verification
 
 MOST: Final = 3
 """Points of the front that are validated and proved."""
@@ -265,11 +264,10 @@ def _checked(
     prove: bool,
 ) -> Chosen:
     candidate = tuning.candidate(values)
-    experiment = candidate.points[0].graph.experiment
+    graph = candidate.points[0].graph
     if prove:
-        title = f"{experiment.file.title or experiment.name}; {', '.join(tuning.columns)} tuned by {tuning.study.name}"
-        experiment = replace(experiment, name=label, file=experiment.file.model_copy(update={"title": title}))
-    graph = Graph(experiment)
+        title = f"{graph.file.title or graph.name}; {', '.join(tuning.columns)} tuned by {tuning.study.name}"
+        graph = replace(graph, name=label, file=graph.file.model_copy(update={"title": title}))
     bases, broken = candidate.bases, list[str]()
     on_fresh, over_longer = list[float](), list[float]()
     if fresh is not None:
@@ -278,10 +276,10 @@ def _checked(
         on_fresh, rows = tuning.figures_of(fresh.altered(bases=bases))
         broken += _broken(tuning, rows, "on fresh plants")
     if longer is not None:
-        bases = {name: base.with_duration(LONGER * base.file.duration) for name, base in bases.items()}
+        bases = {name: base.until(LONGER * base.file.duration) for name, base in bases.items()}
         over_longer, rows = tuning.figures_of(longer.altered(bases=bases))
         broken += _broken(tuning, rows, f"{LONGER:g} times as long")
-    radius = None if graph.clock is None else sampled_radius(graph.diagram, graph.clock, experiment.start)
+    radius = None if graph.clock is None else sampled_radius(graph.diagram, graph.clock, graph.start)
     proof = graph.verify() if prove else None
     searched = trial.figures if trial is not None else ()
     number = None if trial is None else trial.number
@@ -299,9 +297,9 @@ def _checked(
     )
 
 
-def _other_noise(base: Experiment) -> Experiment:
+def _other_noise(base: Graph) -> Graph:
     """The graph with other random numbers than in the search."""
-    return base.changed({"seed": (base.file.seed + _FRESH) % 2**64})
+    return base.set({"seed": (base.file.seed + _FRESH) % 2**64})
 
 
 def _broken(tuning: Tuning, rows: Mapping[str, Any], where: str) -> list[str]:

@@ -9,10 +9,10 @@ from typing import Any, Final, Literal, final
 
 import numpy as np
 
-from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, UnknownNameError, ValueFault
 from dmframe.gain import Prior
+from dmframe.graph.graph import Graph
 from dmframe.parameter import PAIRS, specs
 from dmframe.study.design import Spread, columns_of
 from dmframe.study.grammar import Distribution, Variation, own_name
@@ -52,7 +52,7 @@ class Target:
     spreads: bool = True
 
 
-def target(label: str, experiment: Experiment, diagram: Callable[[], Diagram]) -> Target:
+def target(label: str, graph: Graph, diagram: Callable[[], Diagram]) -> Target:
     """A parameter by its label.
 
     Raises
@@ -62,12 +62,12 @@ def target(label: str, experiment: Experiment, diagram: Callable[[], Diagram]) -
     """
     if label in SETTINGS:
         unit, sign = SETTINGS[label]
-        return Target(label, unit, sign, value_in(label, experiment), "")
+        return Target(label, unit, sign, value_in(label, graph), "")
     if label.startswith(START):
-        return _start(label, experiment, diagram())
+        return _start(label, graph, diagram())
     known = {
         f"{name}.{key}": (block, key, spec)
-        for name, block in experiment.blocks.items()
+        for name, block in graph.blocks.items()
         for key, spec in specs(type(block)).items()
     }
     if label not in known:
@@ -82,31 +82,31 @@ def target(label: str, experiment: Experiment, diagram: Callable[[], Diagram]) -
             f"{label}: the graph has it from {value.inverse_of}; list values under grid, or set a number first"
         )
     spreads = spec.form in ("diagonal", "gain")
-    return Target(label, spec.unit, spec.sign, value_in(label, experiment), spec.shape, spreads)
+    return Target(label, spec.unit, spec.sign, value_in(label, graph), spec.shape, spreads)
 
 
-def value_in(label: str, experiment: Experiment) -> np.ndarray | None:
+def value_in(label: str, graph: Graph) -> np.ndarray | None:
     """The graph's own value of a quantity; None if it states no number."""
-    value: Any = experiment.file
+    value: Any = graph.file
     if label in SETTINGS:
         for key in label.split("."):
             value = getattr(value, key, None)
     elif label.startswith(START):
-        value = experiment.start.get(label.removeprefix(START))
+        value = graph.start.get(label.removeprefix(START))
     else:
         block, _, key = label.partition(".")
-        value = getattr(experiment.blocks.get(block), key, None)
+        value = getattr(graph.blocks.get(block), key, None)
     return None if value is None or isinstance(value, Prior) else np.asarray(value, dtype=float)
 
 
-def _start(label: str, experiment: Experiment, diagram: Diagram) -> Target:
+def _start(label: str, graph: Graph, diagram: Diagram) -> Target:
     key = label.removeprefix(START)
     variables = diagram.loop.variables
     found = next((each for each in variables if key in (each.label, each.name)), None)
     if found is None:
         choices = [f"{START}{each.label}" for each in variables]
         raise UnknownNameError(label, "state", label, [*choices, *(f"{START}{each.name}" for each in variables)])
-    return Target(label, found.unit, "", value_in(label, experiment), f"{found.symbol.numel()}")
+    return Target(label, found.unit, "", value_in(label, graph), f"{found.symbol.numel()}")
 
 
 @final
@@ -142,17 +142,17 @@ class Factor:
         """Columns of the table: one, or one per element."""
         return columns_of(self.name, self.elements)
 
-    def put(self, values: dict[str, np.ndarray], drawn: np.ndarray, experiment: Experiment) -> None:
+    def put(self, values: dict[str, np.ndarray], drawn: np.ndarray, graph: Graph) -> None:
         """Apply (N, columns) drawn numbers to `values`, rows by label; missing labels start from the graph's values."""
         for label in self.labels:
             of_block = label not in SETTINGS and not label.startswith(START)
-            if of_block and label.partition(".")[0] not in experiment.blocks:
-                raise ValueFault(f"{label}: expected that block in the graph {experiment.name}, found none")
+            if of_block and label.partition(".")[0] not in graph.blocks:
+                raise ValueFault(f"{label}: expected that block in the graph {graph.name}, found none")
             rows = drawn if self.elements is not None else drawn[:, 0]
             if self.how == "value":
-                values[label] = _filled(rows, label, experiment) if of_block and self.elements is None else rows
+                values[label] = _filled(rows, label, graph) if of_block and self.elements is None else rows
                 continue
-            own = values[label] if label in values else _own(label, experiment)[None]
+            own = values[label] if label in values else _own(label, graph)[None]
             if self.elements is None:
                 rows = rows.reshape(-1, *(1 for _ in own.shape[1:]))
             elif own.ndim == 1:
@@ -160,22 +160,22 @@ class Factor:
             values[label] = rows * own if self.how == "scale" else rows + own
 
 
-def _own(label: str, experiment: Experiment) -> np.ndarray:
-    found = value_in(label, experiment)
+def _own(label: str, graph: Graph) -> np.ndarray:
+    found = value_in(label, graph)
     if found is None:
-        raise ValueFault(f"{label}: expected a number in the graph {experiment.name}, found none")
+        raise ValueFault(f"{label}: expected a number in the graph {graph.name}, found none")
     return found
 
 
-def _filled(rows: np.ndarray, label: str, experiment: Experiment) -> np.ndarray:
+def _filled(rows: np.ndarray, label: str, graph: Graph) -> np.ndarray:
     """One number per run, repeated for a parameter that needs all its elements."""
     block, _, key = label.partition(".")
-    if specs(type(experiment.blocks[block]))[key].form != "vector":
+    if specs(type(graph.blocks[block]))[key].form != "vector":
         return rows
-    return np.repeat(rows[:, None], _own(label, experiment).size, axis=1)
+    return np.repeat(rows[:, None], _own(label, graph).size, axis=1)
 
 
-def factor(name: str, variation: Variation, experiment: Experiment, diagram: Callable[[], Diagram]) -> Factor:
+def factor(name: str, variation: Variation, graph: Graph, diagram: Callable[[], Diagram]) -> Factor:
     """A variation of the study file, bound to a graph.
 
     Raises
@@ -189,7 +189,7 @@ def factor(name: str, variation: Variation, experiment: Experiment, diagram: Cal
     targets = list[Target]()
     for label in labels:
         try:
-            targets.append(target(label, experiment, diagram))
+            targets.append(target(label, graph, diagram))
         except DmframeError as error:
             for fault in error.faults:
                 fault.path = ("of",) if variation.of else ()
@@ -293,13 +293,13 @@ def _count(each: Target, diagram: Callable[[], Diagram]) -> int:
 
 
 def factors_of(
-    section: str, variations: Mapping[str, Variation], experiment: Experiment, diagram: Callable[[], Diagram]
+    section: str, variations: Mapping[str, Variation], graph: Graph, diagram: Callable[[], Diagram]
 ) -> tuple[list[Factor], list[DmframeError]]:
     """The variations of a section of the study file, bound to a graph, and their faults."""
     found, faults = list[Factor](), list[DmframeError]()
     for name, variation in variations.items():
         try:
-            found.append(factor(name, variation, experiment, diagram))
+            found.append(factor(name, variation, graph, diagram))
         except DmframeError as error:
             for fault in error.faults:
                 fault.path = fault.path if fault.location else (section, name, *fault.path)

@@ -11,7 +11,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from dmframe.config.experiment import Experiment
+from dmframe.config import BaseGraph
 from dmframe.errors import EngineError, RobotError, listed
 from dmframe.robot.chain import SerialChain, pin_configuration
 from dmframe.robot.library import find_robot
@@ -154,7 +154,7 @@ class Arm:
         return base, flange
 
 
-def arm_of(experiment: Experiment) -> Arm:
+def arm_of(experiment: BaseGraph) -> Arm:
     """The UR of a graph.
 
     Raises

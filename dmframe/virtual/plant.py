@@ -16,7 +16,7 @@ from dmframe.build.library import address, bound
 from dmframe.build.trial import called
 from dmframe.codegen.function import ONE, written
 from dmframe.codegen.source import shipped
-from dmframe.config.experiment import Experiment
+from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.diagram.parts import split
 from dmframe.errors import EngineError, ValueFault
@@ -55,7 +55,7 @@ class Plant:
         velocity, or it does not measure q and dq.
     """
 
-    def __init__(self, experiment: Experiment, diagram: Diagram, cycle: float, *, engine: Choice = "auto") -> None:
+    def __init__(self, experiment: BaseGraph, diagram: Diagram, cycle: float, *, engine: Choice = "auto") -> None:
         if not (math.isfinite(cycle) and cycle > 0):
             raise ValueFault(f"cycle: expected a positive number of seconds, found {cycle}")
         robot = robot_of(experiment, diagram)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, final
 
 import numpy as np
 
-from dmframe.config.experiment import Experiment
+from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, EngineError, ValueFault
 from dmframe.runtime.ur_arm import JOINTS
@@ -115,7 +115,7 @@ class VirtualRobot:
 
     def __init__(
         self,
-        experiment: Experiment,
+        experiment: BaseGraph,
         diagram: Diagram,
         *,
         series: Series = "e",

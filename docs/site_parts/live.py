@@ -22,9 +22,9 @@ HEIGHT: Final = 860
 
 def graph_of(source: str | Path, settings: str = "") -> Graph:
     """A graph, by name or file, with settings as a command line has them, ``dynamics.Gamma=20 clock='2 ms'``."""
-    from dmframe.config import load_experiment
+    from dmframe.graph.graph import Graph
 
-    return Graph(load_experiment(source, shlex.split(settings))) if settings else dm.load(source)
+    return Graph.read(source, shlex.split(settings)) if settings else dm.load(source)
 
 
 def file_of(graph: Graph, settings: str = "") -> str:

@@ -28,7 +28,7 @@ HEADS = ("graph", "varied", "runs", "diverged", "at_most", "unit", "median", "q9
 def study_of(name: str, runs: int) -> dict[str, Any]:
     """One factor for all gains of the servo, one for all friction, each from half to twice the graph's."""
     graph = dm.load(name)
-    plant = {label: block for label, block in graph.experiment.blocks.items() if block.side is Side.PLANT}
+    plant = {label: block for label, block in graph.blocks.items() if block.side is Side.PLANT}
     sample = dict[str, Any]()
     for factor, keys in VARIED.items():
         labels = [f"{label}.{key}" for label, block in plant.items() for key in keys if getattr(block, key, None)]

@@ -1,4 +1,4 @@
-"""Ours beside what one would pick instead: ``python -m tests.benchmarks``.
+"""Our code next to what one would pick instead: ``python -m tests.benchmarks``.
 
 Parts: (a) the closed loop of ur10_fast, (b) of ur10_full, (c) the controller step, (d) cost against the number of
 joints, (e) time to first result, (f) a batch, (g) a stiff loop, (h) SIMD batches. All ratios of a table come from one
@@ -44,40 +44,44 @@ def parser() -> argparse.ArgumentParser:
     return found
 
 
-def told(text: str) -> None:
-    """Progress, beside the table."""
+def progress(text: str) -> None:
+    """Print progress to standard error."""
     sys.stderr.write(f"{text}\n")
     sys.stderr.flush()
 
 
 def sections(chosen: argparse.Namespace) -> list[Section]:
-    """What was asked for, measured."""
+    """Measure the chosen sections."""
     step, limit, found = chosen.step / 1e3, chosen.limit, list[Section]()
     for part in chosen.parts or PARTS:
         if part == "a":
             found.append(
-                closed_loop.section("a", "ur10_fast", chosen.seconds, step, limit, peers=chosen.peers, told=told)
+                closed_loop.section(
+                    "a", "ur10_fast", chosen.seconds, step, limit, peers=chosen.peers, progress=progress
+                )
             )
         elif part == "b":
             some = [key for key in chosen.peers if key in closed_loop.SIX_JOINTS]
-            found.append(closed_loop.section("b", "ur10_full", chosen.seconds / 2, step, limit, peers=some, told=told))
+            found.append(
+                closed_loop.section("b", "ur10_full", chosen.seconds / 2, step, limit, peers=some, progress=progress)
+            )
         elif part == "c":
-            found.append(controller_step.section(limit, told))
+            found.append(controller_step.section(limit, progress))
         elif part == "d":
-            found.append(chains.section(limit, chosen.joints, told))
+            found.append(chains.section(limit, chosen.joints, progress))
         elif part == "e":
-            found.append(first_result.section(told=told))
+            found.append(first_result.section(progress=progress))
         elif part == "f":
-            found.append(batch.section(chosen.runs, chosen.batch_seconds, step, limit, told))
+            found.append(batch.section(chosen.runs, chosen.batch_seconds, step, limit, progress))
         elif part == "g":
-            found.append(stiff.section(told=told))
+            found.append(stiff.section(progress=progress))
         else:
-            found.append(simd.section(limit, told))
+            found.append(simd.section(limit, progress))
     return found
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, print, and check where asked."""
+    """Measure, print, and check if `--check` is given."""
     chosen = parser().parse_args(arguments)
     wrong = [part for part in chosen.parts if part not in PARTS or len(part) != 1]
     if wrong:
@@ -99,7 +103,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     found = baseline.regressions(report, baseline.read(chosen.baseline))
     for regression in found:
-        told(f"regression: {regression}")
+        progress(f"regression: {regression}")
     return int(bool(found))
 
 

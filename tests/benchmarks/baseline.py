@@ -14,7 +14,7 @@ from tests.benchmarks.table import Report
 
 FILE = Path(__file__).with_name("baseline.json")
 TOLERANCE = 1.5
-"""A ratio may fall to its baseline divided by this; more is a regression, or a machine too busy to tell."""
+"""A ratio may fall to its baseline divided by this; more is a regression, or a machine too busy for a measurement."""
 
 
 @dataclass(frozen=True)

@@ -29,12 +29,13 @@ def in_simd(size: int, seconds: float, step: float) -> dict[str, Any]:
     """`dmframe.batch`: the error's figures and the last pose are kept; values, starts and steps are in its time."""
     from dataclasses import replace
 
-    from dmframe.batch import Batch, Wanted
-    from dmframe.config.experiment import load_experiment
+    from dmframe.batch.batch import Batch
+    from dmframe.batch.figures import Wanted
+    from dmframe.graph.graph import Graph
 
-    loaded = load_experiment(GRAPH)
+    loaded = Graph.read(GRAPH)
     settings = {**loaded.settings, "solver": replace(loaded.solver, step=step)}
-    batch = Batch.of(loaded.diagram(), seconds, wanted=Wanted(("arm.q",)), engine="compiled", **settings)
+    batch = Batch.of(loaded.diagram, seconds, wanted=Wanted(("arm.q",)), engine="compiled", **settings)
     gamma, Gamma, Lambda = grid(size).T
     values = {"task.gamma": gamma, "dynamics.Gamma": Gamma, "inverse.Lambda": Lambda}
     batch.measure({label: column[:2] for label, column in values.items()})
@@ -47,11 +48,11 @@ def whole(size: int, seconds: float, step: float) -> dict[str, Any]:
     """`simulate_many`, a run kept as its last pose."""
     from dataclasses import replace
 
-    from dmframe.config.experiment import load_experiment
+    from dmframe.graph.graph import Graph
     from dmframe.simulate import simulate_many
 
-    loaded = load_experiment(GRAPH)
-    diagram = loaded.diagram()
+    loaded = Graph.read(GRAPH)
+    diagram = loaded.diagram
     variants = [
         {"task.gamma": gamma, "dynamics.Gamma": Gamma, "inverse.Lambda": Lambda} for gamma, Gamma, Lambda in grid(size)
     ]

@@ -18,7 +18,7 @@ from typing import Any
 from dmframe.certify import Verdict, verify
 from dmframe.certify.assemble import assembled
 from dmframe.config.document import read_document
-from dmframe.config.experiment import experiment_of
+from dmframe.graph.graph import Graph
 from dmframe.prove import identity as exact
 
 ROBOTS = {
@@ -81,8 +81,8 @@ class Case:
     def verdict(self) -> tuple[Verdict, float]:
         """The verdict, and the seconds from the text to it."""
         begin = time.perf_counter()
-        graph = experiment_of(read_document(self.graph(), f"{self.robot}.yaml"))
-        return verify(graph.diagram()), time.perf_counter() - begin
+        graph = Graph.of(read_document(self.graph(), f"{self.robot}.yaml"))
+        return verify(graph.diagram), time.perf_counter() - begin
 
 
 def rows(robots: Sequence[str]) -> Iterator[tuple[str, ...]]:
@@ -168,7 +168,7 @@ def simplified(way: str, answer: Any) -> None:
         zero = sp.simplify(R) == 0
     elif way == "trigsimp":
         zero = sp.trigsimp(sp.expand(R)) == 0
-    else:  # told by a person that sin^2 = 1 - cos^2 of two angles is all that is needed
+    else:  # a person has stated that sin^2 = 1 - cos^2 of two angles is all that is needed
         zero = with_a_hint(R) == 0
     answer.send((bool(zero), time.perf_counter() - begin))
 

@@ -55,9 +55,9 @@ blocks:
 
 
 def cost(n: int, stages: Sequence[str]) -> dict[str, Any]:
-    """Seconds of each stage asked for; building comes first in any case. The step is one tick of 8 ms."""
+    """Seconds of each requested stage; building comes first in any case. The step is one tick of 8 ms."""
     from dmframe.certify import verify
-    from dmframe.config.experiment import load_experiment
+    from dmframe.graph.graph import Graph
     from dmframe.simulate import simulate
 
     with TemporaryDirectory() as folder:
@@ -65,10 +65,10 @@ def cost(n: int, stages: Sequence[str]) -> dict[str, Any]:
         Path(folder, "chain.urdf").write_text(urdf(n), encoding="utf-8")
         file = Path(folder, "chain.yaml")
         file.write_text(graph(n), encoding="utf-8")
-        load_experiment("pendulum").diagram()  # so that imports are not counted
+        _ = Graph.read("pendulum").diagram  # so that imports are not counted
         begin = time.perf_counter()
-        loaded = load_experiment(file)
-        diagram = loaded.diagram()
+        loaded = Graph.read(file)
+        diagram = loaded.diagram
         found = {"build": time.perf_counter() - begin}
         if "step" in stages:
             options: dict[str, Any] = {"clock": loaded.file.clock, "solver": loaded.solver, "start": loaded.start}
@@ -90,11 +90,13 @@ def cost(n: int, stages: Sequence[str]) -> dict[str, Any]:
         return found
 
 
-def section(limit: float, joints: Sequence[int] = JOINTS, told: Callable[[str], None] = lambda text: None) -> Section:
+def section(
+    limit: float, joints: Sequence[int] = JOINTS, progress: Callable[[str], None] = lambda text: None
+) -> Section:
     """Four rows for each number of joints."""
     rows, three = list[Row](), dict[str, float]()
     for n in joints:
-        told(f"(d) {n} joints")
+        progress(f"(d) {n} joints")
         found, faults = dict[str, float](), dict[str, str]()
         for stages in (["build", "compile", "step"], ["verify"]):
             try:

@@ -56,13 +56,13 @@ def section(
     peers: Iterable[str] = PEERS,
     run: Run = elsewhere,
     look: Callable[[str], type[Peer]] = find,
-    told: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> Section:
     """The rows of one graph, ours first."""
     found, missing = dict[str, dict[str, Any]](), dict[str, str]()
     order = list(peers)
     for key in order:
-        told(f"({part}) {graph}: {look(key).title}")
+        progress(f"({part}) {graph}: {look(key).title}")
         missing[key] = look(key).missing()
         if missing[key]:
             continue
@@ -73,7 +73,7 @@ def section(
     reference = next((key for key in order if key.startswith("ours") and key in found), None)
     if reference is not None and len(found) > 1:
         # Every ratio hangs on this one, so it is measured at both ends of the run, in case one was disturbed.
-        told(f"({part}) {graph}: {look(reference).title}, again")
+        progress(f"({part}) {graph}: {look(reference).title}, again")
         with suppress(Failed):
             again = run(reference, graph, seconds, step, limit)
             found[reference]["wall"] = min(float(found[reference]["wall"]), float(again["wall"]))

@@ -36,14 +36,14 @@ NOTES = {
 
 def in_c(graph: str) -> dict[str, Any]:
     """Seconds of a step of ours in the compiled loop: a run with no plant steps, its log switched to one column."""
-    from dmframe.config.experiment import load_experiment
+    from dmframe.graph.graph import Graph
     from dmframe.simulate import start_state
     from dmframe.simulate.engine import Compiled
     from dmframe.simulate.keep import Log
     from dmframe.simulate.run import prepare
 
-    loaded = load_experiment(graph)
-    diagram = loaded.diagram()
+    loaded = Graph.read(graph)
+    diagram = loaded.diagram
     duration = STEPS * float(loaded.file.clock)
     prepared = prepare(diagram, duration, clock=loaded.file.clock, solver=loaded.solver, log=Log(every=duration))
     engine = prepared.engine("compiled")
@@ -70,11 +70,11 @@ def in_c(graph: str) -> dict[str, Any]:
 
 def in_python(graph: str) -> dict[str, Any]:
     """Seconds of a step of ours, called from Python as a real-time loop does."""
-    from dmframe.config.experiment import load_experiment
+    from dmframe.graph.graph import Graph
     from dmframe.runtime import Controller
 
-    loaded = load_experiment(graph)
-    diagram = loaded.diagram()
+    loaded = Graph.read(graph)
+    diagram = loaded.diagram
     controller = Controller(diagram, float(loaded.file.clock), start=loaded.start, engine="compiled")
     q = Loop.read(graph).start["q"]
     for label, array in controller.measured.items():
@@ -114,11 +114,11 @@ def fastest(work: Callable[[], Any], repeats: int = 5) -> float:
     return float(best)
 
 
-def section(limit: float, told: Callable[[str], None] = lambda text: None) -> Section:
+def section(limit: float, progress: Callable[[str], None] = lambda text: None) -> Section:
     """All rows, for each number of joints."""
     rows: list[Row] = []
     for graph, joints in GRAPHS.items():
-        told(f"(c) {graph}")
+        progress(f"(c) {graph}")
         times, faults = dict[str, float](), dict[str, str]()
         for name, job in ((OURS_C, "in_c"), (OURS_PYTHON, "in_python"), (NUMPY, "by_numpy")):
             try:

@@ -41,9 +41,9 @@ def seconds(code: str, folder: Path, cache: Path, word: str = "") -> tuple[float
     return first, whole
 
 
-def section(graph: str = "ur10_fast", told: Callable[[str], None] = lambda text: None) -> Section:
+def section(graph: str = "ur10_fast", progress: Callable[[str], None] = lambda text: None) -> Section:
     """Cold and warm cache, and imports."""
-    told(f"(e) {graph}, cold and warm")
+    progress(f"(e) {graph}, cold and warm")
     code = RUN.format(["run", graph])
     found: dict[str, float] = {}
     with TemporaryDirectory() as place:

@@ -117,11 +117,11 @@ class Loop:
     @classmethod
     def read(cls, name: str | Path) -> Loop:
         """The loop of a packaged graph."""
-        from dmframe.config.experiment import load_experiment
+        from dmframe.graph.graph import Graph
         from dmframe.simulate import start_state
 
-        graph = load_experiment(name, TIMED.get(str(name), ()))
-        diagram = graph.diagram()
+        graph = Graph.read(name, TIMED.get(str(name), ()))
+        diagram = graph.diagram
         values = {leaf.label: np.asarray(leaf.value, dtype=float) for leaf in diagram.loop.parameters}
         n = diagram.robot.n
 

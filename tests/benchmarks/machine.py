@@ -37,7 +37,7 @@ def of(package: str) -> str:
 
 
 def processor() -> str:
-    """Its name, where the system tells."""
+    """Its name, where the system reports one."""
     info = Path("/proc/cpuinfo")
     if info.exists():
         for line in info.read_text(encoding="utf-8").splitlines():

@@ -50,11 +50,11 @@ def timed(graph: str, width: int) -> dict[str, Any]:
         loaded.run(engine="compiled")
         best = min(loaded.run(engine="compiled").recording.wall_time for _ in range(5))
         return {"rate": SECONDS / best}
-    from dmframe.batch import Batch
+    from dmframe.batch.batch import Batch
 
     os.environ["CC"] = f"cc {WIDTHS[width]}".strip()
     loaded = dm.load(graph)
-    batch = Batch.of(loaded.diagram, SECONDS, engine="compiled", **loaded.experiment.settings)
+    batch = Batch.of(loaded.diagram, SECONDS, engine="compiled", **loaded.settings)
     runs = 8 * width
     block = next(name for name, held in loaded.blocks.items() if hasattr(held, "Gamma"))
     values = {f"{block}.Gamma": np.linspace(0.9, 1.1, runs)}

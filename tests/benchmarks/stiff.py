@@ -43,16 +43,16 @@ WAYS = (
 )
 
 
-def section(seconds: float = 4.0, told: Callable[[str], None] = lambda text: None) -> Section:
+def section(seconds: float = 4.0, progress: Callable[[str], None] = lambda text: None) -> Section:
     """One loop, all methods, in one process."""
-    from dmframe.config.experiment import load_experiment
+    from dmframe.graph.graph import Graph
     from dmframe.simulate import Recording, Solver, simulate
 
-    graph = load_experiment(GRAPH, [FRICTION])
-    diagram = graph.diagram()
+    graph = Graph.read(GRAPH, [FRICTION])
+    diagram = graph.diagram
 
     def run(way: Way) -> Recording:
-        told(f"(g) {way.name}")
+        progress(f"(g) {way.name}")
         solver = Solver(way.method, way.step, tolerance=way.tolerance)
         given: dict[str, Any] = {"clock": graph.file.clock, "solver": solver, "start": graph.start}
         runs = [

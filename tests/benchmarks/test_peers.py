@@ -82,18 +82,18 @@ def test_the_scalar_torques_are_the_regressors() -> None:
 
 
 def test_a_generated_chain_has_its_joints_and_builds_a_loop(tmp_path: Path) -> None:
-    from dmframe.config.experiment import load_experiment
+    from dmframe.graph.graph import Graph
 
     (tmp_path / "chain.urdf").write_text(chains.urdf(4), encoding="utf-8")
     (tmp_path / "chain.yaml").write_text(chains.graph(4), encoding="utf-8")
-    diagram = load_experiment(tmp_path / "chain.yaml").diagram()
+    diagram = Graph.read(tmp_path / "chain.yaml").diagram
     assert diagram.robot.n == 4
     assert diagram.loop.state.numel() == 11 * 4 + 5 * 4 + 4 * 4
     assert ca.depends_on(diagram.loop.joined([diagram.loop.plant[-1].own_rate])[0], diagram.loop.state)
 
 
 @pytest.mark.parametrize("key", PEERS)
-def test_every_peer_can_be_asked_what_it_is_without_being_installed(key: str) -> None:
+def test_every_peer_describes_itself_without_being_installed(key: str) -> None:
     peer = find(key)
     assert peer.title
     assert peer.missing() == "" or peer.missing().startswith("missing: ")

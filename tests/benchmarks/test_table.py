@@ -36,8 +36,8 @@ class Theirs(Ours):
 
 class Absent(Ours):
     title: ClassVar[str] = "absent"
-    package: ClassVar[str] = "a-package-that-nobody-has"
-    module: ClassVar[str] = "a_package_that_nobody_has"
+    package: ClassVar[str] = "a-package-that-does-not-exist"
+    module: ClassVar[str] = "a_package_that_does_not_exist"
 
 
 KNOWN: dict[str, type[Peer]] = {"ours_compiled": Ours, "theirs": Theirs, "absent": Absent}
@@ -91,7 +91,7 @@ def test_a_peer_that_disagrees_does_not_count_and_the_table_says_so(found: Array
 def test_a_missing_peer_is_reported_with_how_to_install_it() -> None:
     row = by_name(section(np.zeros((3, 2))))["absent"]
     assert row.status == "missing"
-    assert row.agreement == "a-package-that-nobody-has is not installed; pip install --group peers"
+    assert row.agreement == "a-package-that-does-not-exist is not installed; pip install --group peers"
     assert row.cells()[2] == "missing"
 
 

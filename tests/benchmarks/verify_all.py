@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from dmframe.certify import Verdict, verify
-from dmframe.config.experiment import load_experiment
+from dmframe.graph.graph import Graph
 
 ROBOTS = {
     "ur10, 3 joints": (
@@ -94,7 +94,7 @@ def verdict(text: str, folder: Path) -> tuple[Verdict, float, float]:
     file = folder / "graph.yaml"
     file.write_text(text, encoding="utf-8")
     begin = time.process_time()
-    diagram = load_experiment(file).diagram()
+    diagram = Graph.read(file).diagram
     built = time.process_time()
     found = verify(diagram)
     return found, built - begin, time.process_time() - built

@@ -7,8 +7,8 @@ from types import FunctionType
 from typing import Any
 
 from dmframe.certify import Verdict, verify
-from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
+from dmframe.graph.graph import Graph
 
 
 def faulty(block: type[Any], **functions: Callable[..., Any]) -> type[Any]:
@@ -22,7 +22,7 @@ def faulty(block: type[Any], **functions: Callable[..., Any]) -> type[Any]:
     return type(block)(block.__name__, (block,), members)
 
 
-def verdict_with(graph: Experiment, name: str, **functions: Callable[..., Any]) -> Verdict:
+def verdict_with(graph: Graph, name: str, **functions: Callable[..., Any]) -> Verdict:
     """Of the graph with a fault in one of its blocks."""
     block = graph.blocks[name]
     chosen = {key: value for key, value in block.model_dump().items() if value is not None}

@@ -1,4 +1,4 @@
-"""What stands between controller and robot, against NumPy, SciPy and Pinocchio; and what a run tells of it."""
+"""Channel models between controller and robot, against NumPy, SciPy and Pinocchio; and the notices of a run."""
 
 from __future__ import annotations
 
@@ -224,7 +224,7 @@ def test_measurements_come_late_together_and_the_servos_target_with_them() -> No
     assert np.array_equal(found["send.q_t"], found["back.q_c_late"])
 
 
-def test_commands_are_cut_off_at_the_robots_own_limits_or_those_given_and_the_run_tells() -> None:
+def test_commands_are_cut_off_at_the_robots_own_limits_or_those_given_and_the_run_warns() -> None:
     for speed, limits in ((None, [3.0, 4.0]), ([0.5, 0.9], [0.5, 0.9])):
         given = {} if speed is None else {"speed": speed}
         made = graph(limits={"type": "command_limits", **given}).set({"path.rate": [9.0, 9.0]})
@@ -243,7 +243,7 @@ def test_commands_are_cut_off_at_the_robots_own_limits_or_those_given_and_the_ru
     assert len(graph(limits={"type": "command_limits", "speed": 9}).run().notices) == 1
 
 
-def test_what_a_run_tells_of_is_kept_though_the_log_asks_for_other_signals() -> None:
+def test_signals_of_warnings_are_recorded_though_the_log_lists_other_signals() -> None:
     few = graph(limits={"type": "command_limits", "speed": 0.5}).set({"log": {"signals": ["arm.q"]}})
     assert few.run().notices[1].startswith("a commanded velocity is beyond its limit")
 
@@ -297,7 +297,7 @@ def test_joints_stick_at_slow_motion_and_rub_more_in_one_direction() -> None:
     assert np.max(np.abs(taken[0])) < 1e-9  # at rest
 
 
-def test_a_stop_pushes_back_as_hunt_and_crossley_say_and_without_stiffness_tells_alone() -> None:
+def test_a_stop_pushes_back_as_hunt_and_crossley_say_and_only_warns_without_stiffness() -> None:
     stop = {"type": "joint_stops", "lower": [-1, -1], "upper": [0.9, 1.2]}
     soft = {**stop, "stiffness": [4000, 2000], "damping": [900, 400]}
     free, held = (graph(stops=each).run(engine="interpreted") for each in (stop, soft))
@@ -410,15 +410,15 @@ def test_both_engines_and_a_batch_agree_with_all_of_it() -> None:
         np.testing.assert_allclose(row, error.rms_by_eighth, rtol=1e-4)
 
 
-def test_nothing_is_proved_of_it_and_the_reason_is_told() -> None:
+def test_it_is_not_proved_and_the_reason_is_reported() -> None:
     found = graph(way={"type": "transport_delay"}).verify().verdict
     assert (found.outcome, found.reason.split(";")[0]) == ("not_applicable", "way.dq_c_line is a sampled state")
 
 
-def test_what_only_tells_leaves_a_proof_as_it_is() -> None:
+def test_a_channel_that_only_warns_does_not_change_the_proof() -> None:
     plain = dm.load("pendulum")
-    told = plain.reality({"joint_stops": {}}).verify().verdict
-    assert (told.outcome, plain.verify().verdict.outcome) == ("proved", "proved")
+    with_stops = plain.reality({"joint_stops": {}}).verify().verdict
+    assert (with_stops.outcome, plain.verify().verdict.outcome) == ("proved", "proved")
     pushed = plain.reality({"joint_stops": {"stiffness": 1000}}).verify().verdict
     assert (pushed.outcome, "no certificate" in pushed.reason) == ("not_applicable", True)
 
@@ -441,7 +441,7 @@ def test_what_only_tells_leaves_a_proof_as_it_is() -> None:
         ({"type": "loaded_manipulator", "payload": [1, 2], "payload_at": [2, 1]}, "expected increasing times, found"),
     ],
 )
-def test_wrong_parameters_are_told(block: Mapping[str, Any], text: str) -> None:
+def test_wrong_parameters_are_refused_with_their_names(block: Mapping[str, Any], text: str) -> None:
     with pytest.raises(DmframeError) as caught:
         graph(x=block)
     assert text in str(caught.value)

@@ -1,4 +1,4 @@
-"""A fixed camera that nobody has calibrated: its image, the law, the identity of its proof, and the packaged loop."""
+"""A fixed camera without calibration: its image, the law, the identity of its proof, and the packaged loop."""
 
 from __future__ import annotations
 
@@ -15,10 +15,9 @@ from closed_robot import ClosedRobot
 import dmframe as dm
 from dmframe.analysis import linearise, linearised_period, prove_stability
 from dmframe.catalogue import find_block
-from dmframe.config.experiment import Experiment, load_experiment
-from dmframe.graph import Graph
-from dmframe.results import tracking_error
+from dmframe.graph.graph import Graph
 from dmframe.results.drawn_runs import coordinate_labels
+from dmframe.results.metrics import tracking_error
 from dmframe.simulate import Solver, simulate
 from dmframe_blocks import adaptive_camera
 from dmframe_blocks._image import image_regressor
@@ -45,7 +44,7 @@ def motion(a_c: Array, chi: Array, e: Array) -> Array:
     return np.array(N - np.outer(chi - e / 2, ahead))
 
 
-def test_the_camera_is_a_projection_matrix_and_tells_of_a_tool_that_comes_near() -> None:
+def test_the_camera_is_a_projection_matrix_and_warns_of_a_tool_that_comes_near() -> None:
     given = {"position": POSITION.tolist(), "right": RIGHT.tolist(), "down": DOWN.tolist(), "ahead": AHEAD.tolist()}
     camera = find_block("camera")(**given, depth_min=0.5)
     for x, lacking in (([-0.1, 0.7, 0.5], 0), ((POSITION + 0.4 * AHEAD / (AHEAD @ AHEAD)).tolist(), 0.1)):
@@ -135,7 +134,7 @@ def test_it_is_proved_up_to_the_depth_and_the_error_in_the_image_goes_to_zero(gr
         for text in texts
     )
     assert any(text.startswith("J_chi (image) keeps full row rank") for text in texts)
-    assert not any("knows exactly" in text and "camera" in text for text in texts), "nobody knows the camera"
+    assert not any("knows exactly" in text and "camera" in text for text in texts), "the camera is not known"
     concluded = {item.signal for item in verdict.statements if item.concludes}
     assert {"chi - chi_d", "d(chi - chi_d)/dt"} <= concluded
 
@@ -168,14 +167,14 @@ def test_an_error_of_6_hundredths_goes_below_1e_5_with_a_camera_that_is_20_perce
     assert np.min(run["camera.depth"]) > 1.3
     assert np.max(np.abs(run["image.a_c_hat"][-1] - A_C)) > 0.05, "the camera itself need not be found"
     assert [text for text in run.notices if not text.startswith("V rose by")] == []
-    told = tracking_error(run.recording)
-    assert told is not None
-    assert (told.signal, told.unit) == ("chi - chi_d", "")
-    np.testing.assert_allclose(told.norm, error)
-    assert coordinate_labels(run.recording, told) == [("χ, 1:\nerror", "1", 1.0), ("χ, 2:\nerror", "1", 1.0)]
+    tracking = tracking_error(run.recording)
+    assert tracking is not None
+    assert (tracking.signal, tracking.unit) == ("chi - chi_d", "")
+    np.testing.assert_allclose(tracking.norm, error)
+    assert coordinate_labels(run.recording, tracking) == [("χ, 1:\nerror", "1", 1.0), ("χ, 2:\nerror", "1", 1.0)]
 
 
-def test_a_tool_that_comes_nearer_than_the_depth_that_is_told_is_told() -> None:
+def test_a_tool_that_comes_nearer_than_the_configured_depth_gives_a_notice() -> None:
     run = dm.load("ur10_camera").set({"camera.depth_min": 1.34}).run(until=2.0)
     assert any("the tool is nearer to the camera than depth_min" in notice for notice in run.notices)
 
@@ -189,8 +188,8 @@ K_1, K_2, ALPHA, GAMMA_C, GAMMA, K_C, T = 10, 8, 1000, 1.0, 10.0, 0.7, 0.008
 class ByHand:
     """`ur10_camera` in NumPy and Pinocchio: camera, reference, adaptive laws, servo and robot."""
 
-    def __init__(self, experiment: Experiment) -> None:
-        self.model = experiment.diagram().robot.model
+    def __init__(self, experiment: Graph) -> None:
+        self.model = experiment.diagram.robot.model
         self.data, self.tool = self.model.createData(), self.model.getFrameId("ee_link")
         self.robot = ClosedRobot(self.model, VISCOUS, COULOMB, K_D, K_P, K_I)
 
@@ -234,9 +233,9 @@ class ByHand:
 
 
 def test_the_packaged_loop_is_the_one_written_by_hand() -> None:
-    experiment, ticks = load_experiment("ur10_camera", [f"dynamics.Gamma={GAMMA}"]), 125
+    experiment, ticks = Graph.read("ur10_camera", [f"dynamics.Gamma={GAMMA}"]), 125
     solver = Solver(method="cvodes", tolerance=1e-10)
-    theirs = simulate(experiment.diagram(), ticks * T, clock=T, solver=solver, start=experiment.start)
+    theirs = simulate(experiment.diagram, ticks * T, clock=T, solver=solver, start=experiment.start)
     mine = ByHand(experiment).run(np.array(experiment.start["q"], dtype=float), ticks)
     assert np.max(np.abs(mine["q"] - mine["q"][0])) > 0.01, "it moves"
     np.testing.assert_allclose(theirs["arm.q"], mine["q"], atol=1e-6)
@@ -247,11 +246,11 @@ def test_the_packaged_loop_is_the_one_written_by_hand() -> None:
 
 
 def test_the_clock_of_8_ms_is_borne_and_proved_so_near_the_set_point_and_five_times_as_slow_a_one_is_not() -> None:
-    graph = dm.load("ur10_camera").experiment
-    found = linearise(graph.diagram(), start=graph.start, clock=T)
+    graph = dm.load("ur10_camera")
+    found = linearise(graph.diagram, start=graph.start, clock=T)
     period = linearised_period(found)
     assert T < period.stable < period.unstable < 5 * T
-    proof, _ = prove_stability(graph.diagram(), found, period, T)
+    proof, _ = prove_stability(graph.diagram, found, period, T)
     assert proof.radius is not None
     assert proof.radius < 1
     assert (proof.directions, proof.resting) == (20, 55)

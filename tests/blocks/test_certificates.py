@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from dmframe.certificate import Certificate
-from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.view import view
+from dmframe.graph.graph import Graph
 
 ROBOTS = {
     "arm2": ("robot: arm2", "{center: [0.5, 0.3], radius: 0.1}", 2),
@@ -53,7 +53,7 @@ def build(robot: str, task: str, servo: str, folder: Path) -> Diagram:
         "  model: {type: regressor, friction: [viscous, coulomb]}\n  dynamics: {type: dynamic_compensator, Gamma: 3}\n"
         f"  inverse: {inverse}\n  servo: {law}\n  arm: {{type: manipulator, viscous: 1.5, coulomb: 2, K: 1.3}}\n"
     )
-    return load_experiment(file).diagram()
+    return Graph.read(file).diagram
 
 
 def certificates(diagram: Diagram) -> dict[str, Certificate]:

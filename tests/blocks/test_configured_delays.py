@@ -128,6 +128,6 @@ class Changed(AbstractBlock):
 )
 def test_another_signal_with_the_same_delay_is_left_to_an_assumption(way: str, delay: int, copied: bool) -> None:
     graph = dm.load(sampled_arm2(servo="pid", replay=2, delay=delay))
-    blocks = {**graph.experiment.blocks, "changed": Changed(way=way)}
-    claim = claim_of(Diagram.build(blocks, graph.experiment.file.wires, graph.experiment.robot))
+    blocks = {**graph.blocks, "changed": Changed(way=way)}
+    claim = claim_of(Diagram.build(blocks, graph.file.wires, graph.robot))
     assert [decided_delays(claim, part) for part in claim.parts if part.certificate.acted] == [copied]

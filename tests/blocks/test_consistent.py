@@ -11,7 +11,7 @@ from faulty import verdict_with
 
 import dmframe as dm
 from dmframe.certify import claim_of
-from dmframe.certify.along import along
+from dmframe.results.along import along
 from dmframe.robot.pseudo_inertia import dual, natural_gain, parameters_of, pseudo_inertia
 from dmframe_blocks._bodies import moved, natural, weight
 
@@ -88,11 +88,11 @@ def test_it_is_proved_and_v_falls_along_a_run_in_continuous_time() -> None:
     continuous = graph.set({"clock": "continuous"})
     run = continuous.run(until=1)
     assert found.verdict.kappa is not None
-    V = along(claim_of(continuous.experiment.diagram()), run.recording, float(found.verdict.kappa.chosen))
+    V = along(claim_of(continuous.diagram), run.recording, float(found.verdict.kappa.chosen))
     by_name = {term.of: term.values for term in V.terms}
     assert V.largest_increase < 1e-9 * V.V[0]
     P = matrix(run.data["dynamics.a_d_hat"].values[-1, 10:20])
-    true = matrix(continuous.experiment.diagram().robot.inertia[1])
+    true = matrix(continuous.diagram.robot.inertia[1])
     ratios = np.linalg.eigvals(np.linalg.solve(P, true)).real
     divergence = float(found.verdict.kappa.chosen) * np.sum(ratios - 1 - np.log(ratios))  # c is 1
     np.testing.assert_allclose(by_name["P_hat_2"][-1], divergence, rtol=1e-9)
@@ -108,7 +108,7 @@ def test_the_torque_form_no_longer_assumes_that_the_estimated_mass_matrix_has_an
     assert assumed("torque_consistent_pi") == []
 
 
-def test_beside_a_residual_it_is_assumed_again() -> None:
+def test_with_a_residual_it_is_assumed_again() -> None:
     graph = dm.load("torque_consistent_pi").set({"inverse.leak": 0.1})
     texts = [item.text for item in graph.verify().assumptions]
     assert any("M_hat stays positive definite" in text for text in texts)
@@ -126,7 +126,7 @@ def part(rows: np.ndarray, nominal: np.ndarray) -> float:
 
 
 def half_of_the_model(graph: dm.Graph) -> np.ndarray:
-    return 0.5 * np.array(graph.experiment.diagram().robot.inertia, dtype=float).ravel()
+    return 0.5 * np.array(graph.diagram.robot.inertia, dtype=float).ravel()
 
 
 def test_with_a_floor_the_law_is_the_gradient_in_the_metric_of_the_nominal_body() -> None:
@@ -157,7 +157,7 @@ def test_with_a_floor_v_falls_along_the_edge_in_continuous_time() -> None:
     run = graph.run(until=0.3, engine="interpreted", judge=False)
     estimates = run.data["dynamics.a_d_hat"].values
     assert part(estimates, half_of_the_model(graph)) == pytest.approx(0.9, abs=1e-12)
-    V = along(claim_of(graph.experiment.diagram()), run.recording, 1.0)
+    V = along(claim_of(graph.diagram), run.recording, 1.0)
     assert V.largest_increase < 1e-9 * V.V[0]
 
 
@@ -170,7 +170,7 @@ def test_with_a_floor_the_interpreter_runs_what_the_compiled_engine_runs() -> No
     np.testing.assert_allclose(interpreted.data["dynamics.a_d_hat"].values, expected, rtol=1e-12, atol=1e-12)
 
 
-def test_with_a_floor_the_torque_form_assumes_nothing_of_m_hat_even_beside_a_residual() -> None:
+def test_with_a_floor_the_torque_form_assumes_nothing_of_m_hat_even_with_a_residual() -> None:
     found = dm.load("torque_consistent_pi").set({"adaptation.floor": 0.1, "inverse.leak": 0.1}).verify()
     assert found.proved
     assert not [item.text for item in found.assumptions if "M_hat" in item.text]
@@ -191,7 +191,7 @@ FLOOR_FAULTS = {
 @pytest.mark.parametrize("fault", FLOOR_FAULTS)
 def test_with_a_floor_a_law_and_a_storage_that_are_no_pair_are_refuted(fault: str) -> None:
     dynamics = {"type": "consistent_compensator", "c": 2, "Gamma": 5, "floor": 0.3}
-    graph = dm.load("pendulum").set({"model.nominal": 0.5, "blocks.dynamics": dynamics}).experiment
+    graph = dm.load("pendulum").set({"model.nominal": 0.5, "blocks.dynamics": dynamics})
     verdict = verdict_with(graph, "dynamics", **FLOOR_FAULTS[fault])
     assert verdict.outcome == "refuted"
     assert verdict.refutation is not None

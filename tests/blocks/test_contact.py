@@ -18,9 +18,9 @@ from dmframe.block import AbstractBlock
 from dmframe.certificate import Assumption, Certificate, Driven
 from dmframe.certify import Verdict, verify
 from dmframe.config.document import read_document
-from dmframe.config.experiment import Experiment, experiment_of, load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
+from dmframe.graph.graph import Graph
 from dmframe.results.metrics import tracking_error
 from dmframe.robot.library import find_robot
 from dmframe.simulate import Recording, simulate
@@ -68,8 +68,8 @@ def wall_force(x: Array, dx: Array, stiffness: float = STIFFNESS, damping: float
 
 @cache
 def ran(until: float, *overrides: str) -> Recording:
-    graph = load_experiment("ur10_admittance", overrides)
-    return simulate(graph.diagram(), until, clock=graph.file.clock, start=graph.start)
+    graph = Graph.read("ur10_admittance", overrides)
+    return simulate(graph.diagram, until, clock=graph.file.clock, start=graph.start)
 
 
 def ticks(run: Recording, start: float, end: float) -> slice:
@@ -150,7 +150,7 @@ def test_behind_an_encoder_it_is_judged_by_the_same_goal_and_the_tools_true_plac
     assert error.rms_by_eighth[-1] < 0.5e-3  # 35 mm from path.x_d
 
 
-def test_a_stiff_wall_asks_for_a_damping_of_more_than_its_stiffness_times_the_period() -> None:
+def test_a_stiff_wall_requires_a_damping_of_more_than_its_stiffness_times_the_period() -> None:
     """Of the sampled mass on a spring: D_a > T k; with T k = 800 N s/m."""
     bounces, rests = (ran(20.0, "wall.stiffness=1e5", f"compliance.D_a={D_a}") for D_a in (250, 1200))
     spread = [float(np.ptp(run["wall.f_ext"][ticks(run, 6, 8), 1])) for run in (bounces, rests)]
@@ -159,7 +159,7 @@ def test_a_stiff_wall_asks_for_a_damping_of_more_than_its_stiffness_times_the_pe
 
 
 def test_it_is_proved_and_what_the_environment_has_to_do_is_assumed() -> None:
-    verdict = verify(load_experiment("ur10_admittance").diagram())
+    verdict = verify(Graph.read("ur10_admittance").diagram)
     assert verdict.outcome == "proved"
     assert all(control.refuted for control in verdict.controls)
     assert "the environment's force f_ext stays bounded" in [item.text for item in verdict.assumptions]
@@ -190,13 +190,13 @@ wires: {task.x_d: compliance.x_c}
 
 
 @cache
-def small() -> Experiment:
+def small() -> Graph:
     """Two joints and a PI servo."""
-    return experiment_of(read_document(SMALL, "small"))
+    return Graph.of(read_document(SMALL, "small"))
 
 
 def test_it_is_proved_with_a_pi_servo_and_a_plane_task_too() -> None:
-    verdict = verify(small().diagram())
+    verdict = verify(small().diagram)
     assert verdict.outcome == "proved"
     assert "x - x_d" in {item.signal for item in verdict.statements if item.concludes}
 
@@ -263,13 +263,13 @@ def test_without_the_right_input_nothing_bounds_the_goal(inputs: Any) -> None:
         (lambda u, p: (0, u.f_ext / p.M_a), (), "expected assumptions as otherwise, together with the inputs"),
     ],
 )
-def test_an_input_of_which_nothing_is_assumed_is_told(inputs: Any, otherwise: Any, says: str) -> None:
+def test_an_input_without_an_assumption_is_refused_by_name(inputs: Any, otherwise: Any, says: str) -> None:
     verdict = without(certificate=driven(inputs, otherwise))
     assert verdict.outcome == "not_applicable"
     assert says in verdict.reason
 
 
-def test_a_normal_without_a_direction_is_told() -> None:
+def test_a_normal_without_a_direction_is_refused() -> None:
     with pytest.raises(DmframeError, match=r"normal: expected a direction, .*, found \[0.0, 0.0, 0.0\]"):
         Wall(point=[0, 0, 0], normal=[0, 0, 0], stiffness=1)
 

@@ -1,4 +1,4 @@
-"""The delay that is fitted: right behind every line and in noise, and refused where there is none to be told."""
+"""The fitted delay: right behind every line and in noise, and refused where the data do not determine it."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from test_sampled_supervisor import Line
 import dmframe as dm
 from dmframe.analysis.delay import FittedDelay, fitted_delay, recorded_delay
 from dmframe.catalogue import block_types
-from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import ValueFault
+from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording, simulate
 
 
 @functools.cache
 def run(name: str, clock: str, line: Line, *, probe: bool = True, seed: int = 1) -> Recording:
     """A packaged path, followed by the kinematic controller, its commands probing, for 3 s."""
-    graph = load_experiment(name, [f"clock={clock}"])
+    graph = Graph.read(name, [f"clock={clock}"])
     blocks, wires = {**graph.blocks, "line": line}, dict(graph.file.wires)
     if probe:
         blocks["inverse"] = block_types()["velocity_probe"]()
@@ -83,7 +83,7 @@ def test_smooth_motion_does_not_show_a_delay(clock: str) -> None:
         assert "does not determine it" in fit(run(name, clock, Line(samples=1), probe=False)).refused
 
 
-def test_what_does_not_belong_together_is_told() -> None:
+def test_signals_that_do_not_belong_together_are_refused() -> None:
     u, q = np.zeros((40, 2)), np.zeros((41, 2))
     for positions, commands, period, text in (
         (q[:, :1], u, 0.1, "as many joints"),
@@ -96,7 +96,7 @@ def test_what_does_not_belong_together_is_told() -> None:
 
 
 @pytest.mark.filterwarnings("error")
-def test_what_are_no_numbers_is_told() -> None:
+def test_samples_that_are_no_numbers_are_refused() -> None:
     u, q = np.random.default_rng(1).standard_normal((40, 2)), np.zeros((41, 2))
     for positions, commands, period, text in (
         ("abc", u, 0.1, "q to be rows of real numbers"),

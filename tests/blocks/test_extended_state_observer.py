@@ -1,4 +1,4 @@
-"""The extended state observer as a baseline: its poles, its disturbance, and its figure beside the others."""
+"""The extended state observer as a baseline: its poles, its disturbance, and its figure next to the others."""
 
 from __future__ import annotations
 

@@ -8,8 +8,8 @@ import pytest
 import scipy
 
 from dmframe.certify import Verdict, verify
-from dmframe.config.experiment import load_experiment
 from dmframe.errors import DmframeError
+from dmframe.graph.graph import Graph
 from dmframe.robot.chain import SerialChain, pin_configuration
 from dmframe.simulate import Solver, simulate
 
@@ -19,7 +19,7 @@ STEP = 0.001
 
 
 def proof(name: str, *overrides: str) -> Verdict:
-    return verify(load_experiment(name, overrides).diagram())
+    return verify(Graph.read(name, overrides).diagram)
 
 
 def inertial_regressor(chain: SerialChain, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> np.ndarray:
@@ -35,8 +35,8 @@ def filtered(rows: np.ndarray) -> np.ndarray:
 
 
 def test_the_filter_without_accelerations_is_the_filtered_regressor_with_them() -> None:
-    graph = load_experiment("torque_indirect_filtered_pi", [f"filter.bandwidth={RATE}", "adaptation.Gamma=1"])
-    diagram = graph.diagram()
+    graph = Graph.read("torque_indirect_filtered_pi", [f"filter.bandwidth={RATE}", "adaptation.Gamma=1"])
+    diagram = graph.diagram
     run = simulate(diagram, 2.0, clock=None, solver=Solver(step=STEP, output=STEP), start=graph.start)
     q, dq, ddq = run["arm.q"], run["arm.dq"], run["arm.ddq"]
     chain, zero = diagram.robot, np.zeros(2)
@@ -57,7 +57,7 @@ def test_the_filter_without_accelerations_is_the_filtered_regressor_with_them() 
 
 
 def test_with_the_true_estimates_the_prediction_error_stays_zero() -> None:
-    graph = load_experiment(
+    graph = Graph.read(
         "torque_indirect_filtered_pi",
         [
             "inverse.w=[0.016666666666666666, 0.03333333333333333]",
@@ -69,7 +69,7 @@ def test_with_the_true_estimates_the_prediction_error_stays_zero() -> None:
             "arm.viscous=0",
         ],
     )
-    run = simulate(graph.diagram(), 3.0, clock=None, solver=graph.solver, start=graph.start)
+    run = simulate(graph.diagram, 3.0, clock=None, solver=graph.solver, start=graph.start)
     assert np.ptp(run["arm.q"]) > 0.3
     assert np.abs(run["filter.e_f"]).max() < 1e-7
     assert np.abs(run["filter.tau_f"]).max() > 1
@@ -108,13 +108,13 @@ def test_a_filter_without_the_friction_of_the_robot_is_refuted() -> None:
 def test_the_offset_of_the_servos_integrator_has_one_place(overrides: list[str], found: str) -> None:
     more = ["adaptation.Gamma=1", "adaptation.a_d_hat_box=[-1, 9]"]
     with pytest.raises(DmframeError, match=found):
-        load_experiment("torque_indirect_filtered_pi", [*overrides, *more]).diagram()
+        _ = Graph.read("torque_indirect_filtered_pi", [*overrides, *more]).diagram
 
 
 def test_without_accelerations_the_torque_based_arm_follows_its_path_better_and_better() -> None:
-    graph = load_experiment("torque_indirect_filtered_pi")
-    assert not any("ddq" in leaf.name for leaf in graph.diagram().loop.crossings)
-    run = simulate(graph.diagram(), 100.0, clock=None, solver=graph.solver, start=graph.start)
+    graph = Graph.read("torque_indirect_filtered_pi")
+    assert not any("ddq" in leaf.name for leaf in graph.diagram.loop.crossings)
+    run = simulate(graph.diagram, 100.0, clock=None, solver=graph.solver, start=graph.start)
     assert run.divergence is None
     for signal, target in (("filter.e_f", 0.7), ("error", 0.7)):
         rows = run[signal] if signal != "error" else run["arm.q"] - run["path.q_d"]
@@ -126,8 +126,8 @@ def test_without_accelerations_the_torque_based_arm_follows_its_path_better_and_
 def test_a_composite_adaptation_follows_the_circle_closer_than_the_gradient_alone() -> None:
     final = {}
     for name in ("known_tracking_pi", "known_tracking_composite_pi"):
-        graph = load_experiment(name)
-        run = simulate(graph.diagram(), 40.0, clock=graph.file.clock, solver=graph.solver, start=graph.start)
+        graph = Graph.read(name)
+        run = simulate(graph.diagram, 40.0, clock=graph.file.clock, solver=graph.solver, start=graph.start)
         assert run.divergence is None
         error = np.linalg.norm(run["arm.x"] - run["path.x_d"], axis=1)
         final[name] = np.sqrt(np.mean(error[-error.size // 4 :] ** 2))

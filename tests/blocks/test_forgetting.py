@@ -14,11 +14,11 @@ import scipy
 from dmframe.adaptation import Fit
 from dmframe.certificate import SX, Certificate, Gathered
 from dmframe.certify import Verdict, verify
-from dmframe.certify.along import along
-from dmframe.config.experiment import load_experiment
 from dmframe.errors import DmframeError
 from dmframe.formula.docstring import check_docstring
+from dmframe.graph.graph import Graph
 from dmframe.report.terms import terms_of
+from dmframe.results.along import along
 from dmframe.simulate import Recording, simulate
 from dmframe_blocks.adaptive_kinematics import AdaptiveKinematics
 
@@ -27,15 +27,15 @@ TOOL = "geometry.adapt=tool"
 
 
 def proof(*overrides: str, name: str = NAME) -> Verdict:
-    return verify(load_experiment(name, overrides).diagram())
+    return verify(Graph.read(name, overrides).diagram)
 
 
 honest = cache(proof)  # of code without a fault
 
 
 def run_of(seconds: float, *overrides: str) -> Recording:
-    graph = load_experiment(NAME, overrides)
-    return simulate(graph.diagram(), seconds, clock=graph.file.clock, solver=graph.solver, start=graph.start)
+    graph = Graph.read(NAME, overrides)
+    return simulate(graph.diagram, seconds, clock=graph.file.clock, solver=graph.solver, start=graph.start)
 
 
 def tool_error(run: Recording) -> np.ndarray:
@@ -76,7 +76,7 @@ def test_it_goes_with_every_generator_that_adapts_the_kinematics(name: str) -> N
     assert verdict.outcome == "proved", verdict.reason
 
 
-def test_what_g_starts_from_is_told_as_an_assumption_and_v_says_nothing_of_g_alone() -> None:
+def test_the_start_of_g_is_listed_as_an_assumption_and_v_does_not_bound_g_alone() -> None:
     verdict = honest()
     assert any(
         item.text.startswith("geometry: G of |a_k_hat - a_k|_G^2 starts at zero") for item in verdict.assumptions
@@ -143,7 +143,7 @@ def test_a_memory_that_does_not_move_as_its_term_says_is_refuted_though_dv_dt_wo
 
 def test_negative_weights_of_what_is_gathered_fail_their_conditions(monkeypatch: pytest.MonkeyPatch) -> None:
     right = AdaptiveKinematics.fits
-    assert not check_docstring(AdaptiveKinematics)  # read before the fault, which it would tell of, comes in
+    assert not check_docstring(AdaptiveKinematics)  # read before the fault, which it would report, is seeded
 
     def unlearning(self: Any, *signals: Any) -> dict[str, Fit]:
         return {name: replace(fit, by=-fit.by) for name, fit in right(self, *signals).items()}
@@ -155,8 +155,8 @@ def test_negative_weights_of_what_is_gathered_fail_their_conditions(monkeypatch:
 
 
 def test_v_falls_along_a_run_in_continuous_time() -> None:
-    graph = load_experiment(NAME, ["clock=continuous", "solver={output: 20 ms}", TOOL])
-    diagram = graph.diagram()
+    graph = Graph.read(NAME, ["clock=continuous", "solver={output: 20 ms}", TOOL])
+    diagram = graph.diagram
     run = simulate(diagram, 5.0, clock=None, solver=graph.solver, start=graph.start)
     verdict = verify(diagram)
     assert verdict.claim is not None
@@ -222,9 +222,9 @@ def test_for_one_estimate_it_is_the_textbooks_bounded_gain_forgetting() -> None:
         (["geometry.R=[1, 2]"], "R"),
     ],
 )
-def test_what_does_not_go_together_is_told(overrides: list[str], text: str) -> None:
+def test_options_that_contradict_each_other_are_refused(overrides: list[str], text: str) -> None:
     with pytest.raises(DmframeError, match=text):
-        load_experiment(NAME, overrides).diagram()
+        _ = Graph.read(NAME, overrides).diagram
 
 
 def test_a_report_calls_the_metric_by_its_name() -> None:

@@ -1,4 +1,4 @@
-"""What is wrong, lacking or without effect in a task of industry is said, not computed with."""
+"""A value that is wrong, lacking or without effect in a task of industry is reported, not computed with."""
 
 from __future__ import annotations
 
@@ -62,13 +62,13 @@ def notices(found: dm.Graph) -> str:
         ),
     ],
 )
-def test_what_nobody_takes_is_said_by_a_run_and_by_check(blocks: dict[str, Any], text: str) -> None:
+def test_an_output_without_a_reader_is_reported_by_a_run_and_by_check(blocks: dict[str, Any], text: str) -> None:
     found = graph(blocks)
     assert text in notices(found)
     assert text in str(found)
 
 
-def test_of_a_graph_whose_outputs_are_all_taken_nothing_is_said() -> None:
+def test_a_graph_whose_outputs_are_all_read_gives_no_notice() -> None:
     assert not graph(LOAD).diagram.unread
 
 
@@ -80,11 +80,11 @@ def test_of_a_graph_whose_outputs_are_all_taken_nothing_is_said() -> None:
         ({"margin": 10}, "the margins leave no room between the limits that are to be kept"),
     ],
 )
-def test_limits_that_no_joint_can_keep_are_told_by_a_run(given: dict[str, Any], text: str) -> None:
+def test_limits_that_no_joint_can_keep_are_reported_by_a_run(given: dict[str, Any], text: str) -> None:
     assert text in notices(graph({"blocks.safe": {"type": "safe_reference", **given}} | SAFE))
 
 
-def test_of_limits_that_are_kept_nothing_is_told() -> None:
+def test_limits_that_are_kept_give_no_notice() -> None:
     assert "limits that are to be kept" not in notices(graph({"blocks.safe": {"type": "safe_reference"}} | SAFE))
 
 
@@ -114,7 +114,7 @@ BODY = {"mass": [1], "at": [0]}
         ),
     ],
 )
-def test_numbers_of_another_shape_and_directions_that_are_none_are_told(
+def test_numbers_of_another_shape_and_directions_that_are_none_are_refused(
     kind: str, given: dict[str, Any], text: str
 ) -> None:
     with pytest.raises(DmframeError) as caught:
@@ -150,7 +150,7 @@ def test_a_robot_that_moves_by_more_than_its_commands_says_by_what(
         graph(change).export(tmp_path / "out", "fmi3")
 
 
-def test_an_export_on_a_full_disk_is_told_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_export_on_a_full_disk_is_reported_as_such(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: Any, **__: Any) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -160,11 +160,11 @@ def test_an_export_on_a_full_disk_is_told_as_one(tmp_path: Path, monkeypatch: py
     assert not list(tmp_path.iterdir())
 
 
-def test_a_fault_of_a_full_disk_that_nobody_tells_is_no_defect() -> None:
+def test_a_full_disk_that_cannot_be_reported_is_no_defect() -> None:
     assert _unexpected(OSError(errno.EFBIG, "File too large")).startswith("a file cannot be written: file too large; ")
 
 
-def test_a_block_with_a_wrong_number_is_not_told_as_one_that_there_is_not() -> None:
+def test_a_block_with_a_wrong_number_is_not_reported_as_unknown() -> None:
     baseline = {"geometry": None, "other": None}
     with pytest.raises(DmframeError) as caught:
         dm.load(ARM | {"blocks": ARM["blocks"] | {"geometry": {"type": "kinematics", "x": 1}}, "baseline": baseline})

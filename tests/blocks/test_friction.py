@@ -1,4 +1,4 @@
-"""The regressor's friction: what it is when nobody says, and what is said where the plant has more."""
+"""The regressor's friction: its default, and the notice where the plant has more."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from faulty import verdict_with
 from dmframe.certify import Verdict, verify
 from dmframe.certify.uncertain import intervals
 from dmframe.cli import main
-from dmframe.config.experiment import load_experiment
+from dmframe.graph.graph import Graph
 
 COULOMB = (
     "the plant has Coulomb friction (arm.coulomb), and the regressor has no column for it: add coulomb to friction"
@@ -22,12 +22,12 @@ VISCOUS = (
 
 
 def proof(name: str, *overrides: str) -> Verdict:
-    return verify(load_experiment(name, overrides).diagram())
+    return verify(Graph.read(name, overrides).diagram)
 
 
 def test_left_out_the_friction_is_that_of_the_papers_structure() -> None:
     """Eq. (5) has B dq_ref, and nothing beyond."""
-    plain = load_experiment("arm2_joint")
+    plain = Graph.read("arm2_joint")
     del plain.data["blocks"]["model"]["friction"]
     blocks = {**plain.blocks, "model": type(plain.blocks["model"])()}
     assert blocks["model"].friction == ("viscous",)  # type: ignore[attr-defined]  # a regressor
@@ -73,13 +73,13 @@ def test_the_condition_reads_as_one_where_it_holds() -> None:
 
 
 def test_a_friction_that_may_be_there_is_blamed_too() -> None:
-    diagram = load_experiment("arm2_joint").diagram()
+    diagram = Graph.read("arm2_joint").diagram
     verdict = verify(diagram, uncertain=intervals(diagram, {"arm.coulomb": [0, 2]}))
     assert f"model: {COULOMB}" in verdict.reason
 
 
 def test_without_a_friction_to_blame_the_reason_is_the_usual_one() -> None:
-    verdict = verdict_with(load_experiment("arm2_joint"), "dynamics", times=lambda gain, vector: 2 * gain * vector)
+    verdict = verdict_with(Graph.read("arm2_joint"), "dynamics", times=lambda gain, vector: 2 * gain * vector)
     assert verdict.outcome == "refuted"
     assert "friction" not in verdict.reason
     assert "to blame: dynamics" in verdict.reason

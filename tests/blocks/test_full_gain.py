@@ -16,11 +16,11 @@ from jsonschema import Draft202012Validator
 import dmframe as dm
 from dmframe import linalg
 from dmframe.certify import Verdict, verify
-from dmframe.config.experiment import load_experiment
 from dmframe.config.schema import json_schema
 from dmframe.diagram.projection import Ball, Box
 from dmframe.diagram.values import with_values
 from dmframe.errors import DmframeError
+from dmframe.graph.graph import Graph
 from dmframe.report.linear import LinearView
 from dmframe.robot.pseudo_inertia import natural_gain
 from dmframe.simulate import simulate, simulate_many
@@ -35,7 +35,7 @@ def full(n: int, seed: int = 0) -> str:
 
 
 def proof(name: str, *overrides: str) -> Verdict:
-    return verify(load_experiment(name, overrides).diagram())
+    return verify(Graph.read(name, overrides).diagram)
 
 
 UNBOXED = "dynamics.a_d_hat_box=null"
@@ -76,7 +76,7 @@ def test_each_adapting_block_is_proved_with_a_full_gain(name: str) -> None:
 
 
 def test_it_is_proved_for_all_symmetric_matrices_at_once() -> None:
-    diagram = load_experiment("arm2_joint", with_full("arm2_joint")).diagram()
+    diagram = Graph.read("arm2_joint", with_full("arm2_joint")).diagram
     (gain,) = (item for item in diagram.loop.parameters if item.label == "dynamics.Gamma")
     assert gain.symbol.numel() == 22 * 23 // 2
 
@@ -90,26 +90,26 @@ FAULTS: dict[str, Any] = {
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_law_that_is_not_the_gain_times_the_gradient_is_refuted(fault: str) -> None:
-    verdict = verdict_with(load_experiment(SMALL, with_full(SMALL)), "dynamics", times=FAULTS[fault])
+    verdict = verdict_with(Graph.read(SMALL, with_full(SMALL)), "dynamics", times=FAULTS[fault])
     assert verdict.outcome == "refuted"
     assert verdict.refutation is not None
     assert verdict.refutation.blame == ("dynamics",)
 
 
 def test_a_storage_in_the_metric_of_the_gain_itself_is_refuted() -> None:
-    graph = load_experiment(SMALL, with_full(SMALL))
+    graph = Graph.read(SMALL, with_full(SMALL))
     assert verdict_with(graph, "dynamics", metric=lambda gain: gain).outcome == "refuted"
 
 
 def test_a_copy_without_a_fault_is_proved() -> None:
-    graph = load_experiment(SMALL, with_full(SMALL))
+    graph = Graph.read(SMALL, with_full(SMALL))
     assert verdict_with(graph, "dynamics", times=linalg.times, metric=linalg.metric).outcome == "proved"
 
 
 def test_the_weight_of_v_is_decided_by_its_exact_pivots() -> None:
     """A gain whose symbols take values that the reader would have refused."""
-    graph = load_experiment(SMALL, with_full(SMALL))
-    diagram = graph.diagram()
+    graph = Graph.read(SMALL, with_full(SMALL))
+    diagram = graph.diagram
     (gain,) = (item for item in diagram.loop.parameters if item.label == "dynamics.Gamma")
     gain.value[0] = -1.0
     verdict = verify(diagram)
@@ -126,7 +126,7 @@ def test_the_robust_laws_work_in_the_metric_of_a_full_gain(option: str) -> None:
 
 def test_the_bound_of_a_leak_is_the_error_of_the_start_in_the_metric_of_v() -> None:
     overrides = with_full(SMALL)
-    diagram = load_experiment(SMALL, overrides).diagram()
+    diagram = Graph.read(SMALL, overrides).diagram
     verdict = proof(SMALL, *overrides, "dynamics.leak=0.1")
     true = np.concatenate([np.array(diagram.robot.inertia, dtype=float).ravel(), [0.3]])
     metric = np.linalg.inv(diagram.models["dynamics"].values["Gamma"])
@@ -135,7 +135,7 @@ def test_the_bound_of_a_leak_is_the_error_of_the_start_in_the_metric_of_v() -> N
 
 def test_a_box_is_refused_and_a_ball_is_proved() -> None:
     with pytest.raises(DmframeError, match="a_d_hat_box cannot be combined with a full matrix Gamma: the projection"):
-        load_experiment(SMALL, [*with_full(SMALL), "dynamics.a_d_hat_box=[-9, 9]"]).diagram()
+        _ = Graph.read(SMALL, [*with_full(SMALL), "dynamics.a_d_hat_box=[-9, 9]"]).diagram
     verdict = proof(SMALL, *with_full(SMALL), "dynamics.a_d_hat_ball=[0, 10]")
     assert verdict.outcome == "proved", verdict.reason
     assert {
@@ -187,8 +187,8 @@ def test_a_box_is_normal_in_the_metric_of_a_diagonal_alone() -> None:
 
 
 def run_of(*overrides: str, engine: Any = "auto", values: dict[str, Any] | None = None) -> np.ndarray:
-    graph = load_experiment("arm2_joint", [*overrides, UNBOXED])
-    diagram = with_values(graph.diagram(), values) if values else graph.diagram()
+    graph = Graph.read("arm2_joint", [*overrides, UNBOXED])
+    diagram = with_values(graph.diagram, values) if values else graph.diagram
     run = simulate(diagram, 1.0, clock=graph.file.clock, start=graph.start, engine=engine)
     assert run.divergence is None
     found: np.ndarray = run["dynamics.a_d_hat"][-1]
@@ -213,10 +213,10 @@ def test_other_numbers_need_no_other_diagram(engine: Any) -> None:
 
 
 def test_a_batch_takes_matrices_and_priors() -> None:
-    graph = load_experiment("arm2_joint", ["dynamics.Gamma={inverse_of: model}", UNBOXED])
+    graph = Graph.read("arm2_joint", ["dynamics.Gamma={inverse_of: model}", UNBOXED])
     priors = [{"inverse_of": "model", "scale": scale} for scale in (1.0, 3.0)]
     runs = simulate_many(
-        graph.diagram(), [{"dynamics.Gamma": prior} for prior in priors], 1.0, clock=graph.file.clock, start=graph.start
+        graph.diagram, [{"dynamics.Gamma": prior} for prior in priors], 1.0, clock=graph.file.clock, start=graph.start
     )
     for run, scale in zip(runs, (1, 3), strict=True):
         assert not isinstance(run, DmframeError)
@@ -238,7 +238,7 @@ def test_a_batch_takes_matrices_and_priors() -> None:
 )
 def test_values_that_would_take_another_diagram_are_refused(overrides: list[str], value: Any, text: str) -> None:
     with pytest.raises(DmframeError) as fault:
-        with_values(load_experiment("arm2_joint", [*overrides, UNBOXED]).diagram(), {"dynamics.Gamma": value})
+        with_values(Graph.read("arm2_joint", [*overrides, UNBOXED]).diagram, {"dynamics.Gamma": value})
     assert text in str(fault.value)
 
 
@@ -254,9 +254,9 @@ def test_values_that_would_take_another_diagram_are_refused(overrides: list[str]
         ),
     ],
 )
-def test_a_gain_that_is_none_is_told_with_its_place(value: str, text: str) -> None:
+def test_a_value_that_is_no_gain_is_refused_with_its_place(value: str, text: str) -> None:
     with pytest.raises(DmframeError) as fault:
-        load_experiment("arm2_joint", [f"dynamics.Gamma={value}"]).diagram()
+        _ = Graph.read("arm2_joint", [f"dynamics.Gamma={value}"]).diagram
     assert str(fault.value).startswith("--set dynamics.Gamma=")
     assert text in str(fault.value)
 
@@ -270,7 +270,7 @@ def test_editors_know_the_forms_of_a_gain() -> None:
         assert not gain.is_valid(value), value
 
 
-def test_the_report_of_a_full_gain_tells_its_range(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_report_of_a_full_gain_prints_its_range(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dmframe.report.content.linear_view", lambda *_: LinearView("Not looked at."))
     gain = json.loads(full(11))
     dm.load(SMALL).set({"dynamics.Gamma": gain, "duration": 0.1}).verify().report(tmp_path / "report.md")
@@ -281,9 +281,9 @@ def test_the_report_of_a_full_gain_tells_its_range(tmp_path: Path, monkeypatch: 
 
 
 def prior_of(*overrides: str) -> np.ndarray:
-    diagram = load_experiment(
+    diagram = Graph.read(
         "arm2_joint", ["dynamics.Gamma={inverse_of: model, scale: 2, others: 3}", UNBOXED, *overrides]
-    ).diagram()
+    ).diagram
     found: np.ndarray = diagram.models["dynamics"].values["Gamma"]
     return found
 
@@ -291,7 +291,7 @@ def prior_of(*overrides: str) -> np.ndarray:
 def test_a_prior_has_a_block_a_link_and_one_number_for_each_friction() -> None:
     found = prior_of("model.friction=[viscous, coulomb]", "model.bias=true")
     expected = np.zeros((26, 26))
-    for k, row in enumerate(load_experiment("arm2_joint").robot.inertia):
+    for k, row in enumerate(Graph.read("arm2_joint").robot.inertia):
         expected[10 * k : 10 * k + 10, 10 * k : 10 * k + 10] = 2 * np.array(natural_gain(row), dtype=float)
     expected[20:, 20:] = 2 * 9 * np.eye(6)
     np.testing.assert_allclose(found, expected, rtol=1e-15)
@@ -308,7 +308,7 @@ def test_the_gravity_apart_varies_like_the_masses_and_by_itself() -> None:
 
 
 def test_a_prior_is_exact_before_it_is_rounded_once() -> None:
-    row = load_experiment("arm2_joint").robot.inertia[0]
+    row = Graph.read("arm2_joint").robot.inertia[0]
     assert all(isinstance(value, Fraction) for line in natural_gain(row) for value in line)
     assert prior_of()[0, 0] == float(2 * row[0] * row[0])
 
@@ -320,8 +320,8 @@ def test_a_prior_is_proved() -> None:
 
 def learnt(*overrides: str) -> tuple[float, float]:
     """The tracking error of the last eighth, and how wrong the learnt torques are elsewhere, in parts of all."""
-    graph = load_experiment("arm2_joint", ["model.nominal=0.7", UNBOXED, *overrides])
-    diagram = graph.diagram()
+    graph = Graph.read("arm2_joint", ["model.nominal=0.7", UNBOXED, *overrides])
+    diagram = graph.diagram
     run = simulate(diagram, 20.0, clock=graph.file.clock, start=graph.start)
     assert run.divergence is None
     error = np.linalg.norm(run["arm.q"] - run["path.q_d"], axis=1)[-len(run.time) // 8 :]
@@ -337,7 +337,7 @@ def learnt(*overrides: str) -> tuple[float, float]:
 
 
 def test_with_a_prior_what_is_learnt_on_one_path_is_less_wrong_on_others() -> None:
-    """From a model that is 30 % too light; each prior also tracks better than the scalar beside it."""
+    """From a model that is 30 % too light; each prior also tracks better than the scalar next to it."""
     for scale, scalar in ((1, 10), (10, 300)):
         error, elsewhere = learnt(f"dynamics.Gamma={{inverse_of: model, scale: {scale}}}")
         scalar_error, scalar_elsewhere = learnt(f"dynamics.Gamma={scalar}")

@@ -14,8 +14,8 @@ from dmframe.block import AbstractBlock, Signals
 from dmframe.block.model import model_block
 from dmframe.block.sizes import bind_sizes, parameter_arrays
 from dmframe.catalogue import find_block
-from dmframe.config.experiment import load_experiment
 from dmframe.errors import DmframeError
+from dmframe.graph.graph import Graph
 from dmframe.robot.library import load
 from dmframe.robot.symbolic import SymbolicRobot
 from dmframe.simulate import simulate
@@ -338,7 +338,7 @@ def _without(signals: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {name: value for name, value in signals.items() if name != "G_k"}
 
 
-def test_the_accelerometer_hands_out_the_acceleration() -> None:
+def test_the_accelerometer_outputs_the_acceleration() -> None:
     close(answer("accelerometer", ddq=[1.5, -2])["ddq_m"], [1.5, -2])
 
 
@@ -428,8 +428,8 @@ def test_the_regressors_bias_is_a_torque_of_each_joint_and_its_nominal_model_hol
 
 
 def test_the_derived_reference_acceleration_is_the_slope_of_the_reference_while_the_kinematics_adapt() -> None:
-    graph = load_experiment("theorem_3", ["geometry.Gamma_k=20", "solver={output: 0.5 ms}"])
-    diagram = graph.diagram()
+    graph = Graph.read("theorem_3", ["geometry.Gamma_k=20", "solver={output: 0.5 ms}"])
+    diagram = graph.diagram
     run = simulate(diagram, 0.4, clock=None, solver=graph.solver, start=graph.start)
     assert np.ptp(run["geometry.a_k_hat"], axis=0).max() > 1e-3  # it does adapt
     loop = diagram.loop

@@ -1,4 +1,4 @@
-"""With q_r = q_d over a PI servo the arm stops beside its goal: by hand, by the equilibrium's closed form, and by V."""
+"""With q_r = q_d over a PI servo the arm misses its goal: by hand, by the closed form of the equilibrium, and by V."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dmframe.block.model import symbols_in
 from dmframe.certify import Verdict, verify
-from dmframe.config.experiment import Experiment, load_experiment
+from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording, simulate
 
 Array = NDArray[np.float64]
@@ -62,9 +62,9 @@ def by_hand() -> Array:
 
 
 @cache
-def done(*overrides: str) -> tuple[Experiment, Recording, Verdict]:
-    graph = load_experiment("lesson_q_r_is_q_d", overrides)
-    diagram = graph.diagram()
+def done(*overrides: str) -> tuple[Graph, Recording, Verdict]:
+    graph = Graph.read("lesson_q_r_is_q_d", overrides)
+    diagram = graph.diagram
     run = simulate(diagram, graph.file.duration, clock=graph.file.clock, solver=graph.solver, start=graph.start)
     return graph, run, verify(diagram)
 
@@ -107,7 +107,7 @@ def test_the_identity_is_proved_and_the_error_is_bounded_as_v_says() -> None:
 
 
 def moves_with_the_position(verdict: Verdict) -> bool:
-    """Whether dV/dt spends a square that holds q, of which convergence of the position could follow."""
+    """Whether dV/dt dissipates a square in q, from which convergence of the position could follow."""
     assert verdict.claim is not None
     (q,) = (variable.symbol for variable in verdict.claim.loop.plant if variable.label == "arm.q")
     spent = [term for part in verdict.claim.parts for term in part.certificate.dissipation if hasattr(term, "vector")]
@@ -120,14 +120,14 @@ def positions_said_to_vanish(verdict: Verdict) -> list[str]:
     return [signal for signal in found if re.search(r"(?<![a-zA-Z_])q(?![a-zA-Z])", signal)]
 
 
-def test_nobody_says_that_the_position_error_goes_to_zero() -> None:
+def test_no_output_claims_that_the_position_error_goes_to_zero() -> None:
     _, _, verdict = done()
     assert not moves_with_the_position(verdict)
     assert any("zero" in item.says for item in verdict.statements)  # the velocity error
     assert positions_said_to_vanish(verdict) == []
 
 
-def test_with_the_term_in_the_error_it_does_go_to_zero_and_dv_dt_spends_it() -> None:
+def test_with_the_term_in_the_error_it_goes_to_zero_and_dv_dt_dissipates_it() -> None:
     _, run, verdict = done("task.type=joint_tracking", "task.alpha_bar=2")
     assert verdict.outcome == "proved"
     assert moves_with_the_position(verdict)
@@ -142,7 +142,7 @@ PID = (
 
 
 def test_over_a_pid_servo_with_a_tied_velocity_the_paper_is_right() -> None:
-    """There V spends q - q_r itself, and q_r is q_d where the robot starts on its path."""
+    """There dV/dt dissipates q - q_r itself, and q_r is q_d where the robot starts on its path."""
     _, run, verdict = done("duration=60 s", *PID)
     assert verdict.outcome == "proved"
     assert moves_with_the_position(verdict)

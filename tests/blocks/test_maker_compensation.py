@@ -1,4 +1,4 @@
-"""Servos that already compensate gravity or friction, and an outer loop that is not told."""
+"""Servos that already compensate gravity or friction, and an outer loop that does not know it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from dmframe.certify import Verdict, verify
-from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
+from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording, simulate
 from dmframe_plants.arm2 import closed_form
 
@@ -19,12 +19,12 @@ Q, DQ = np.array([0.4, -0.9]), np.array([1.1, -0.6])
 
 
 def proof(overrides: Sequence[str] = (), name: str = GRAPH) -> Verdict:
-    return verify(load_experiment(name, overrides).diagram(), trials=1)
+    return verify(Graph.read(name, overrides).diagram, trials=1)
 
 
 def run(overrides: Sequence[str], duration: float, name: str = GRAPH) -> Recording:
-    loaded = load_experiment(name, overrides)
-    return simulate(loaded.diagram(), duration, clock=loaded.file.clock, solver=loaded.solver, start=loaded.start)
+    loaded = Graph.read(name, overrides)
+    return simulate(loaded.diagram, duration, clock=loaded.file.clock, solver=loaded.solver, start=loaded.start)
 
 
 def outputs(diagram: Diagram, block: str, names: Sequence[str], known: dict[str, np.ndarray]) -> list[np.ndarray]:
@@ -39,10 +39,10 @@ def outputs(diagram: Diagram, block: str, names: Sequence[str], known: dict[str,
 
 
 def arm2() -> Diagram:
-    return load_experiment(
+    return Graph.read(
         "arm2_joint",
         ["arm.viscous=[1, 0.5]", "arm.coulomb=[2, 3]", "arm.maker_gravity=0.7", "arm.maker_viscous=[0.8, 0.1]"],
-    ).diagram()
+    ).diagram
 
 
 def test_what_the_maker_compensates_acts_as_a_torque_on_the_textbooks_arm() -> None:
@@ -58,7 +58,7 @@ def test_what_the_maker_compensates_acts_as_a_torque_on_the_textbooks_arm() -> N
 
 
 def test_apart_the_regressor_has_columns_for_motion_and_for_weight() -> None:
-    diagram = load_experiment("arm2_joint", ["model.gravity=apart", "model.friction=[]"]).diagram()
+    diagram = Graph.read("arm2_joint", ["model.gravity=apart", "model.friction=[]"]).diagram
     dq_ref, ddq_ref = np.array([0.3, 0.8]), np.array([-1.0, 2.0])
     (Y_d,) = outputs(diagram, "model", ["Y_d"], {"q": Q, "dq": DQ, "dq_ref": dq_ref, "ddq_ref": ddq_ref})
     assert Y_d.shape == (2, 28)
@@ -113,7 +113,7 @@ def test_the_adaptive_loop_converges_over_the_compensating_servo() -> None:
 
 
 def test_a_nominal_start_apart_has_the_weights_of_the_robots_model_too() -> None:
-    diagram = load_experiment("arm2_joint", ["model.gravity=apart", "model.friction=[]", "model.nominal=0.8"]).diagram()
+    diagram = Graph.read("arm2_joint", ["model.gravity=apart", "model.friction=[]", "model.nominal=0.8"]).diagram
     (nominal,) = outputs(diagram, "model", ["a_d_nominal"], {"q": Q})
     inertia = 0.8 * np.array(diagram.robot.inertia, dtype=float).reshape(2, 10)
     np.testing.assert_allclose(nominal, np.concatenate([inertia.ravel(), inertia[:, :4].ravel()]))

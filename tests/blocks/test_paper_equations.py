@@ -78,7 +78,7 @@ def drawn(seed: int, **shapes: int) -> dict[str, Array]:
 
 
 def truth(seed: int) -> SimpleNamespace:
-    """True parameters and gains, all above zero; K_c beyond what M_bar asks for."""
+    """True parameters and gains, all above zero; K_c above the bound that M_bar sets."""
     draw = np.random.default_rng(100 + seed)
     names = ("K", "K_P", "K_I", "K_D", "Lambda", "Lambda_P", "Lambda_I", "K_1", "K_2", "K_c", "lengths", "Gamma_k")
     t = SimpleNamespace(**{name: draw.uniform(0.5, 2, 2) for name in names})

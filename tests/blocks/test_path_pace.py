@@ -16,7 +16,7 @@ PACE = {"type": "path_pace", "u_max": LIMIT}
 
 
 def graph(inverse: dict[str, Any] | None = None, delay: int = 0, **blocks: dict[str, Any]) -> dm.Graph:
-    """A planar arm whose path asks for one and a half times what its joints may do."""
+    """A planar arm whose path needs one and a half times the limits of its joints."""
     wires = {"path.t": "pace.t_path"} if "pace" in blocks else {}
     made: dict[str, Any] = {
         "dmframe": 1,

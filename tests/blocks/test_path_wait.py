@@ -23,7 +23,7 @@ def test_its_rate_is_that_by_hand() -> None:
     np.testing.assert_allclose(found.rates["pace"], (wish_by_hand(x, dq_r) - 0.4) / RECOVERY)
 
 
-def test_a_path_waits_for_a_tool_that_begins_beside_it_and_asks_for_less() -> None:
+def test_a_path_waits_for_a_tool_that_begins_away_from_it_and_commands_less() -> None:
     graph = dm.load("ur10_paced")
     run = graph.run(until=20)
     data, T = run.data, 0.008
@@ -39,8 +39,8 @@ def test_a_path_waits_for_a_tool_that_begins_beside_it_and_asks_for_less() -> No
     assert pace[-1] > 0.9  # and goes on
     assert np.max(pace) <= 1
     at_once = graph.set({"blocks.pace": None, "wires": {}}).run(until=3)
-    asked = [float(np.max(np.abs(each.data["inverse.dq_c"].values))) for each in (run, at_once)]
-    assert asked[0] < 0.95 * asked[1]
+    commanded = [float(np.max(np.abs(each.data["inverse.dq_c"].values))) for each in (run, at_once)]
+    assert commanded[0] < 0.95 * commanded[1]
 
 
 def test_a_law_over_a_path_that_waits_is_proved_as_over_one_that_does_not() -> None:

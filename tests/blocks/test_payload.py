@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 import dmframe as dm
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certify import Verdict, claim_of, verify
-from dmframe.certify.along import along
 from dmframe.certify.projections import outside
 from dmframe.config.document import read_document
-from dmframe.config.experiment import Experiment, experiment_of, load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
+from dmframe.graph.graph import Graph
 from dmframe.port import TIME, Output, Side
+from dmframe.results.along import along
 from dmframe.results.shown import felt
 from dmframe.robot.library import find_robot
 from dmframe_blocks._loads import with_body, with_held
@@ -123,7 +123,7 @@ def test_what_is_felt_is_what_no_other_column_could_do() -> None:
     others = np.delete(W, 1, axis=1)
     left = W[:, 1] - others @ np.linalg.lstsq(others, W[:, 1], rcond=None)[0]
     assert felt(W, 100, np.eye(5)[1:2]) == pytest.approx(np.linalg.norm(left) / np.sqrt(100))
-    W[:, 4] = W[:, 0] - 2 * W[:, 2]  # three that nothing tells apart, and their sum that something does
+    W[:, 4] = W[:, 0] - 2 * W[:, 2]  # three that no row distinguishes; their sum is determined
     found = felt(W, 100, np.vstack([np.eye(5), [1, 0, -2, 0, 0], [1, 0, 0, 0, 1]]))
     assert list(found > 0) == [False, True, False, True, False, False, True]
 
@@ -149,7 +149,7 @@ def test_a_run_says_what_the_tool_holds_in_kilograms_and_metres() -> None:
 
 
 def test_it_is_proved_between_the_steps_of_the_load() -> None:
-    verdict = verify(load_experiment("ur10_payload").diagram())
+    verdict = verify(Graph.read("ur10_payload").diagram)
     assert verdict.outcome == "proved"
     assert all(control.refuted for control in verdict.controls)
     assumed = " / ".join(item.text for item in verdict.assumptions)
@@ -158,7 +158,7 @@ def test_it_is_proved_between_the_steps_of_the_load() -> None:
     assert "model (payload_regressor) knows exactly" in assumed
 
 
-def test_a_load_that_the_box_of_its_estimate_does_not_hold_is_told() -> None:
+def test_a_load_outside_the_box_of_its_estimate_is_reported() -> None:
     graph = dm.load(SMALL).set({"dynamics.a_d_hat_box": [[0, -1, -1, -1, 0, -1, -1, 0, -1, 0, 0, 0], 1.5]})
     within, beyond = (graph.set({"load.mass": [mass, 0]}).verify() for mass in (1.4, 1.6))
     assert within.outcome == "proved"
@@ -166,11 +166,11 @@ def test_a_load_that_the_box_of_its_estimate_does_not_hold_is_told() -> None:
     assert "dynamics.a_d_hat: true value inside the box at t = 0.2 s" in str(beyond.reason)
 
 
-@pytest.mark.parametrize(("later", "told"), [(1.0, False), (-1e-6, True), (np.nan, True)])
-def test_what_is_no_number_is_outside_too(later: float, told: bool) -> None:
+@pytest.mark.parametrize(("later", "reported"), [(1.0, False), (-1e-6, True), (np.nan, True)])
+def test_what_is_no_number_is_outside_too(later: float, reported: bool) -> None:
     loop = dm.load(SMALL).diagram.loop
     found = list(outside("dynamics.a_d_hat: true value inside the box", ca.if_else(loop.time > 60, later, 1), loop))
-    assert bool(found) is told
+    assert bool(found) is reported
     assert all(not item.holds and "at t = 60.005 s" in item.name for item in found)
 
 
@@ -194,8 +194,8 @@ def test_v_jumps_where_the_load_does_and_nowhere_else() -> None:
     assert largest == pytest.approx([4.0, 8.0], abs=0.009)
 
 
-def small() -> Experiment:
-    return experiment_of(read_document(SMALL, "small"))
+def small() -> Graph:
+    return Graph.of(read_document(SMALL, "small"))
 
 
 def proof(**blocks: AbstractBlock) -> Verdict:
@@ -239,7 +239,7 @@ class Silent(AbstractBlock):
         return Equations({"a_load": (u.t >= 1) * ca.DM.ones(10)})
 
 
-def test_a_load_that_moves_between_its_steps_is_told() -> None:
+def test_a_load_that_moves_between_its_steps_is_reported() -> None:
     with pytest.raises(DmframeError, match=r"load.a_load: expected a signal that is constant between steps"):
         proof(load=Ramp())
     assert "jumps from 0 to 1 at t = 1 s" in proof(load=Silent()).reason
@@ -265,7 +265,7 @@ def test_only_a_source_steps_and_only_a_controller_shows() -> None:
         ({"mass": [0], "at": [0], "inertia": [[1, 0, 1, 0, 0, 1]]}, "expected rigid bodies, found mass 0 with inertia"),
     ],
 )
-def test_what_is_no_body_is_told(load: dict[str, Any], says: str) -> None:
+def test_a_load_that_is_no_rigid_body_is_refused(load: dict[str, Any], says: str) -> None:
     with pytest.raises(DmframeError, match=says):
         Payload(**load)
 

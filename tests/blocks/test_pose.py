@@ -17,12 +17,11 @@ import dmframe as dm
 from dmframe.catalogue import find_block
 from dmframe.certify import verify
 from dmframe.certify.closure import Closure
-from dmframe.certify.limits import Goal, Made, Vanishing, combined
-from dmframe.config.experiment import load_experiment
+from dmframe.certify.limits import Combinations, Goal, Made, Vanishing, combined
 from dmframe.errors import DmframeError
 from dmframe.exact import zero_test
-from dmframe.graph import Graph
-from dmframe.results import turn_error
+from dmframe.graph.graph import Graph
+from dmframe.results.metrics import turn_error
 from dmframe.robot.library import load
 from dmframe.simulate import Solver, simulate
 from dmframe_blocks._quaternions import left, right, turn_from
@@ -59,7 +58,7 @@ def test_a_quaternion_of_any_length_but_zero_is_an_exactly_orthogonal_rotation_t
     assert is_zero(ca.det(R) - 1)
     assert is_zero(ca.jtimes(R, P, DP) - ca.skew(OMEGA) @ R)
     assert not is_zero(ca.jtimes(R, P, DP) + ca.skew(OMEGA) @ R)
-    assert not is_zero(left(P).T @ left(P) - ca.SX.eye(4)), "the test tells what is not orthogonal"
+    assert not is_zero(left(P).T @ left(P) - ca.SX.eye(4)), "the test finds a matrix that is not orthogonal"
     for p in quaternions(5):
         found = ca.Function("R", [P], [R])(p).full()
         np.testing.assert_allclose(found, matrix(p), atol=1e-14)
@@ -100,13 +99,13 @@ def test_pose_tracking_is_its_law_with_pinocchios_logarithm_and_numpys_pseudo_in
     assert found["R_apart"] == pytest.approx(8 * np.sin(angle / 2) ** 2)
 
 
-def test_half_a_turn_away_the_reference_sees_no_error_and_beside_it_it_leads_back() -> None:
+def test_half_a_turn_away_the_reference_sees_no_error_and_near_there_it_leads_back() -> None:
     p_d, axis = np.array([1.0, 0, 0, 0]), np.array([0.6, 0, 0.8])
     there = error_of(pin.exp3(np.pi * axis), p_d)
     np.testing.assert_allclose(there["dq_r"], 0, atol=1e-14)
     assert there["R_apart"] == pytest.approx(8)
-    beside = error_of(pin.exp3((np.pi - 0.1) * axis), p_d)
-    assert beside["dq_r"][3:] @ axis < -0.1
+    near = error_of(pin.exp3((np.pi - 0.1) * axis), p_d)
+    assert near["dq_r"][3:] @ axis < -0.1
 
 
 def test_the_tools_orientation_and_the_jacobian_of_its_pose_are_pinocchios() -> None:
@@ -216,7 +215,8 @@ def test_it_goes_with_a_pi_servo_and_ends_in_position_and_orientation() -> None:
     known = cast(Closure, SimpleNamespace(uncertain=frozenset(), prime=2**127 - 1, seed=0, driven=[], driving=[]))
 
     def concluded(vector: Any) -> Made | None:
-        return combined(claim, known, Goal("it", vector), [Vanishing("b", b.vector, True)])
+        field = Combinations(claim, known.prime, known.seed)
+        return combined(field, known, Goal("it", vector), [Vanishing("b", b.vector, True)])
 
     assert concluded(e_R.vector) is not None
     assert concluded(e_R.vector + 1) is None
@@ -231,7 +231,7 @@ STILL = {"type": "setpoint", "x_d": [0.4, 0.5, 0.3], "orientation": DOWN}
 @pytest.mark.parametrize("name", ["ur10_pose", "ur10_pose_observed"])
 def test_it_is_proved_with_a_pid_servo_in_both_forms_known_and_observed(name: str, tie: str) -> None:
     graph = dm.load(name).set({"blocks.path": STILL, "dynamics.Gamma": 10, "inverse.tie": tie})
-    verdict = verify(graph.diagram, trials=1, start=graph.experiment.start)
+    verdict = verify(graph.diagram, trials=1, start=graph.start)
     assert verdict.outcome == "proved", verdict.reason
     assert len(verdict.controls) >= 25
     assert all(control.refuted for control in verdict.controls)
@@ -339,9 +339,9 @@ class ByHand:
 
 
 def test_the_packaged_loop_is_the_one_written_by_hand() -> None:
-    graph, ticks = load_experiment("ur10_pose", [f"dynamics.Gamma={GAIN}", f"path.breath={BREATH}"]), 150
+    graph, ticks = Graph.read("ur10_pose", [f"dynamics.Gamma={GAIN}", f"path.breath={BREATH}"]), 150
     solver = Solver(method="cvodes", tolerance=1e-10)
-    theirs = simulate(graph.diagram(), ticks * T, clock=T, solver=solver, start=graph.start)
+    theirs = simulate(graph.diagram, ticks * T, clock=T, solver=solver, start=graph.start)
     mine = ByHand().run(np.array(graph.start["q"], dtype=float), ticks)
     assert np.max(np.abs(mine["q"] - mine["q"][0])) > 0.01, "it moves"
     np.testing.assert_allclose(theirs["arm.q"], mine["q"], atol=1e-7)
@@ -392,7 +392,7 @@ def test_a_start_that_no_joints_reach_says_by_how_much_in_position_and_angle() -
         graph.run(progress=False)
 
 
-def test_a_source_that_no_block_reads_is_told() -> None:
+def test_a_source_that_no_block_reads_is_reported() -> None:
     graph = dm.load(CIRCLE).set({"blocks.load": {"type": "payload", "mass": [1], "at": [0]}, "duration": 0.08})
     assert graph.run(progress=False).notices[0].startswith("no block reads load.a_load, so that")
     taken = graph.set({"arm.type": "loaded_manipulator"}).run(progress=False)

@@ -11,8 +11,8 @@ import scipy
 
 from dmframe.catalogue import graphs
 from dmframe.certify import verify
-from dmframe.config.experiment import load_experiment
 from dmframe.errors import AccessError
+from dmframe.graph.graph import Graph
 from dmframe.results.metrics import tracking_error
 from dmframe.simulate import Recording, simulate
 
@@ -45,14 +45,14 @@ def graph(folder: Path, servo: str, position: str, clock: str = "continuous") ->
 
 
 def run(file: Path | str, duration: float) -> Recording:
-    loaded = load_experiment(str(file))
-    return simulate(loaded.diagram(), duration, clock=loaded.file.clock, solver=loaded.solver, start=loaded.start)
+    loaded = Graph.read(str(file))
+    return simulate(loaded.diagram, duration, clock=loaded.file.clock, solver=loaded.solver, start=loaded.start)
 
 
 @pytest.mark.parametrize("servo", SERVOS)
 def test_in_continuous_time_both_commands_are_proved_and_move_alike(servo: str, tmp_path: Path) -> None:
     position, velocity = (graph(tmp_path, servo, text) for text in (POSITION, ""))
-    assert verify(load_experiment(position).diagram(), trials=1).outcome == "proved"
+    assert verify(Graph.read(position).diagram, trials=1).outcome == "proved"
     np.testing.assert_allclose(run(position, 1.0)["arm.q"], run(velocity, 1.0)["arm.q"], rtol=0, atol=1e-12)
 
 
@@ -109,9 +109,10 @@ def by_hand(servo: str, position: bool) -> np.ndarray:
 
 
 def test_the_staircase_costs_the_kinematic_controller_what_was_measured_once(tmp_path: Path) -> None:
-    text = graphs()["ur10_fast_kinematic"].read_text(encoding="utf-8")
+    before, servo, after = graphs()["ur10_fast_kinematic"].read_text(encoding="utf-8").partition("  servo:")
     file = tmp_path / "position.yaml"
-    file.write_text(text.replace("  # The truth", f"{POSITION}  # The truth"), encoding="utf-8")
+    assert servo
+    file.write_text(f"{before}{POSITION}{servo}{after}", encoding="utf-8")
     found = {}
     for name in (file, "ur10_fast_kinematic"):
         error = tracking_error(run(name, 50.3))
@@ -126,5 +127,5 @@ def test_a_torque_is_still_not_a_command(tmp_path: Path) -> None:
     file = graph(tmp_path, "pid", POSITION)
     file.write_text(file.read_text(encoding="utf-8") + "wires: {interface.q_t: task.dq_r}\n", encoding="utf-8")
     with pytest.raises(AccessError) as caught:
-        load_experiment(file).diagram()
+        _ = Graph.read(file).diagram
     assert "task.dq_r cannot be commanded: interface.q_t takes only joint velocities and positions" in str(caught.value)

@@ -12,9 +12,9 @@ import pytest
 from dmframe.block import Equations, Signals
 from dmframe.catalogue import find_block
 from dmframe.certify import verify
-from dmframe.config.experiment import Experiment, load_experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
+from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording, Solver, simulate
 
 SERVOS = {
@@ -38,7 +38,7 @@ GENERATORS = {
 POSTURE = "  posture: {type: null_space_posture, K_null: [0.5, 0.4, 0.3], q_0: [0.2, 0.5, 0.8]}\n"
 
 
-def graph(folder: Path, generator: str = "known", servo: str = "pid", posture: str = POSTURE) -> Experiment:
+def graph(folder: Path, generator: str = "known", servo: str = "pid", posture: str = POSTURE) -> Graph:
     inverse, law = SERVOS[servo]
     file = folder / "graph.yaml"
     file.write_text(
@@ -49,7 +49,7 @@ def graph(folder: Path, generator: str = "known", servo: str = "pid", posture: s
         "  arm: {type: manipulator, viscous: 1}\n",
         encoding="utf-8",
     )
-    return load_experiment(file)
+    return Graph.read(file)
 
 
 def reference(diagram: Diagram, state: np.ndarray) -> dict[str, np.ndarray]:
@@ -66,7 +66,7 @@ def reference(diagram: Diagram, state: np.ndarray) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("generator", GENERATORS)
 @pytest.mark.parametrize("servo", SERVOS)
 def test_the_null_space_velocity_leaves_the_proof_as_it_is(generator: str, servo: str, tmp_path: Path) -> None:
-    verdict = verify(graph(tmp_path, generator, servo).diagram(), trials=1)
+    verdict = verify(graph(tmp_path, generator, servo).diagram, trials=1)
     assert verdict.outcome == "proved", verdict.reason
     assert any("joints stay bounded" in assumption.text for assumption in verdict.assumptions)
 
@@ -75,8 +75,8 @@ def test_the_null_space_velocity_leaves_the_proof_as_it_is(generator: str, servo
 def test_the_reference_gains_the_null_space_velocity_without_what_the_tool_would_notice(
     generator: str, tmp_path: Path
 ) -> None:
-    with_posture = graph(tmp_path, generator).diagram()
-    without = graph(tmp_path, generator, posture="").diagram()
+    with_posture = graph(tmp_path, generator).diagram
+    without = graph(tmp_path, generator, posture="").diagram
     rng = np.random.default_rng(4)
     state = rng.uniform(0.2, 0.9, with_posture.loop.state.numel())
     found, plain = reference(with_posture, state), reference(without, state)
@@ -98,13 +98,13 @@ def test_a_generator_that_does_not_keep_it_out_of_the_task_is_refuted(
         return Equations(outputs={"dq_r": said.outputs["dq_r"] + u.dq_null / 1000})
 
     monkeypatch.setattr(kind, "equations", leaking)
-    verdict = verify(graph(tmp_path).diagram(), trials=1)
+    verdict = verify(graph(tmp_path).diagram, trials=1)
     assert verdict.outcome == "refuted", verdict.reason
 
 
 def test_the_derived_reference_acceleration_follows_the_self_motion(tmp_path: Path) -> None:
     loaded = graph(tmp_path)
-    diagram = loaded.diagram()
+    diagram = loaded.diagram
     run = simulate(diagram, 1.0, solver=Solver(step=2e-4, output=5e-3), start=loaded.start)
     loop = diagram.loop
     expression = diagram.resolver.derivative(diagram.resolver.output("inverse", "dq_ref"), "test")
@@ -114,17 +114,17 @@ def test_the_derived_reference_acceleration_follows_the_self_motion(tmp_path: Pa
     dq_ref, times = run["inverse.dq_ref"], run.time
     for k in (40, 100, 160):
         slope = (dq_ref[k + 1] - dq_ref[k - 1]) / (times[k + 1] - times[k - 1])
-        told = function(states[k], times[k], loop.p_values).full().ravel()
-        np.testing.assert_allclose(told, slope, rtol=1e-3, atol=1e-3)
+        rate = function(states[k], times[k], loop.p_values).full().ravel()
+        np.testing.assert_allclose(rate, slope, rtol=1e-3, atol=1e-3)
 
 
 def turned(name: str, *, posture: bool) -> Recording:
-    loaded = load_experiment(name)
+    loaded = Graph.read(name)
     if not posture:
         blocks = {key: block for key, block in loaded.blocks.items() if key != "posture"}
-        diagram = Diagram.build(blocks, {}, loaded.diagram().robot)
+        diagram = Diagram.build(blocks, {}, loaded.diagram.robot)
     else:
-        diagram = loaded.diagram()
+        diagram = loaded.diagram
     return simulate(diagram, 26.0, clock=loaded.file.clock, solver=loaded.solver, start=loaded.start)
 
 

@@ -10,14 +10,14 @@ import pytest
 from faulty import verdict_with
 
 from dmframe.certify.true_values import true_values
-from dmframe.config.experiment import load_experiment
+from dmframe.graph.graph import Graph
 from dmframe.robot.library import load
 
 EVERYTHING = {"friction": ("coulomb", "viscous"), "gravity": "apart", "bias": True, "nominal": 0.5}
 
 
 def regressor(**options):
-    return type(load_experiment("arm2_joint").blocks["model"])(**options)
+    return type(Graph.read("arm2_joint").blocks["model"])(**options)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def test_the_start_is_the_share_of_what_the_model_states(columns):
 
 def test_the_truth_is_what_the_plant_has():
     overrides = ["model.friction=[coulomb, viscous]", "arm.coulomb=[3, 4]", "arm.viscous=[1, 2]"]
-    diagram = load_experiment("arm2_joint", overrides).diagram()
+    diagram = Graph.read("arm2_joint", overrides).diagram
     names = [element.name for element in diagram.blocks["model"].elements(diagram.robot)["p"]]
     known = dict(zip(names, true_values(diagram)["dynamics.a_d_hat"], strict=True))
     assert [known[name] for name in ("B_1", "B_2", "D_1", "D_2")] == [1, 2, 3, 4]
@@ -84,7 +84,7 @@ def test_a_proof_refutes_two_swapped_columns(swapped):
         order[one], order[other] = order[other], order[one]
         return whole[:, order] if whole.shape[1] > 20 else whole
 
-    graph = load_experiment("arm2_joint", ["model.friction=[viscous, coulomb]"])
+    graph = Graph.read("arm2_joint", ["model.friction=[viscous, coulomb]"])
     fault = SimpleNamespace(**{**vars(ca), "horzcat": horzcat})
     assert verdict_with(graph, "model").outcome == "proved"
     assert verdict_with(graph, "model", ca=fault).outcome == "refuted"

@@ -1,4 +1,4 @@
-"""A load's estimates begin anew where the gripper tells: proved between its steps, and V's jump by hand."""
+"""A load's estimates are reset where the gripper reports a new load: proved between its steps, and V's jump by hand."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 import dmframe as dm
 from dmframe.certify import claim_of, verify
-from dmframe.certify.along import along
 from dmframe.certify.hypotheses import BETWEEN
 from dmframe.config.document import read_document
-from dmframe.config.experiment import Experiment, experiment_of
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
+from dmframe.graph.graph import Graph
+from dmframe.results.along import along
 from dmframe.robot.library import find_robot
 from dmframe_blocks.gripper import Gripper
 from dmframe_blocks.payload import Payload
@@ -49,13 +49,13 @@ blocks:
 """
 
 
-# of one joint it is not decided that its mass matrix stays positive with a load that nobody knows
+# of one joint it is not decided that its mass matrix stays positive with an unknown load
 TWO = SMALL.replace("pendulum", "arm2").replace("[0.5]", "[0.5, 0.9]")
 TWO = TWO.replace("[30]", "[60, 30]").replace("[120]", "[240, 120]")
 
 
-def small(text: str = SMALL) -> Experiment:
-    return experiment_of(read_document(text, "small"))
+def small(text: str = SMALL) -> Graph:
+    return Graph.of(read_document(text, "small"))
 
 
 @cache
@@ -116,7 +116,7 @@ def test_v_jumps_by_what_a_hand_computes_with_pinocchio() -> None:
     kinetic = sigma @ (mass_matrix(LIGHT, q) - mass_matrix(HEAVY, q)) @ sigma
     after = np.sum((prior + even - new) ** 2 / gain) + np.sum(odd**2 / gain)
     before = np.sum((prior + odd - old) ** 2 / gain) + np.sum(even**2 / gain)
-    assert kinetic < 0  # whoever puts down a part of a load takes energy out
+    assert kinetic < 0  # putting down a part of a load takes energy out
     assert jump_at(ran(), 50) == pytest.approx((kinetic + after - before) / 2, rel=1e-6)
 
 
@@ -134,8 +134,8 @@ def test_a_reset_begins_at_the_prior_leaves_friction_and_finds_the_mass() -> Non
     assert felt[0] > 0.5
 
 
-def test_it_is_proved_whenever_the_gripper_tells_and_whose_part_of_v_jumps_is_told() -> None:
-    found = verify(small(TWO).diagram())
+def test_it_is_proved_at_any_instant_of_grasping_and_the_part_of_v_that_jumps_is_named() -> None:
+    found = verify(small(TWO).diagram)
     assert found.outcome == "proved"
     assert not found.bounds
     assert all(control.refuted for control in found.controls)
@@ -212,10 +212,10 @@ def at(block: Any, time: float, output: str) -> Array:
 def test_what_a_drawing_says_of_the_load_takes_its_error_out_of_v() -> None:
     """The truth itself is expected: of the load nothing is left to learn, and no reset can make V rise."""
     loads = {"mass": [2, 1], "at": [1, 2], "center": [[0, 0.1, 0], [0.1, 0, 0]]}
-    told, held = Gripper(**loads), Payload(**loads)
-    assert [at(told, time, "odd") for time in (0.5, 1, 1.5, 2, 3)] == [0, 1, 1, 0, 0]
+    gripper, payload = Gripper(**loads), Payload(**loads)
+    assert [at(gripper, time, "odd") for time in (0.5, 1, 1.5, 2, 3)] == [0, 1, 1, 0, 0]
     for time in (0.5, 1.5, 2.5):
-        assert at(told, time, "a_expected") == pytest.approx(at(held, time, "a_load"))
+        assert at(gripper, time, "a_expected") == pytest.approx(at(payload, time, "a_load"))
     stored = list[Array]()
     for expected in ([1, 0.5], [0, 0]):
         values = {"load__mass": [0, 1, 0.5], "gripper__mass": expected, "arm__viscous": 0}
@@ -236,6 +236,6 @@ def test_what_a_drawing_says_of_the_load_takes_its_error_out_of_v() -> None:
         ({"at": [1], "center": [[0, 0, 0]]}, "expected a mass for each center and inertia, found none"),
     ],
 )
-def test_what_no_gripper_tells_is_told(values: dict[str, Sequence[Any]], says: str) -> None:
+def test_a_schedule_that_no_gripper_can_have_is_refused(values: dict[str, Sequence[Any]], says: str) -> None:
     with pytest.raises(DmframeError, match=says):
         Gripper(**values)

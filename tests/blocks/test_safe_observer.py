@@ -1,4 +1,4 @@
-"""Limits beside an extended state observer: the barrier function's quadratic program, what it keeps, and a run."""
+"""Limits with an extended state observer: the quadratic program of the barrier function, its invariant, and a run."""
 
 from __future__ import annotations
 

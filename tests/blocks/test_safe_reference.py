@@ -1,4 +1,4 @@
-"""A reference that keeps joints inside their limits: its bounds, and the tube of its proof beside runs and by hand."""
+"""A reference that keeps joints within limits: its bounds, and the tube of its proof, against runs and by hand."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def test_the_reference_is_never_beyond_its_bounds_whatever_is_wished(q: float, w
 
 
 def tube_of(graph: dm.Graph) -> Tube | None:
-    experiment = graph.experiment
-    diagram = experiment.diagram()
+    experiment = graph
+    diagram = experiment.diagram
     claim = claim_of(diagram)
     uncertain = experiment.intervals(diagram)
     numbers = Numbers(claim, uncertain)
@@ -53,10 +53,10 @@ def tube_of(graph: dm.Graph) -> Tube | None:
 
 def test_no_tube_is_found_in_a_loop_whose_position_moves_otherwise_than_the_proof_says() -> None:
     graph = joint_graph()
-    diagram = graph.experiment.diagram()
+    diagram = graph.diagram
     claim = claim_of(diagram)
     found = [
-        next(tubes(claim_of(other), Numbers(claim, {}), symbols_of(claim, {}), graph.experiment.start), None)
+        next(tubes(claim_of(other), Numbers(claim, {}), symbols_of(claim, {}), graph.start), None)
         for other in (diagram, with_plant_faster(diagram, 1.01))
     ]
     assert found[0] is not None
@@ -203,11 +203,11 @@ def test_on_a_robot_the_circle_stops_at_the_limit_and_the_whole_loop_is_stable()
     assert float(np.max(error)) > 0.05  # it left the path for the limit
 
 
-def test_a_run_tells_of_a_command_beyond_the_robots_velocity_limits() -> None:
+def test_a_run_warns_of_a_command_beyond_the_robots_velocity_limits() -> None:
     graph = dm.load("ur10_safe")
     assert not any("velocity limits" in notice for notice in graph.run(until=0.2).notices)
     far = graph.set({"blocks.safe": None, "wires": {}, "task.width": 100, "task.gamma": 20, "start.q": [-1, -1, 1]})
-    told = [notice for notice in far.run(until=0.2).notices if "velocity limits" in notice]
-    assert len(told) == 1
-    assert told[0].startswith("inverse.dq_c is beyond the robot's velocity limits, first at t = ")
-    assert "shoulder_pan_joint" in told[0]
+    notices = [notice for notice in far.run(until=0.2).notices if "velocity limits" in notice]
+    assert len(notices) == 1
+    assert notices[0].startswith("inverse.dq_c is beyond the robot's velocity limits, first at t = ")
+    assert "shoulder_pan_joint" in notices[0]

@@ -10,7 +10,7 @@ from sampled_by_hand import rms
 
 import dmframe as dm
 from dmframe.catalogue import block_types
-from dmframe.results import Run
+from dmframe.results.run import Run
 
 T, MOST, K_P, K_I, QUIET, FORGET = 0.09, 1.0, 1.8, 1.2, 0.01, 2.0
 PER_LAG = 1 + K_P * T / 2 + K_I * T**2 / 4
@@ -18,9 +18,9 @@ PER_LAG = 1 + K_P * T / 2 + K_I * T**2 / 4
 
 def weak(delay: int, **values: Any) -> Run:
     """The drive of the second joint gives 75 N m, where the path wants 81."""
-    told = {f"{name}.delay": delay for name in ("task", "inverse", "column", "supervisor")}
+    delays = {f"{name}.delay": delay for name in ("task", "inverse", "column", "supervisor")}
     late = {"transport_delay": {"samples": 1}} if delay else {}
-    graph = dm.load("ur10_slow_supervised").set({**told, **{f"supervisor.{k}": v for k, v in values.items()}})
+    graph = dm.load("ur10_slow_supervised").set({**delays, **{f"supervisor.{k}": v for k, v in values.items()}})
     weak = graph.reality({**late, "torque_limits": {"torque": [100, 75, 100]}})
     return weak.run("30 s", progress=False, engine="interpreted")
 
@@ -38,8 +38,8 @@ def by_hand(recorded: Any, delay: int, *, forgets: bool = True) -> np.ndarray:
         ahead, sums = lead, total
         for u in sent[max(k - delay, 0) : k]:
             ahead, sums = ahead + T * (u - v), sums + T * (ahead + T * (u - v) / 2)
-        asked = K_P * ahead + K_I * (sums + T * ahead / 2)
-        found.append([v - (MOST + asked) / PER_LAG, v + (MOST - asked) / PER_LAG])
+        demanded = K_P * ahead + K_I * (sums + T * ahead / 2)
+        found.append([v - (MOST + demanded) / PER_LAG, v + (MOST - demanded) / PER_LAG])
         cut = withheld[k] != 0
     return np.array(found)
 
@@ -91,7 +91,7 @@ def test_without_a_bound_the_block_has_nothing_to_remember() -> None:
         name: np.zeros(3) for name in ("q", "dq_r", "dq_column", "dq_full", "q_column", "q_full", "lag", "epsilon")
     }
     memory = {"errors": np.zeros((3, 10)), "sent": np.zeros((3, 1))}
-    arm = dm.load("ur10_slow_supervised").experiment.robot
+    arm = dm.load("ur10_slow_supervised").robot
     bare, bound = (
         block(**options).evaluate({**given, "T": T}, memory, robot=arm) for options in ({}, {"demand_max": 1.0})
     )

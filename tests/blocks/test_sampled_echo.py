@@ -15,13 +15,15 @@ from dmframe.certify import verify
 from dmframe.errors import WiringError
 
 BLOCKS = block_types()
-ARM = dm.load("ur10_slow_sampled").experiment.robot
+ARM = dm.load("ur10_slow_sampled").robot
 START = np.array([2.023732, -1.174227, 1.336627])
 T = 0.09
 LATE = {"transport_delay": {"samples": 1, "late": 0.5}}
 
 
-def told(name: str = "ur10_slow_sampled", block: str = "inverse", echo: str = "servo.q_c", delay: int = 0) -> dm.Graph:
+def with_echo(
+    name: str = "ur10_slow_sampled", block: str = "inverse", echo: str = "servo.q_c", delay: int = 0
+) -> dm.Graph:
     values: dict[str, Any] = {f"{block}.delay": delay, "task.delay": delay}
     if echo:
         values |= {f"{block}.echoed": True, f"wires.{block}.q_echo": echo}
@@ -29,7 +31,7 @@ def told(name: str = "ur10_slow_sampled", block: str = "inverse", echo: str = "s
 
 
 def test_where_commands_arrive_as_they_were_sent_an_echo_changes_nothing() -> None:
-    graphs = [told(echo=echo).set({"inverse.replay": 2}) for echo in ("", "servo.q_c", "arm.q")]
+    graphs = [with_echo(echo=echo).set({"inverse.replay": 2}) for echo in ("", "servo.q_c", "arm.q")]
     runs = [graph.run("6 s", progress=False, engine="interpreted") for graph in graphs]
     poses = [run.recording["arm.q"] for run in runs]
     np.testing.assert_allclose(poses[1], poses[0], atol=1e-10)
@@ -59,15 +61,15 @@ def test_what_is_learnt_is_as_if_the_command_that_was_echoed_had_been_sent(name:
         found = law.evaluate(given, memory, robot=ARM)
         return {**found.next, **found.outputs}
 
-    heard, right, wrong = after(sent, echo=True), after(acted, echo=False), after(sent, echo=False)
+    replayed, right, wrong = after(sent, echo=True), after(acted, echo=False), after(sent, echo=False)
     labels = ("theta", "rows", "goals", "q_aim", "z", "epsilon", "dq_c") if inverse else ("lag", "dq_c")
     for label in labels:
-        np.testing.assert_allclose(heard[label], right[label], atol=1e-12, err_msg=label)
-    assert max(np.max(np.abs(heard[label] - wrong[label])) for label in labels) > 1e-2
+        np.testing.assert_allclose(replayed[label], right[label], atol=1e-12, err_msg=label)
+    assert max(np.max(np.abs(replayed[label] - wrong[label])) for label in labels) > 1e-2
 
 
 def test_a_random_delay_is_then_borne_by_the_law_alone() -> None:
-    run = told(delay=1).reality(LATE).run("60 s", progress=False)
+    run = with_echo(delay=1).reality(LATE).run("60 s", progress=False)
     assert run.error is not None
     assert run.error.rms_final < 2.5e-3  # [m]; without an echo it has 30 times as much, and grows
     assert np.max(run.error.norm[run.time > 2]) < 8e-3

@@ -14,9 +14,9 @@ from test_sampled_by_hand import K_D, K_I, K_P, PATH, START, STEP, T, ur10
 import dmframe as dm
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.catalogue import block_types
-from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
+from dmframe.graph.graph import Graph
 from dmframe.port import Access, Input, Output, Side, State
 from dmframe.robot.library import find_robot
 from dmframe.robot.parameters import DynamicParameters
@@ -26,7 +26,7 @@ from dmframe_blocks._averaged_servo import averaged_servo
 
 BLOCKS = block_types()
 SLOW, FAST = "ur10_slow_sampled", "ur10_fast_sampled"
-ARM = load_experiment("ur10_slow_sampled").robot
+ARM = Graph.read("ur10_slow_sampled").robot
 SERVO = averaged_servo(ARM, "pid", frozenset(("viscous", "coulomb")))
 
 
@@ -48,7 +48,7 @@ class Line(AbstractBlock):
 
 
 class Encoder(AbstractBlock):
-    """Hands out the pose in whole steps."""
+    """Outputs the pose in whole steps."""
 
     side = Side.PLANT
     inputs = (Input("q", "n", "rad"),)
@@ -63,20 +63,20 @@ def run(
     duration: float = 100.0,
     *overrides: str,
     delay: int = 0,
-    told: int | None = None,
+    assumed: int | None = None,
     encoder: bool = False,
     start: Mapping[str, Any] | None = None,
     engine: Any = "interpreted",
 ) -> Recording:
-    """A packaged graph, its commands late by a delay that it is told, unless it is told another, its pose in steps."""
-    graph = load_experiment(name, list(overrides))
+    """A packaged graph, its commands late by a delay, which it assumes unless `assumed` is given, its pose in steps."""
+    graph = Graph.read(name, list(overrides))
     blocks, wires = dict(graph.blocks), dict(graph.file.wires)
     if delay:
         blocks["line"], wires["servo.dq_c"] = Line(samples=delay), "line.dq_late"
     if encoder:
         blocks["encoder"], wires["inverse.q"] = Encoder(), "encoder.q_seen"
     for part in ("task", "inverse"):
-        blocks[part] = type(blocks[part])(**{**dict(blocks[part]), "delay": delay if told is None else told})
+        blocks[part] = type(blocks[part])(**{**dict(blocks[part]), "delay": delay if assumed is None else assumed})
     diagram = Diagram.build(blocks, wires, graph.robot)
     given = {**graph.start, **(start or {})}
     return simulate(diagram, duration, clock=graph.file.clock, start=given, engine=engine)
@@ -96,8 +96,8 @@ def test_tick_by_tick_it_does_what_the_law_by_hand_does(tau: float | None, avera
     ticks = 40
     law = SampledLaw(ur10(), T, tau=tau, average=average, stride=stride)
     hand = by_hand(law, ticks)
-    told = {"filtered": str(tau is not None).lower(), "average": average, "stride": stride}
-    mine = run(SLOW, ticks * T, "task.damping=0", *(f"inverse.{name}={value}" for name, value in told.items()))
+    options = {"filtered": str(tau is not None).lower(), "average": average, "stride": stride}
+    mine = run(SLOW, ticks * T, "task.damping=0", *(f"inverse.{name}={value}" for name, value in options.items()))
     for name, label in (("q", "arm.q"), ("u", "inverse.dq_c"), ("v_des", "task.dq_r"), ("error", None)):
         found = error(mine) if label is None else mine[label]
         np.testing.assert_allclose(found[:ticks], hand[name], atol=1e-8, err_msg=name)
@@ -110,7 +110,7 @@ def test_tick_by_tick_it_does_what_the_law_by_hand_does(tau: float | None, avera
 
 
 def test_with_six_joints_each_with_a_guess_of_its_own_it_does_what_the_law_by_hand_does() -> None:
-    graph = load_experiment("ur10_full_sampled", ["task.damping=0"])
+    graph = Graph.read("ur10_full_sampled", ["task.damping=0"])
     maker, arm, ticks = graph.blocks["servo"], graph.blocks["arm"], 12
     hand_arm = Arm.load(str(find_robot("ur10").urdf), "ee_link", {}, arm.viscous, arm.coulomb)  # type: ignore[attr-defined]
     w_0 = np.array(graph.blocks["inverse"].w_0)  # type: ignore[attr-defined]
@@ -144,9 +144,9 @@ def test_by_least_squares_it_does_what_the_law_by_hand_does(average: int, retent
     ticks = 40
     law = LeastSquaresLaw(ur10(), T, average=average, retention=retention, heaviest=inertia)
     hand = by_hand(law, ticks)
-    told = {"estimator": "least_squares", "average": average, "retention": retention}
+    options = {"estimator": "least_squares", "average": average, "retention": retention}
     box = f"inverse.inertia_box=[{-inertia}, {inertia}]"
-    mine = run(SLOW, ticks * T, "task.damping=0", box, *(f"inverse.{name}={value}" for name, value in told.items()))
+    mine = run(SLOW, ticks * T, "task.damping=0", box, *(f"inverse.{name}={value}" for name, value in options.items()))
     for name, label in (("q", "arm.q"), ("u", "inverse.dq_c"), ("v_des", "task.dq_r"), ("error", None)):
         found = error(mine) if label is None else mine[label]
         np.testing.assert_allclose(found[:ticks], hand[name], atol=1e-8, err_msg=name)
@@ -169,8 +169,8 @@ def test_behind_a_delay_it_does_what_the_law_by_hand_does(delay: int) -> None:
     mine = run(SLOW, ticks * T, "task.damping=0", delay=delay)
     np.testing.assert_allclose(mine["line.dq_late"][:ticks], hand["u"], atol=3e-4)  # Newton's steps are not the same
     np.testing.assert_allclose(mine["arm.q"][:ticks], hand["q"], atol=1e-4)
-    untold = run(SLOW, ticks * T, "task.damping=0", delay=delay, told=delay - 1)
-    assert np.max(np.abs(untold["arm.q"][:ticks] - hand["q"])) > 3e-3
+    unknown = run(SLOW, ticks * T, "task.damping=0", delay=delay, assumed=delay - 1)
+    assert np.max(np.abs(unknown["arm.q"][:ticks] - hand["q"])) > 3e-3
 
 
 def test_the_observer_does_what_that_by_hand_does() -> None:
@@ -182,8 +182,8 @@ def test_the_observer_does_what_that_by_hand_does() -> None:
 
 
 def test_it_tracks_to_a_tenth_of_a_millimetre_where_the_kinematic_controller_has_five() -> None:
-    law, kinematic = run(SLOW, 100.0), load_experiment("ur10_slow_kinematic")
-    diagram, clock = kinematic.diagram(), kinematic.file.clock
+    law, kinematic = run(SLOW, 100.0), Graph.read("ur10_slow_kinematic")
+    diagram, clock = kinematic.diagram, kinematic.file.clock
     other = simulate(diagram, 100.0, clock=clock, start=kinematic.start, engine="interpreted")
     assert rms(error(law)) < 0.04
     assert not law["inverse.guarded"].any()
@@ -205,7 +205,7 @@ def test_a_target_that_is_known_but_for_a_constant_is_as_good_where_rows_are_fil
 
 
 def test_a_pi_servo_has_a_row_of_its_own() -> None:
-    graph = load_experiment(SLOW, ["inverse.servo=pi", "inverse.k_I=1.8", "inverse.k_I_box=[0.2, 6]", "task.damping=0"])
+    graph = Graph.read(SLOW, ["inverse.servo=pi", "inverse.k_I=1.8", "inverse.k_I_box=[0.2, 6]", "task.damping=0"])
     gains = {"K_P": [800, 800, 400], "K_I": [1760, 1760, 880]}
     servo = BLOCKS["pi_servo"](**gains)
     diagram = Diagram.build({**graph.blocks, "servo": servo}, {}, graph.robot)
@@ -305,20 +305,20 @@ def test_with_time_stamps_a_sample_that_is_over_was_as_long_as_it_was(name: str)
         found = law.evaluate(given, {**memory, **stamps}, robot=ARM)
         return {**found.next, **found.outputs}
 
-    told, right, wrong = after(T, t_before=now - 0.08), after(0.08), after(T)
-    assert told["t_before"] == now
+    stamped, right, wrong = after(T, t_before=now - 0.08), after(0.08), after(T)
+    assert stamped["t_before"] == now
     # what is learnt from the sample that is over; the command is for one that lasts T
     past = {"lag"} if name == "disturbance_observer" else {"theta", "rows", "goals", "z", "psi_slow", "y_slow"}
     for label in past:
-        np.testing.assert_allclose(told[label], right[label], atol=1e-12, err_msg=label)
-    assert max(np.max(np.abs(told[label] - wrong[label])) for label in past) > 1e-3
+        np.testing.assert_allclose(stamped[label], right[label], atol=1e-12, err_msg=label)
+    assert max(np.max(np.abs(stamped[label] - wrong[label])) for label in past) > 1e-3
 
 
 def test_time_stamps_spare_a_predictor_the_clock_that_is_not_exact() -> None:
-    def tracked(**told: bool) -> float:
-        overrides = [f"inverse.{key}={str(value).lower()}" for key, value in told.items()]
-        graph = load_experiment("ur10_slow_observer", overrides)
-        found = simulate(graph.diagram(), 50.0, clock=T, start=graph.start, engine="interpreted", jitter=0.03)
+    def tracked(**options: bool) -> float:
+        overrides = [f"inverse.{key}={str(value).lower()}" for key, value in options.items()]
+        graph = Graph.read("ur10_slow_observer", overrides)
+        found = simulate(graph.diagram, 50.0, clock=T, start=graph.start, engine="interpreted", jitter=0.03)
         return rms(error(found))
 
     assert tracked(time_stamps=True) < 0.3
@@ -364,12 +364,12 @@ def test_the_task_law_takes_the_tool_to_its_goal_at_the_end_of_the_sample() -> N
 
 
 def test_the_inverse_of_the_jacobian_alone_is_five_times_better_than_its_transpose() -> None:
-    graph = load_experiment("ur10_slow_kinematic_inverse")
-    found = simulate(graph.diagram(), 60.0, clock=T, start=graph.start, engine="interpreted")
+    graph = Graph.read("ur10_slow_kinematic_inverse")
+    found = simulate(graph.diagram, 60.0, clock=T, start=graph.start, engine="interpreted")
     assert 0.9 < rms(error(found)) < 1.2
 
 
-def test_on_a_fast_clock_an_encoder_asks_for_the_mean_of_several_rows() -> None:
+def test_on_a_fast_clock_an_encoder_requires_the_mean_of_several_rows() -> None:
     assert rms(error(run(FAST, 16.0, delay=1, encoder=True))) < 0.3
     alone = run(FAST, 16.0, "inverse.average=1", "inverse.stride=1", delay=1, encoder=True)
     assert rms(error(alone)) > 0.5
@@ -394,8 +394,8 @@ def test_least_squares_goes_with_a_delay_and_an_encoder() -> None:
 
 def test_least_squares_goes_with_a_supervisor() -> None:
     squares = ("inverse.estimator=least_squares", "inverse.average=2")
-    graph = load_experiment("ur10_slow_supervised", list(squares))
-    found = simulate(graph.diagram(), 8.0, clock=T, start=graph.start, engine="interpreted")
+    graph = Graph.read("ur10_slow_supervised", list(squares))
+    found = simulate(graph.diagram, 8.0, clock=T, start=graph.start, engine="interpreted")
     assert float(found["supervisor.predictor"][-1].item()) == 2.0
     assert rms(error(found)) < 3
 
@@ -403,8 +403,8 @@ def test_least_squares_goes_with_a_supervisor() -> None:
 def test_over_2000_s_behind_an_encoder_least_squares_stays_and_its_memory_positive() -> None:
     log = Log(signals=("inverse.gathered", "inverse.guarded", "arm.x", "path.x_d"))
     squares = ("inverse.estimator=least_squares", "inverse.average=2")
-    graph = load_experiment("ur10_slow_sampled_delay", list(squares))
-    found = simulate(graph.diagram(), 2000.0, clock=T, start=graph.start, log=log)
+    graph = Graph.read("ur10_slow_sampled_delay", list(squares))
+    found = simulate(graph.diagram, 2000.0, clock=T, start=graph.start, log=log)
     assert rms(error(found)) < 0.03
     assert not found["inverse.guarded"].any()
     for triangles in found["inverse.gathered"][::500]:
@@ -417,9 +417,9 @@ def test_results_hold_the_estimate_and_leave_its_memory_out() -> None:
     recorded = run(SLOW, 10 * T, "inverse.replay=2")
     assert recorded["inverse.theta"].shape == (11, SERVO.size)
     assert "inverse.rows" not in recorded.states
-    graph = load_experiment(SLOW, ["inverse.replay=2"])
-    asked = simulate(
-        graph.diagram(), 3 * T, clock=T, start=graph.start, engine="interpreted", log=Log(signals=("inverse.rows",))
+    graph = Graph.read(SLOW, ["inverse.replay=2"])
+    logged = simulate(
+        graph.diagram, 3 * T, clock=T, start=graph.start, engine="interpreted", log=Log(signals=("inverse.rows",))
     )
-    assert asked["inverse.rows"].shape == (4, 2 * SERVO.size)
-    assert "inverse.theta" not in asked.states
+    assert logged["inverse.rows"].shape == (4, 2 * SERVO.size)
+    assert "inverse.theta" not in logged.states

@@ -154,7 +154,7 @@ def test_rows_that_are_stored_elsewhere_are_refuted(monkeypatch: pytest.MonkeyPa
     averaged_servo.cache_clear()
 
 
-def test_a_friction_without_a_column_and_a_box_without_the_truth_are_told() -> None:
+def test_a_friction_without_a_column_and_a_box_without_the_truth_are_reported() -> None:
     found = verdict(friction=["viscous"])
     assert found.outcome != "proved"
     assert "what the plant's motion obeys" in _says(found)

@@ -14,9 +14,9 @@ from test_sampled_by_hand import K_D, K_I, K_P, PATH, START, T, ur10
 import dmframe as dm
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certify import verify
-from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, WiringError
+from dmframe.graph.graph import Graph
 from dmframe.port import Input, Output, Side, State
 from dmframe.simulate import Recording, simulate
 from dmframe_blocks.sampled_supervisor import SampledSupervisor
@@ -54,11 +54,11 @@ class VelocityServo(AbstractBlock):
 
 
 def run(
-    duration: float, *, told: int = 0, line: Line | None = None, servo: AbstractBlock | None = None, seed: int = 0
+    duration: float, *, assumed: int = 0, line: Line | None = None, servo: AbstractBlock | None = None, seed: int = 0
 ) -> Recording:
-    """The packaged graph, told of a delay, with a line that need not be as long."""
-    delays = [f"{name}.delay={told}" for name in ("task", "inverse", "column", "supervisor")]
-    graph = load_experiment("ur10_slow_supervised", delays)
+    """The packaged graph, configured for a delay, with a line that need not be as long."""
+    delays = [f"{name}.delay={assumed}" for name in ("task", "inverse", "column", "supervisor")]
+    graph = Graph.read("ur10_slow_supervised", delays)
     blocks, wires = dict(graph.blocks), dict(graph.file.wires)
     if servo is not None:
         blocks["servo"] = servo
@@ -140,12 +140,12 @@ class Supervised(SampledLaw):
         self.choices.append(self.chosen)
 
 
-@pytest.mark.parametrize(("told", "real"), [(0, 0), (1, 1), (0, 1)])
-def test_tick_by_tick_it_does_what_one_by_hand_does(told: int, real: int) -> None:
+@pytest.mark.parametrize(("assumed", "real"), [(0, 0), (1, 1), (0, 1)])
+def test_tick_by_tick_it_does_what_one_by_hand_does(assumed: int, real: int) -> None:
     ticks = 110
-    law = Supervised(ur10(), T, delay=told, Lambda=3.0)
+    law = Supervised(ur10(), T, delay=assumed, Lambda=3.0)
     plant = Plant(law.arm, START, K_D, K_P, K_I)
-    if real > told:  # the plant gets each command a sample later than the law thinks
+    if real > assumed:  # the plant gets each command a sample later than the law thinks
         advance, waiting = plant.advance, [np.zeros(3)]
 
         def late(dq_c: Array, T: float) -> Array:
@@ -154,14 +154,14 @@ def test_tick_by_tick_it_does_what_one_by_hand_does(told: int, real: int) -> Non
 
         plant.advance = late  # type: ignore[method-assign]
     hand = closed_loop(law, plant, PATH, ticks)
-    mine = run(ticks * T, told=told, line=Line() if real else None)
+    mine = run(ticks * T, assumed=assumed, line=Line() if real else None)
     np.testing.assert_array_equal(mine["supervisor.predictor"][:ticks].ravel(), law.choices)
-    assert set(law.choices) == ({0, 1} if real > told else {0, 1, 2})
-    np.testing.assert_allclose(mine["arm.q"][:ticks], hand["q"], atol=2e-5 if told or real else 1e-5)
+    assert set(law.choices) == ({0, 1} if real > assumed else {0, 1, 2})
+    np.testing.assert_allclose(mine["arm.q"][:ticks], hand["q"], atol=2e-5 if assumed or real else 1e-5)
     # what both learn from is what was sent
     for name in ("inverse", "column"):
         np.testing.assert_array_equal(mine[f"{name}.queue"], mine["supervisor.sent"])
-    assert (last(mine, "supervisor.trips") > 0) == (real > told)
+    assert (last(mine, "supervisor.trips") > 0) == (real > assumed)
 
 
 def test_where_the_law_is_right_it_costs_nothing() -> None:
@@ -171,7 +171,7 @@ def test_where_the_law_is_right_it_costs_nothing() -> None:
     assert last(found, "supervisor.predictor") == 2
 
 
-def test_a_delay_that_nobody_told_does_no_more_harm_than_the_kinematic_command() -> None:
+def test_a_delay_that_is_not_configured_does_no_more_harm_than_the_kinematic_command() -> None:
     found = run(100.0, line=Line())
     assert rms(error(found)) < KINEMATIC_LATE
     assert peak(found) < 6
@@ -181,7 +181,7 @@ def test_a_delay_that_nobody_told_does_no_more_harm_than_the_kinematic_command()
 
 
 def test_a_delay_that_changes_at_random_does_no_more_harm_than_the_kinematic_command() -> None:
-    found = run(100.0, told=1, line=Line(random=True))
+    found = run(100.0, assumed=1, line=Line(random=True))
     assert rms(error(found)) < KINEMATIC_LATE
     assert peak(found) < 6
 
@@ -215,7 +215,7 @@ def test_switching_leaves_the_proof_as_it_is() -> None:
     assert set(found.samples.silent) == {"task", "column", "supervisor"}
 
 
-def test_who_is_supervised_has_to_be_told_what_is_sent() -> None:
+def test_a_supervised_law_requires_the_command_that_is_sent() -> None:
     graph = arm2()
     del graph["blocks"]["supervisor"], graph["blocks"]["column"]
     graph["wires"] = {}
@@ -225,7 +225,7 @@ def test_who_is_supervised_has_to_be_told_what_is_sent() -> None:
     _ = dm.load(graph).diagram
 
 
-def test_reality_stands_in_for_what_is_sent_and_not_for_what_a_predictor_would_send() -> None:
+def test_reality_replaces_the_command_that_is_sent_and_not_the_one_that_a_predictor_would_send() -> None:
     graph = arm2()
     graph["reality"] = {"transport_delay": {"samples": 1}}
     assert "supervisor.dq_sent through transport_delay" in " ".join(dm.load(graph).run("0.4 s").notices)

@@ -1,4 +1,4 @@
-"""V of the sampled law along a run: against NumPy, against faults, and what is said where an assumption fails."""
+"""V of the sampled law along a run: against NumPy, against faults, and the report where an assumption fails."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from sampled_by_hand import Array, Plant, SampledLaw, closed_loop
 from test_sampled_by_hand import K_D, K_I, K_P, PATH, START, T, inertial, ur10
 
 import dmframe as dm
-from dmframe.certify.along import Along
-from dmframe.certify.unproved import claimed_along
 from dmframe.certify.verify import verify
 from dmframe.errors import DmframeError
 from dmframe.report.measured import measure
+from dmframe.results.along import Along
+from dmframe.results.claimed import claimed_along
 from dmframe.simulate import Log, Recording, simulate
 
 TICKS = 60
@@ -50,7 +50,7 @@ def run_of(data: dict[str, Any], *overrides: tuple[str, Any]) -> dm.Run:
 def along_of(run: dm.Run, **changed: Any) -> Along:
     """V along a run whose recording was changed."""
     recording = replace(run.recording, **changed)
-    return claimed_along(recording, {}, run.experiment.start)[1]
+    return claimed_along(recording, {}, run.graph.start)[1]
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +129,7 @@ def test_an_update_of_the_wrong_sign_and_one_that_is_too_long_are_seen(short: dm
 
 def test_a_gain_that_is_not_the_one_of_the_law_is_seen(short: dm.Run) -> None:
     graph = dm.load(yaml.safe_dump(arm2(inertia_size=0.5, k_P_size=5.0)))
-    assert along_of(short, diagram=graph.experiment.diagram()).beyond > 0
+    assert along_of(short, diagram=graph.diagram).beyond > 0
 
 
 def test_a_law_that_learns_nothing_of_its_rows_is_seen(short: dm.Run) -> None:
@@ -137,7 +137,7 @@ def test_a_law_that_learns_nothing_of_its_rows_is_seen(short: dm.Run) -> None:
     states = dict(short.recording.states)
     theta = states["inverse.theta"]
     states["inverse.theta"] = theta[0] + 1e-3 * np.cumsum(draw.standard_normal(theta.shape), axis=0)
-    run = dm.Run(short.experiment, replace(short.recording, states=states))
+    run = dm.Run(short.graph, replace(short.recording, states=states))
     assert run.storage.along.beyond > 10
     many = run.storage.along.beyond
     assert f"V rose by more at {many} samples, so this run violates one of its assumptions" in run.storage.notice
@@ -150,11 +150,11 @@ def test_states_that_are_not_kept_are_recomputed_with_what_each_sample_drew(inve
     graph = dm.load(
         yaml.safe_dump({**arm2(**inverse), "reality": {"encoder": {"step": "1e-4 rad", "noise": "1e-4 rad"}}})
     )
-    experiment = graph.experiment
-    labels = tuple(variable.label for variable in experiment.diagram().loop.variables)
+    experiment = graph
+    labels = tuple(variable.label for variable in experiment.diagram.loop.variables)
 
     def recorded(log: Log) -> Recording:
-        return simulate(experiment.diagram(), 2.0, clock=0.04, start=experiment.start, log=log)
+        return simulate(experiment.diagram, 2.0, clock=0.04, start=experiment.start, log=log)
 
     whole = claimed_along(recorded(Log(signals=labels)), {}, experiment.start)[1]
     plain = recorded(Log())
@@ -212,8 +212,8 @@ def test_v_is_in_the_files_and_says_with_which_constants(short: dm.Run, tmp_path
 
 
 def test_a_report_shows_v_and_with_which_constants(short: dm.Run) -> None:
-    experiment = short.experiment
-    diagram = experiment.diagram()
+    experiment = short.graph
+    diagram = experiment.diagram
     found = measure(experiment, diagram, verify(diagram, start=experiment.start))
     assert found.sentence.startswith("The theorem is one over samples")
     assert "$V$ is evaluated with inverse.offset = [" in found.sentence

@@ -36,7 +36,7 @@ def test_its_feedback_is_the_slope_of_the_energy_and_never_beyond_its_reach(size
         np.testing.assert_allclose(found, reference("known_tracking", x, J, dx_d), rtol=1e-8)
 
 
-def test_from_far_away_it_asks_for_less_than_a_linear_feedback_and_arrives() -> None:
+def test_from_far_away_it_commands_less_than_a_linear_feedback_and_arrives() -> None:
     graph = dm.load("ur10_saturated")
     linear = graph.set({"blocks.task": {"type": "known_tracking", "gamma": 2}})
     first = [float(np.max(np.abs(each.run(until=2).data["inverse.dq_c"].values))) for each in (graph, linear)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dmframe.config.experiment import load_experiment
+from dmframe.graph.graph import Graph
 from dmframe.simulate import simulate
 
 RMS = {  # [mm], norm of the task error over the last eighth
@@ -29,8 +29,8 @@ OTHERS = {  # what a graph's comment says of the form or gains that it does not 
 
 def last_eighth(name: str, *overrides: str) -> float:
     """[mm]."""
-    graph = load_experiment(name, overrides)
-    run = simulate(graph.diagram(), graph.file.duration, clock=graph.file.clock, solver=graph.solver, start=graph.start)
+    graph = Graph.read(name, overrides)
+    run = simulate(graph.diagram, graph.file.duration, clock=graph.file.clock, solver=graph.solver, start=graph.start)
     assert run.divergence is None
     error = np.linalg.norm(run["arm.x"] - run["path.x_d"], axis=1) * 1e3
     return float(np.sqrt(np.mean(error[-(len(error) // 8) :] ** 2)))
@@ -46,9 +46,9 @@ def test_the_last_eighth_of_each_run_has_the_quoted_error(name: str, figures: di
     assert figures[name] == pytest.approx(RMS[name], rel=0.01)
 
 
-@pytest.mark.parametrize("asked", OTHERS, ids=" ".join)
-def test_the_form_that_a_graph_does_not_take_has_the_error_that_its_comment_says(asked: tuple[str, ...]) -> None:
-    assert last_eighth(*asked) == pytest.approx(OTHERS[asked], rel=0.01)
+@pytest.mark.parametrize("case", OTHERS, ids=" ".join)
+def test_the_form_that_a_graph_does_not_take_has_the_error_that_its_comment_says(case: tuple[str, ...]) -> None:
+    assert last_eighth(*case) == pytest.approx(OTHERS[case], rel=0.01)
 
 
 @pytest.mark.parametrize("case", ["fast", "slow"])

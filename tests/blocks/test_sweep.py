@@ -12,7 +12,7 @@ import pytest
 from dmframe.block import AbstractBlock, type_name
 from dmframe.block.prose import about
 from dmframe.catalogue import block_types, graphs
-from dmframe.config.experiment import load_experiment
+from dmframe.graph.graph import Graph
 from dmframe.parameter import specs
 from dmframe.port import Access, Side, Signal, State
 from dmframe.simulate import simulate
@@ -168,16 +168,16 @@ def test_a_block_runs_in_a_packaged_graph_or_an_example(name: str, tmp_path: Pat
     file = tmp_path / "example.yaml"
     file.write_text(EXAMPLES[name])
     assert name in types_in(file)
-    graph = load_experiment(file)
-    run = simulate(graph.diagram(), graph.file.duration, clock=graph.file.clock, start=graph.start)
+    graph = Graph.read(file)
+    run = simulate(graph.diagram, graph.file.duration, clock=graph.file.clock, start=graph.start)
     assert run.divergence is None
     assert np.linalg.norm(run["arm.x"][-1] - [0.5, 0.4]) < np.linalg.norm(run["arm.x"][0] - [0.5, 0.4])
 
 
 @pytest.mark.parametrize("name", GRAPHS)
 def test_a_packaged_graph_builds_and_stays_finite(name: str) -> None:
-    graph = load_experiment(name)
-    run = simulate(graph.diagram(), 2.0, clock=graph.file.clock, solver=graph.solver, start=graph.start)
+    graph = Graph.read(name)
+    run = simulate(graph.diagram, 2.0, clock=graph.file.clock, solver=graph.solver, start=graph.start)
     assert graph.file.title
     assert run.divergence is None
     assert run.time[-1] == pytest.approx(2.0, abs=0.1)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from dmframe.certify import Verdict, verify
-from dmframe.certify.along import Along, along
-from dmframe.config.experiment import load_experiment
+from dmframe.graph.graph import Graph
+from dmframe.results.along import Along, along
 from dmframe.simulate import Recording, simulate
 
 THEOREMS = ("theorem_1", "theorem_2", "theorem_3", "theorem_4")
@@ -39,8 +39,8 @@ SAMPLED = {  # the same of each sampled generator, with one servo each, over so 
 
 @cache
 def done(name: str) -> tuple[Recording, Verdict]:
-    graph = load_experiment(name)
-    diagram = graph.diagram()
+    graph = Graph.read(name)
+    diagram = graph.diagram
     run = simulate(diagram, graph.file.duration, clock=graph.file.clock, solver=graph.solver, start=graph.start)
     return run, verify(diagram)
 
@@ -108,9 +108,9 @@ def test_the_kinematics_are_wrong_at_the_start_and_the_estimates_stay_bounded(na
 @pytest.mark.parametrize("name", SAMPLED)
 def test_the_sampled_loop_converges_at_8_ms(name: str) -> None:
     duration, ratio = SAMPLED[name]
-    graph = load_experiment(name)
+    graph = Graph.read(name)
     assert graph.file.clock == 0.008
-    run = simulate(graph.diagram(), duration, clock=graph.file.clock, solver=graph.solver, start=graph.start)
+    run = simulate(graph.diagram, duration, clock=graph.file.clock, solver=graph.solver, start=graph.start)
     assert run.divergence is None
     tenths = rms(run)
     assert tenths[-1] < ratio * tenths[0]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dmframe.certify import Verdict, verify
-from dmframe.config.experiment import load_experiment
+from dmframe.graph.graph import Graph
 
 GENERATORS = {
     "joint": (
@@ -37,7 +37,7 @@ def proof(folder: Path, generator: str, tie: str, K_c: float) -> Verdict:
         "  servo: {type: pid_servo, K_D: 20, K_P: 20, K_I: 40}\n  arm: {type: manipulator}\n",
         encoding="utf-8",
     )
-    return verify(load_experiment(file).diagram(), trials=1)
+    return verify(Graph.read(file).diagram, trials=1)
 
 
 def failing(verdict: Verdict) -> list[str]:

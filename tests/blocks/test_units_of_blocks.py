@@ -65,7 +65,7 @@ RADIANS: Final[Mapping[str, str]] = {
     "turning": "amplitude",
     "wall": "point stiffness damping",
 }
-"""Parameters whose power of rad is not known, by the one rule: after a sine, beside a mass or a plain number, in
+"""Parameters whose power of rad is not known, by the one rule: after a sine, added to a mass or a plain number, in
 what is made of the robot's functions of a pose."""
 
 NEVER: Final[Mapping[str, str]] = {

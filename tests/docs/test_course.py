@@ -93,7 +93,7 @@ def run(text: str, where: str) -> None:
     names: dict[str, Any] = {}
     for cell in cells_of(text):
         if cell.kind == "code-cell":
-            exec(compile("\n" * cell.line + cell.text, where, "exec"), names)
+            exec(compile("\n" * cell.line + cell.text, where, "exec", dont_inherit=True), names)
 
 
 @pytest.mark.parametrize("lesson", LESSONS, ids=lambda path: path.stem)

@@ -25,7 +25,7 @@ from dmframe import plotting
 from dmframe.catalogue import graphs
 from dmframe.cli import main
 from dmframe.config.document import read_document, read_file
-from dmframe.config.experiment import experiment_of
+from dmframe.graph.graph import Graph
 from dmframe.results import estimate_figure
 from dmframe.study import proof
 
@@ -91,7 +91,7 @@ def written(text: str, shared: Page) -> bool:
 
 def run_python(text: str, shared: Page, where: str) -> None:
     if not written(text, shared):
-        exec(compile(text, where, "exec"), shared.names)
+        exec(compile(text, where, "exec", dont_inherit=True), shared.names)  # a reader's own file has no __future__
 
 
 def build_yaml(text: str, shared: Page) -> None:
@@ -104,7 +104,7 @@ def build_yaml(text: str, shared: Page) -> None:
         below = read_file(graphs()["ur10_fast"]).data
         data = {**below, **data, "blocks": {**below["blocks"], **data.get("blocks", {})}}
     as_text = json.dumps(data, ensure_ascii=False)  # JSON is YAML
-    experiment_of(read_document(as_text, str(shared.folder / "snippet.yaml"))).diagram()
+    _ = Graph.of(read_document(as_text, str(shared.folder / "snippet.yaml"))).diagram
 
 
 def run_console(text: str, where: str) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from dmframe.config.experiment import load_experiment
+from dmframe.graph.graph import Graph
 from dmframe.study.plan import Study, load_study
 
 ROOT = Path(__file__).parents[2]
@@ -113,7 +113,7 @@ def test_the_study_files_hold_every_cell(study: ModuleType, plans: list[Study]) 
 
 def test_a_cell_is_a_packaged_graph_with_other_numbers(study: ModuleType, plans: list[Study]) -> None:
     plan, index = places_of(study, plans)[study.Cell("fast", 3.0, 1.0, 1.0, 0.0, 0.03, "position", "boxed_100")]
-    graph = plan.points[index].graph.experiment
+    graph = plan.points[index].graph
     assert graph.file.clock == pytest.approx(0.03)
     assert graph.blocks["servo"].K_D == (2400, 2400, 1200)  # type: ignore[attr-defined]
     assert graph.blocks["servo"].K_P == (5280, 5280, 2640)  # type: ignore[attr-defined]
@@ -123,7 +123,7 @@ def test_a_cell_is_a_packaged_graph_with_other_numbers(study: ModuleType, plans:
     assert graph.blocks["inverse"].tie == "position"  # type: ignore[attr-defined]
     assert graph.blocks["inverse"].w_box == (0, pytest.approx(0.004 / 3, rel=1e-5))  # type: ignore[attr-defined]
     plan, index = places_of(study, plans)[study.Cell("slow", 3.0, 0.5, 2.0, 3.0, 0.09, "velocity", "tenth")]
-    graph = plan.points[index].graph.experiment
+    graph = plan.points[index].graph
     assert (graph.file.clock, graph.file.duration) == (0.09, 200)
     assert graph.blocks["servo"].K_P == (2640, 2640, 1320)  # type: ignore[attr-defined]
     assert graph.blocks["servo"].K_I == (3360, 3360, 1680)  # type: ignore[attr-defined]
@@ -141,8 +141,8 @@ def test_the_graphs_own_cell_changes_nothing_but_the_step(
     plan, index = places_of(study, plans)[cell]
     name = f"ur10_{task}" + {"kinematic": "_kinematic", "position": "_tied_position"}.get(form, "")
     boxes = ("dynamics.a_d_hat", "inverse.w", "inverse.w_P", "inverse.w_I") if gains and task == "fast" else ()
-    changed = plan.points[index].graph.experiment
-    own = load_experiment(name, [f"{estimate}_box=null" for estimate in boxes])  # they are no part of the paper's law
+    changed = plan.points[index].graph
+    own = Graph.read(name, [f"{estimate}_box=null" for estimate in boxes])  # they are no part of the paper's law
     assert changed.blocks == own.blocks
     assert (changed.file.clock, changed.file.duration) == (own.file.clock, own.file.duration)
 

@@ -73,12 +73,12 @@ def test_the_page_behind_a_graph_tells_of_it_or_of_one_of_its_blocks(which: Modu
     for name, word in said["graphs"].items():
         text = (which.PAGE.parent / word["page"]).read_text(encoding="utf-8")
         graph = dm.load(name)
-        own = (graph.experiment.data["blocks"][label]["type"] for label in _controllers(graph))
+        own = (graph.data["blocks"][label]["type"] for label in _controllers(graph))
         assert any(f"`{each}`" in text or f"type: {each}" in text for each in (name, *own)) or name in text, name
 
 
 def _controllers(graph: dm.Graph) -> list[str]:
-    return [label for label, block in graph.experiment.blocks.items() if block.side is Side.CONTROLLER]
+    return [label for label, block in graph.blocks.items() if block.side is Side.CONTROLLER]
 
 
 @pytest.mark.parametrize(
@@ -204,7 +204,7 @@ def test_all_laws_of_a_circle_have_its_plant_path_clock_and_start(which: ModuleT
             graph = which.law_of(law["cells"][circle.get("cell", k)], circle["on"])
             assert graph.duration == base.duration, law["title"]
             assert graph.clock == base.clock, law["title"]
-            assert graph.experiment.start == base.experiment.start
+            assert graph.start == base.start
             shared = {"path", "arm"} if "no servo" in law["title"] else {"path", "arm", "servo"}
             assert {name: graph.blocks[name] for name in shared} == {name: base.blocks[name] for name in shared}
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from dmframe.build import library
-from dmframe.config.experiment import load_experiment
 from dmframe.errors import ValueFault
+from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording, simulate
 
 sys.path.insert(0, str(Path(__file__).parent))  # what several folders share
@@ -35,8 +35,8 @@ def forget() -> None:
 @pytest.fixture
 def pendulum() -> Runner:
     """A short run of the smallest graph."""
-    graph = load_experiment("pendulum")
-    diagram = graph.diagram()
+    graph = Graph.read("pendulum")
+    diagram = graph.diagram
 
     def run(engine: str = "compiled", **options: object) -> Recording:
         given = {"clock": graph.file.clock, "solver": graph.solver, "start": graph.start} | options

@@ -23,7 +23,7 @@ def limits(graph: dm.Graph, **changed: Any) -> Limits:
 
 
 def simulated(graph: dm.Graph, engine: Any = "interpreted", **options: Any) -> SimulatedRobot:
-    file, settings = graph.experiment.file, graph.experiment.settings
+    file, settings = graph.file, graph.settings
     own = {key: settings[key] for key in ("start", "solver", "seed", "jitter")}
     assert graph.clock is not None
     return SimulatedRobot(graph.diagram, graph.clock, **{"duration": file.duration, "engine": engine, **own, **options})

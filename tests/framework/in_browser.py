@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 TURNS: Final = 200
-"""How often a page is asked before it is given up, 30 ms apart."""
+"""How often a page is polled before it is given up, 30 ms apart."""
 SHOW: Final = "document.getElementById({element!r}).scrollIntoView({{block: 'nearest'}})"
 BOX: Final = (
     "(() => {{ const b = document.getElementById({element!r}).getBoundingClientRect();"
@@ -18,7 +18,7 @@ BOX: Final = (
 
 
 class Browser(ABC):
-    """One tab, whose reader wants no motion; `said` is all that the page told its console, and every error in it."""
+    """One tab, with reduced motion; `said` is all that the page wrote to its console, and every error in it."""
 
     def __init__(self) -> None:
         self.said = list[str]()

@@ -19,7 +19,7 @@ MOUSE = {"moves": "mouseMoved", "pressed": "mousePressed", "released": "mouseRel
 
 @final
 class Chromium(Browser):
-    """One tab, asked over two pipes."""
+    """One tab, driven over two pipes."""
 
     def __init__(self, commands: int, answers: int) -> None:
         super().__init__()

@@ -37,9 +37,9 @@ class WebSocket:
         self._socket = socket.create_connection(("127.0.0.1", port), PATIENCE)
         self._stream = self._socket.makefile("rb")
         key = base64.b64encode(os.urandom(16)).decode()
-        asked = [f"GET {path} HTTP/1.1", f"Host: 127.0.0.1:{port}", "Upgrade: websocket", "Connection: Upgrade"]
-        asked += [f"Sec-WebSocket-Key: {key}", "Sec-WebSocket-Version: 13", "", ""]
-        self._socket.sendall("\r\n".join(asked).encode())
+        request = [f"GET {path} HTTP/1.1", f"Host: 127.0.0.1:{port}", "Upgrade: websocket", "Connection: Upgrade"]
+        request += [f"Sec-WebSocket-Key: {key}", "Sec-WebSocket-Version: 13", "", ""]
+        self._socket.sendall("\r\n".join(request).encode())
         head = list(iter(self._stream.readline, b"\r\n"))
         assert b" 101 " in head[0], head
 
@@ -80,7 +80,7 @@ class WebSocket:
 
 @final
 class Firefox(Browser):
-    """One tab, asked over a web socket."""
+    """One tab, driven over a web socket."""
 
     def __init__(self, channel: WebSocket) -> None:
         super().__init__()

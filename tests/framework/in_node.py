@@ -32,12 +32,12 @@ def content_of_graph(graph: Graph, *, periods: bool = False) -> dict[str, Any]:
     return content_of(page.experiment, page.diagram, page.verdict, page.periods)
 
 
-def asked(content: dict[str, Any], *, web: Path = WEB, **asked: Any) -> dict[str, Any]:
+def answered(content: dict[str, Any], *, web: Path = WEB, **questions: Any) -> dict[str, Any]:
     """What `drive.mjs` answers; the test is skipped where there is no Node."""
     node = shutil.which("node")
     if node is None:
         pytest.skip("node is not installed")
-    text = json.dumps({"web": web.as_uri(), "content": content, **asked})
+    text = json.dumps({"web": web.as_uri(), "content": content, **questions})
     found = subprocess.run([node, str(DRIVER)], input=text, capture_output=True, text=True, check=False)
     assert found.returncode == 0, found.stderr
     answers: dict[str, Any] = json.loads(found.stdout)

@@ -1,4 +1,4 @@
-"""WebAssembly from Python, for tests: wasmtime stands in for a browser."""
+"""WebAssembly from Python, for tests: wasmtime replaces a browser."""
 
 from __future__ import annotations
 

@@ -132,7 +132,7 @@ def test_a_users_file_gives_its_class_and_is_read_again_when_it_changes(tmp_path
     assert find_block("my_block.py:Leaky", tmp_path)().rate == 2.0  # type: ignore[attr-defined]
 
 
-def test_a_users_file_that_cannot_serve_is_told_why(tmp_path: Path) -> None:
+def test_a_users_file_without_a_block_is_refused_with_the_reason(tmp_path: Path) -> None:
     (tmp_path / "own.py").write_text(BLOCK.format(name="Leaky"))
     (tmp_path / "bad.py").write_text("import casadi\n\nx = 1 / 0\n")
     (tmp_path / "odd.py").write_text("def f(:\n")
@@ -144,7 +144,7 @@ def test_a_users_file_that_cannot_serve_is_told_why(tmp_path: Path) -> None:
     assert str(complaint("odd.py:X", tmp_path)) == "type: odd.py:1: SyntaxError: invalid syntax"
 
 
-def test_folders_named_as_ours_beside_the_graph_break_nothing(tmp_path: Path) -> None:
+def test_folders_named_as_ours_next_to_the_graph_break_nothing(tmp_path: Path) -> None:
     for name in ("blocks", "plants", "tests", "graphs"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text("raise RuntimeError('shadowed')\n")

@@ -66,12 +66,12 @@ def test_a_state_begins_where_its_parameter_says_and_a_scalar_is_a_number() -> N
         ({"Y_d": np.eye(2), "sigma": [1, 2]}, {"a": 1}, "dynamic_compensator.a: unknown state"),
     ],
 )
-def test_what_does_not_fit_is_told(inputs: Any, states: Any, text: str) -> None:
-    with pytest.raises(DmframeError) as told:
+def test_a_value_of_the_wrong_shape_or_name_is_refused(inputs: Any, states: Any, text: str) -> None:
+    with pytest.raises(DmframeError) as caught:
         block("dynamic_compensator", Gamma=1).evaluate(inputs, states)
-    assert text in str(told.value)
+    assert text in str(caught.value)
 
 
-def test_a_robot_that_is_missing_is_told() -> None:
+def test_a_missing_robot_is_reported() -> None:
     with pytest.raises(DmframeError, match="this block needs a robot"):
         block("kinematics").evaluate({"q": [0], "dq": [0], "x": [0]})

@@ -1,4 +1,4 @@
-"""Parameters: what a graph or a caller may write for a number, and what is said of anything else."""
+"""Parameters: what a graph or a caller may write for a number, and the error for anything else."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_numbers_texts_and_lists_are_read_in_the_parameters_unit(value: Any, spe
         ),
     ],
 )
-def test_anything_else_is_told_what_was_expected(value: Any, spec: Spec, text: str | None) -> None:
+def test_any_other_value_is_refused_with_what_was_expected(value: Any, spec: Spec, text: str | None) -> None:
     with pytest.raises((ValueError, DmframeError)) as caught:
         read(value, spec)
     assert text is None or str(caught.value) == text

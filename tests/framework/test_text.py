@@ -8,9 +8,9 @@ import pickle
 
 import pytest
 
-from dmframe.config import load_experiment
 from dmframe.formula import Formula, laws_of
 from dmframe.formula.tree import Name, Norm, Rate
+from dmframe.graph.graph import Graph
 from dmframe.text import DV, Label, Text, Written, around, joined, listed_text, name_of, sentence, square_of, text_of
 
 ERROR = Text(Written("q - q_d", "q − q_d", "q - q_{d}"))
@@ -77,8 +77,8 @@ def test_a_sentence_is_a_str_for_all_who_compare_store_or_copy_it():
 
 
 def test_what_a_statement_is_about_is_typeset_as_the_law_that_it_comes_from():
-    graph = load_experiment("observed_tracking_pi")
-    diagram = graph.diagram()
+    graph = Graph.read("observed_tracking_pi")
+    diagram = graph.diagram
     printed = {term.vector.latex for law in laws_of(diagram).values() for term in (*law.storage, *law.dissipation)}
     from dmframe.certify import verify
 

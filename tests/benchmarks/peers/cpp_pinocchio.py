@@ -20,7 +20,7 @@ from tests.benchmarks.peer import Peer
 
 SOURCE = Path(__file__).with_name("loop.cpp")
 FLAGS = ("-O3", "-march=native", "-std=c++17", "-DNDEBUG", "-shared", "-fPIC", "-w")
-# Pinocchio has more joints, and calls with more arguments, than Boost's lists hold unless told so.
+# Pinocchio has more joints, and calls with more arguments, than Boost's lists hold by default.
 LISTS = (
     "-DBOOST_MPL_CFG_NO_PREPROCESSED_HEADERS",
     "-DBOOST_MPL_LIMIT_LIST_SIZE=30",

@@ -18,10 +18,10 @@ class Loop(Peer):
     engine: ClassVar[Literal["interpreted", "compiled"]] = "interpreted"
 
     def build(self) -> None:
-        from dmframe.config.experiment import load_experiment
+        from dmframe.graph.graph import Graph
 
-        self.graph = load_experiment(self.loop.graph, TIMED.get(self.loop.graph, ()))
-        self.diagram = self.graph.diagram()
+        self.graph = Graph.read(self.loop.graph, TIMED.get(self.loop.graph, ()))
+        self.diagram = self.graph.diagram
         self.wall: float | None = None
 
     def run(self, seconds: float) -> Array:

@@ -24,9 +24,9 @@ from dmframe.analysis import (
 )
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certify.true_values import true_values
-from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import EngineError, MissingError, ShapeError, ValueFault
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Diagonal, Positive
 from dmframe.port import Access, Input, Output, Side, State
 from dmframe.simulate import Solver, simulate
@@ -74,8 +74,8 @@ def flywheel() -> Diagram:
 
 @cache
 def packaged(name: str, *overrides: str) -> tuple[Diagram, Any]:
-    graph = load_experiment(name, overrides)
-    return graph.diagram(), graph
+    graph = Graph.read(name, overrides)
+    return graph.diagram, graph
 
 
 def held_loop(period: float) -> np.ndarray:
@@ -106,7 +106,7 @@ def test_a_pi_servo_on_a_pure_inertia_has_the_textbooks_poles_and_margins() -> N
     assert joint.port is None
 
 
-def test_a_double_real_pole_is_told_as_one_and_a_pair_as_a_pair() -> None:
+def test_a_double_real_pole_is_reported_as_one_and_a_pair_as_a_pair() -> None:
     def loop(A: list[list[float]]) -> Linear:
         none = np.zeros((2, 0))
         whole = np.array(A)
@@ -295,13 +295,13 @@ def test_estimates_that_are_no_states_are_refused() -> None:
         equilibrium(frozen(diagram), {"arm.q": 0})
 
 
-def test_a_loop_that_cannot_rest_is_told() -> None:
+def test_a_loop_without_an_equilibrium_is_reported() -> None:
     diagram, _ = packaged("arm2_joint")
     with pytest.raises(EngineError, match=r"set-point: expected an equilibrium .* found none; \S+ still moves at"):
         equilibrium(frozen(diagram), {"inverse.w_I": 0})
 
 
-def test_a_search_that_leaves_the_numbers_is_told_as_a_loop_that_cannot_rest() -> None:
+def test_a_search_that_overflows_is_reported_as_a_loop_without_an_equilibrium() -> None:
     with pytest.raises(
         EngineError, match=r"found none; .* leads to where the rate of leak\.h, or its slope, overflows"
     ):
@@ -321,7 +321,7 @@ class Leak(AbstractBlock):
         return {"h": 0.5}
 
 
-def test_a_diagram_without_a_servo_or_a_goal_is_told() -> None:
+def test_a_diagram_without_a_servo_or_a_goal_is_refused() -> None:
     wheel = Diagram.build({"arm": Flywheel(J=(J,)), "servo": PiServo(K_P=1, K_I=1), "push": Still()})
     with pytest.raises(EngineError, match="largest stable period: expected a goal to follow, such as x_d for x, found"):
         simulated_period(wheel, 0.01)
@@ -350,7 +350,7 @@ def test_numbers_that_overflow_are_named_before_any_linear_algebra(
     capfd: pytest.CaptureFixture[str], override: str
 ) -> None:
     with pytest.raises(EngineError) as caught:
-        linearise(load_experiment("pendulum", [override]).diagram())
+        linearise(Graph.read("pendulum", [override]).diagram)
     label, _, value = override.partition("=")
     assert str(caught.value).endswith(
         f": the rates of the loop overflow, with {label} = {float(value):g}; take numbers nearer to 1"
@@ -360,14 +360,14 @@ def test_numbers_that_overflow_are_named_before_any_linear_algebra(
 
 @pytest.mark.parametrize("override", ["inverse.K_c=1e-300", "servo.K_I=1e-300", "arm.viscous=1e-300"])
 def test_numbers_that_vanish_are_analysed_without_a_warning(override: str) -> None:
-    diagram = load_experiment("pendulum", [override]).diagram()
+    diagram = Graph.read("pendulum", [override]).diagram
     assert len(linearise(diagram).poles)
     (joint,) = servo_transfer(diagram)
     assert np.isfinite(joint.margins.phase)
 
 
 def test_a_tick_that_overflows_is_unstable_and_its_poles_are_none() -> None:
-    linear = linearise(load_experiment("pendulum", ["servo.K_D=1e9"]).diagram())
+    linear = linearise(Graph.read("pendulum", ["servo.K_D=1e9"]).diagram)
     assert linear.spectral_radius(1e290) == np.inf
     with pytest.raises(EngineError, match="overflows; take a faster clock"):
         linear.sampled_poles(1e290)
@@ -382,6 +382,6 @@ def test_a_tick_that_overflows_is_unstable_and_its_poles_are_none() -> None:
     ],
 )
 def test_what_stands_between_servo_and_arm_is_named(reality: str, between: str) -> None:
-    graph = load_experiment("ur10_slow_kinematic", [f"reality={reality}"])
+    graph = Graph.read("ur10_slow_kinematic", [f"reality={reality}"])
     with pytest.raises(MissingError, match=f"expected one that drives arm itself, found {between} in between"):
-        servo_transfer(graph.diagram(), start=graph.start)
+        servo_transfer(graph.diagram, start=graph.start)

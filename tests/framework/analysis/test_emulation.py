@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dmframe.analysis import emulation_limits, equilibrium, frozen
-from dmframe.config import load_experiment
+from dmframe.graph.graph import Graph
 from dmframe.robot.chain import pin_configuration
 from dmframe.simulate import simulate
 
@@ -16,8 +16,8 @@ CLOCK = 0.002
 
 
 def limit(*overrides: str, clock: float = CLOCK, name: str = "arm2_joint") -> Any:
-    graph = load_experiment(name, overrides)
-    diagram = graph.diagram()
+    graph = Graph.read(name, overrides)
+    diagram = graph.diagram
     point = equilibrium(frozen(diagram), start=graph.start)
     (found,) = emulation_limits(diagram, clock, point, solver=graph.solver, start=graph.start)
     return found, diagram, point
@@ -53,15 +53,15 @@ def test_runs_diverge_within_a_factor_of_three_of_it() -> None:
     bounded = []
     for share in (1 / 3, 3):
         gain = f"dynamics.Gamma={100 * found.on_path * share}"
-        graph = load_experiment("arm2_joint", [gain, "dynamics.a_d_hat_box=null"])  # its box would bound the estimate
-        run = simulate(graph.diagram(), 4.0, clock=CLOCK, solver=graph.solver, start=graph.start)
+        graph = Graph.read("arm2_joint", [gain, "dynamics.a_d_hat_box=null"])  # its box would bound the estimate
+        run = simulate(graph.diagram, 4.0, clock=CLOCK, solver=graph.solver, start=graph.start)
         bounded.append(run.divergence is None)
     assert bounded == [True, False]
 
 
 def test_a_graph_that_learns_nothing_has_none() -> None:
-    graph = load_experiment("pendulum_kinematic")
-    diagram = graph.diagram()
+    graph = Graph.read("pendulum_kinematic")
+    diagram = graph.diagram
     assert emulation_limits(diagram, CLOCK, equilibrium(frozen(diagram), start=graph.start)) == ()
 
 

@@ -15,11 +15,11 @@ from dmframe.analysis.enclosed import EnclosedLoop, without_store
 from dmframe.analysis.rounding import averaged, unrounded
 from dmframe.analysis.sums import Span, conserved, sums_of
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.exact.ball_matrix import exactly, middles
 from dmframe.exact.rounded import Rounded, falls, similar
 from dmframe.exact.rows import dense, sparse
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Positive, Real, Scalar
 from dmframe.port import PERIOD, Access, Input, Output, Side, State
 from dmframe.program import read
@@ -227,8 +227,8 @@ def test_the_sampled_law_comes_to_rest_and_not_with_an_estimator_that_overshoots
 
     monkeypatch.setattr(AveragedServo, "projected", projected)
     averaged_servo.cache_clear()
-    graph = load_experiment("ur10_slow_sampled", ["inverse.replay=1"])
-    diagram = graph.diagram()
+    graph = Graph.read("ur10_slow_sampled", ["inverse.replay=1"])
+    diagram = graph.diagram
     averaged_servo.cache_clear()
     linear = linearise(diagram, start=graph.start, clock=0.09)
     enclosed = EnclosedLoop(diagram, linear, 0.09)

@@ -14,9 +14,9 @@ import pytest
 from dmframe.analysis import rank_region
 from dmframe.analysis.joint_path import JointPath, Reach, joint_path, period_of
 from dmframe.analysis.path_tube import PathTube, path_tube
-from dmframe.config import load_experiment
 from dmframe.errors import MissingError
 from dmframe.exact.enclosure import Enclosure
+from dmframe.graph.graph import Graph
 
 L1, L2 = 0.45, 0.40
 START = np.array([0.3, 1.2])
@@ -117,7 +117,7 @@ def test_a_path_that_jumps_has_no_joint_path(way: Way, when: float) -> None:
     assert found.leave.jump > 0.01
 
 
-def test_what_has_no_enclosure_is_not_proved_and_the_reason_is_told() -> None:
+def test_what_has_no_enclosure_is_not_proved_and_the_reason_is_reported() -> None:
     found = follow(lambda t: 0.01 * ca.log(1 + t), duration=5.0)
     assert found.doubt is not None
     assert (found.doubt.reason, found.until) == (
@@ -188,8 +188,8 @@ def test_a_reach_between_two_rests_leaves_no_region(far: float, holds: bool, tmp
     here, there = FIRST.tolist(), [float(FIRST[0]) + far, float(FIRST[1])]
     path = tmp_path / "arm.yaml"
     path.write_text(GRAPH.format(points=[here, here, there, here, here]))
-    graph = load_experiment(path)
-    diagram = graph.diagram()
+    graph = Graph.read(path)
+    diagram = graph.diagram
     found = rank_region(diagram, graph.start, duration=100, boxes=500)
     assert (found.holds, found.model) == (holds, diagram.fingerprint)
     if found.loss is not None:
@@ -207,6 +207,6 @@ def test_a_reach_between_two_rests_leaves_no_region(far: float, holds: bool, tmp
     ],
 )
 def test_a_path_that_the_robot_does_not_walk_is_refused(name: str, why: str) -> None:
-    graph = load_experiment(name)
+    graph = Graph.read(name)
     with pytest.raises(MissingError, match=why):
-        rank_region(graph.diagram(), graph.start, duration=1)
+        rank_region(graph.diagram, graph.start, duration=1)

@@ -19,10 +19,10 @@ from dmframe.analysis.rank_bound import MatrixBound, _norm, _size, _spread, _sum
 from dmframe.analysis.rank_problem import rank_problem
 from dmframe.analysis.rank_region import RankRegion
 from dmframe.analysis.rank_search import RankSearch
-from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import MissingError, StartError, ValueFault
 from dmframe.exact.enclosure import Enclosure
+from dmframe.graph.graph import Graph
 from dmframe.simulate import start_state
 
 TUBE = 0.02
@@ -60,14 +60,14 @@ def arm2(folder: Any, q1: float, q2: float, **options: Any) -> RankRegion:
     z = L1 * math.sin(q1) + L2 * math.sin(q1 + q2)
     path = folder / f"arm_{q1:g}_{q2:g}.yaml"
     path.write_text(ARM2.format(q1=q1, q2=q2, x=repr(x), z=repr(z), geometry="kinematics"))
-    graph = load_experiment(path)
-    return rank_region(graph.diagram(), graph.start, duration=10, **options)
+    graph = Graph.read(path)
+    return rank_region(graph.diagram, graph.start, duration=10, **options)
 
 
 @cache
 def packaged(name: str, *overrides: str) -> tuple[Diagram, Any]:
-    graph = load_experiment(name, overrides)
-    return graph.diagram(), graph
+    graph = Graph.read(name, overrides)
+    return graph.diagram, graph
 
 
 def region(name: str, *overrides: str, **options: Any) -> RankRegion:
@@ -136,7 +136,7 @@ def test_known_kinematics_and_redundant_robots_have_a_region_too() -> None:
         assert 0 < found.certified <= np.min(sampled(name, found, count=1000))
 
 
-def test_what_refutes_a_radius_is_a_singular_value_below_the_one_asked_for() -> None:
+def test_what_refutes_a_radius_is_a_singular_value_below_the_required_one() -> None:
     for name, radius, least in (("theorem_3", 0.2, 0.02), ("panda_full", 0.2, 0.02)):
         diagram, graph = packaged(name)
         problem = rank_problem(diagram, graph.start, "truth")
@@ -226,7 +226,7 @@ def test_a_wider_tube_and_a_larger_bound_leave_a_smaller_region(folder: Any) -> 
     assert radii[0] > radii[2]
 
 
-def test_a_circle_that_leaves_the_workspace_is_told_with_the_time() -> None:
+def test_a_circle_that_leaves_the_workspace_is_reported_with_the_time() -> None:
     found = region("theorem_3", "path.radius=0.9")
     assert found.loss is not None
     assert (found.holds, found.loss.kind, found.loss.time) == (False, "unreachable", 0)
@@ -287,7 +287,7 @@ def test_the_box_can_be_pasted_into_the_graph_and_lies_inside() -> None:
     assert again.radius == pytest.approx(found.radius)
 
 
-def test_the_ball_can_be_pasted_too_and_what_lies_outside_is_told() -> None:
+def test_the_ball_can_be_pasted_too_and_an_estimate_outside_is_reported() -> None:
     found = theorem_3("ball")
     value = option_value(found)
     assert value is not None
@@ -309,7 +309,7 @@ def test_the_set_may_lie_about_the_start_and_hold_the_adapted_translations_alone
     assert found.radius > theorem_3("box").radius
 
 
-def test_half_widths_go_with_lengths_where_that_is_asked_for() -> None:
+def test_half_widths_are_proportional_to_lengths_with_that_option() -> None:
     found = region("theorem_3", scale="length")
     lengths = np.linalg.norm(found.centre.reshape(-1, 3), axis=1)
     expected = np.repeat(np.maximum(lengths / lengths.max(), 0.1), 3)

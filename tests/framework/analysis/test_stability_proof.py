@@ -20,15 +20,15 @@ from dmframe.analysis import (
 )
 from dmframe.analysis.enclosed import EnclosedLoop
 from dmframe.analysis.least_cut import Cut
-from dmframe.analysis.linear import without_memory
+from dmframe.analysis.memory import without_memory
 from dmframe.analysis.moves import split_moves
 from dmframe.analysis.set_point import frozen
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import EngineError
 from dmframe.exact.ball_matrix import exactly, middles, radii
 from dmframe.exact.balls import UndecidedError, ball
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Box, Interval, Real, Scalar
 from dmframe.port import PERIOD, Access, Input, Output, Side, State
 from dmframe.simulate import Solver
@@ -91,7 +91,7 @@ class Learner(AbstractBlock):
 
 
 class Remembering(AbstractBlock):
-    """v = -k y - (the mean of what y was in the last samples); counts samples, and sums what nobody reads."""
+    """v = -k y - (the mean of what y was in the last samples); counts samples, and sums what no block reads."""
 
     inputs = (Input("y"),)
     outputs = (Output("v", access=Access.COMMANDED),)
@@ -143,8 +143,8 @@ def proof(diagram: Diagram, clock: float | None) -> Any:
 
 @cache
 def packaged(name: str) -> tuple[Diagram, Any]:
-    graph = load_experiment(name)
-    return graph.diagram(), graph
+    graph = Graph.read(name)
+    return graph.diagram, graph
 
 
 @pytest.mark.parametrize("r", [0.0, 0.7])
@@ -259,14 +259,14 @@ def test_a_split_that_forgets_a_signal_is_refused(monkeypatch: pytest.MonkeyPatc
         split_moves(still, linear.point, p, ball(T))
 
 
-def test_a_state_at_the_end_of_its_box_is_told() -> None:
+def test_a_state_at_the_end_of_its_box_is_reported() -> None:
     inside = proof(loop(0.7, i_box=[-1.0, 1.0]), T)
     assert inside.radius < 1
     start = -(0.7 / 2 + 0.7**3)
     assert proof(loop(0.7, i_box=[start, 1.0]), T).reason == "law.i rests at an end of its set"
 
 
-def test_a_long_memory_is_left_out_and_a_count_and_a_drift_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_memory_is_left_out_and_a_count_and_a_drift_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("linear.LARGE", "period.LARGE", "enclosed.MOST_STATES"):
         monkeypatch.setattr(f"dmframe.analysis.{name}", 50)
     diagram = Diagram.build({"law": Remembering(), "late": Late(), "cart": Cart()})
@@ -359,7 +359,7 @@ def test_what_is_smooth_where_it_rests_and_what_switches_far_from_there_are_prov
         ("later", "it rests where a comparison turns"),
     ],
 )
-def test_where_a_slope_says_nothing_of_what_is_near_or_comes_later_nothing_is_proved(lie: str, reason: str) -> None:
+def test_where_a_slope_does_not_bound_what_is_near_or_comes_later_nothing_is_proved(lie: str, reason: str) -> None:
     with pytest.raises(UndecidedError, match=reason):
         switching(lie)
 
@@ -375,5 +375,5 @@ def test_an_equilibrium_that_is_none_is_not_proved() -> None:
     linear = linearise(diagram, clock=T)
     moved = linearise(diagram, linear.point + 0.2, clock=T)
     bracket = linearised_period(linear)
-    # Newton's steps find the equilibrium all the same; how far it lies is told
+    # Newton's steps find the equilibrium all the same; its distance is reported
     assert prove_stability(diagram, moved, bracket, T)[0].within == pytest.approx(0.2, rel=0.01)

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from dmframe.analysis import TieGain, least_K_c, tie_gains
 from dmframe.certify import verify
 from dmframe.certify.uncertain import intervals
-from dmframe.config.experiment import load_experiment
 from dmframe.errors import ValueFault
 from dmframe.exact.rational import Interval
+from dmframe.graph.graph import Graph
 
 gain = st.floats(1e-3, 1e4)
 pair = st.tuples(gain, gain).map(lambda ends: (min(ends), max(ends)))
@@ -116,7 +116,7 @@ UNCERTAIN = {"servo.K_D": [300, 1000], "servo.K_P": [800, 2000], "servo.K_I": [2
 
 
 def of_graph(*overrides: str, uncertain: dict[str, Any] | None = None) -> tuple[TieGain, ...]:
-    diagram = load_experiment("theorem_4", overrides).diagram()
+    diagram = Graph.read("theorem_4", overrides).diagram
     return tie_gains(diagram, intervals(diagram, uncertain or {}))
 
 
@@ -139,7 +139,7 @@ def test_over_intervals_it_is_where_verifys_own_condition_turns() -> None:
     below = least - Fraction(1, 10**4)
     assert least == Fraction("0.852")  # root of 301 k^2 + 800 k - 900: 0.85193...
     for K_c, holds in ((least, True), (below, False)):
-        diagram = load_experiment("theorem_4", [f"inverse.K_c={float(K_c)}"]).diagram()
+        diagram = Graph.read("theorem_4", [f"inverse.K_c={float(K_c)}"]).diagram
         verdict = verify(diagram, uncertain=intervals(diagram, UNCERTAIN))
         (condition,) = (item for item in verdict.conditions if "M_bar" in item.name)
         assert condition.holds is holds
@@ -148,4 +148,4 @@ def test_over_intervals_it_is_where_verifys_own_condition_turns() -> None:
 
 def test_a_graph_without_a_pid_inverse_has_none() -> None:
     for name in ("theorem_1", "torque_direct_pid", "ur10_fast_kinematic"):
-        assert tie_gains(load_experiment(name).diagram()) == ()
+        assert tie_gains(Graph.read(name).diagram) == ()

@@ -15,7 +15,8 @@ import pytest
 import dmframe as dm
 import dmframe.batch.batch
 import dmframe.batch.simd
-from dmframe.batch import Batch, Measured, Wanted
+from dmframe.batch.batch import Batch
+from dmframe.batch.figures import Measured, Wanted
 from dmframe.batch.starts import starts_of
 from dmframe.batch.values import columns_of, parameters_of, varied
 from dmframe.block import AbstractBlock, Equations, Signals
@@ -38,7 +39,7 @@ def batch(
     name: str | dm.Graph, until: float, engine: Any = "compiled", wanted: Wanted | None = None, **keys: Any
 ) -> Batch:
     graph = dm.load(name).set(**keys) if keys else dm.load(name)
-    return Batch.of(graph.diagram, until, wanted=wanted, engine=engine, **graph.experiment.settings)
+    return Batch.of(graph.diagram, until, wanted=wanted, engine=engine, **graph.settings)
 
 
 def spread(runs: int, **ranges: tuple[float, float]) -> dict[str, np.ndarray]:
@@ -264,9 +265,9 @@ def test_the_numbers_and_starts_of_many_runs_are_those_of_each(name: str) -> Non
     """Of every parameter that is a number."""
     graph = dm.load(name)
     diagram = graph.diagram
-    settings = {key: value for key, value in graph.experiment.settings.items() if key != "start"}
+    settings = {key: value for key, value in graph.settings.items() if key != "start"}
     prepared = prepare(diagram, 0.1, **settings)
-    instants, start = prepared.step.instants, graph.experiment.start
+    instants, start = prepared.step.instants, graph.start
     seen = 0
     for block, model in diagram.models.items():
         for key in specs(type(model.block)):

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 import dmframe as dm
-from dmframe.batch import Batch, Measured, Runner, Runs, Wanted, runner
-from dmframe.batch.figures import merged
+from dmframe.batch import runner
+from dmframe.batch.batch import Batch
+from dmframe.batch.figures import Measured, Wanted, merged
+from dmframe.batch.runner import Runner, Runs
 from dmframe.errors import ValueFault
 
 WANTED = Wanted(("arm.q",))
@@ -22,7 +24,7 @@ def measured(several: list[Runs], **options: Any) -> list[Measured]:
 
 def items() -> list[Runs]:
     graph = dm.load("arm2_joint").until(0.2)
-    return [Runs(graph.set({"dynamics.Gamma": gain}).experiment, {"servo.K_P": GAINS}, 3) for gain in (1, 30)]
+    return [Runs(graph.set({"dynamics.Gamma": gain}), {"servo.K_P": GAINS}, 3) for gain in (1, 30)]
 
 
 def final(found: Measured) -> np.ndarray:
@@ -45,7 +47,7 @@ def test_graphs_that_differ_in_numbers_run_in_one_batch_with_the_figures_of_each
     for item, found in zip(several, together, strict=True):
         (alone,) = measured([item])
         np.testing.assert_allclose(final(found), final(alone), rtol=1e-12)
-        one = dm.Graph(item.experiment).set({"servo.K_P": GAINS[1].tolist()}).run(engine="interpreted")
+        one = item.graph.set({"servo.K_P": GAINS[1].tolist()}).run(engine="interpreted")
         assert one.error is not None
         assert final(found)[1] == pytest.approx(one.error.rms_final, rel=1e-9)
     monkeypatch.setattr(runner, "numbers_between", lambda base, other: {})
@@ -56,7 +58,7 @@ def test_graphs_that_differ_in_numbers_run_in_one_batch_with_the_figures_of_each
 def test_values_of_the_graphs_own_keys_get_a_graph_per_run_and_a_wrong_one_a_fault() -> None:
     graph = dm.load("arm2_joint").until(0.2)
     clocks = np.array([0.004, -1.0, 0.002])
-    (found,) = measured([Runs(graph.experiment, {"clock": clocks}, 3)])
+    (found,) = measured([Runs(graph, {"clock": clocks}, 3)])
     assert list(found.faults) == [1]
     assert "clock" in str(found.faults[1])
     assert np.isnan(final(found)[1])
@@ -67,7 +69,7 @@ def test_values_of_the_graphs_own_keys_get_a_graph_per_run_and_a_wrong_one_a_fau
 
 
 def test_parts_with_other_signals_are_not_merged() -> None:
-    (found,) = measured([Runs(dm.load("arm2_joint").until(0.02).experiment)])
-    (other,) = Runner().measure([Runs(dm.load("arm2_joint").until(0.02).experiment)], lambda _: Wanted())
+    (found,) = measured([Runs(dm.load("arm2_joint").until(0.02))])
+    (other,) = Runner().measure([Runs(dm.load("arm2_joint").until(0.02))], lambda _: Wanted())
     with pytest.raises(ValueFault, match="expected runs that measure the same signals"):
         merged([(np.array([0]), found), (np.array([1]), other)], 2)

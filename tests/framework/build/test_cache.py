@@ -16,8 +16,8 @@ from dmframe.build import compiler as compilers
 from dmframe.build import library
 from dmframe.build.cache import find, make
 from dmframe.build.compiler import CompileFailed, Compiler, find_compiler
-from dmframe.config.experiment import load_experiment
 from dmframe.errors import ValueFault
+from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording, simulate
 
 Runner = Callable[..., Recording]
@@ -58,11 +58,9 @@ def test_gains_true_parameters_starts_clock_and_step_need_no_new_compilation(cac
     ]
     found = list[np.ndarray]()
     for overrides in changes:
-        graph = load_experiment("arm2_joint", overrides)
+        graph = Graph.read("arm2_joint", overrides)
         start = {**graph.start, "dq": 0.01 * len(overrides)}
-        run = simulate(
-            graph.diagram(), 0.2, clock=graph.file.clock, solver=graph.solver, start=start, engine="compiled"
-        )
+        run = simulate(graph.diagram, 0.2, clock=graph.file.clock, solver=graph.solver, start=start, engine="compiled")
         assert run.engine == "compiled"
         found.append(run["arm.q"][-1])
     assert len(entries(cache)) == 1

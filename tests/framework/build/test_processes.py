@@ -111,7 +111,7 @@ def test_killed_while_it_runs_or_writes_a_process_leaves_no_result(
     os.mkfifo(pipe)
     touch = f"    with open({str(pipe)!r}, 'w') as f:\n        f.write('x')\n    signal.pause()\n"
     hook = {
-        "run": "import signal, dmframe.config.experiment as run\nsimulate = run.simulate\n"
+        "run": "import signal, dmframe.config.graph as run\nsimulate = run.simulate\n"
         f"def notify(time):\n{touch}"
         "run.simulate = lambda *a, **k: simulate(*a, **(k | {'progress': notify}))\n",
         "write": f"import signal, os\nrename = os.rename\ndef notify(*a):\n{touch}os.rename = notify\n",

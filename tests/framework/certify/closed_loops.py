@@ -16,9 +16,9 @@ import pinocchio as pin
 from dmframe.block import AbstractBlock
 from dmframe.catalogue import block_types
 from dmframe.certify import Claim
-from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
+from dmframe.graph.graph import Graph
 from dmframe.port import Side
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.library import load
@@ -96,7 +96,7 @@ class PackagedLoop(Built):
 
     @cached_property
     def _graph(self) -> Any:
-        return load_experiment(self.name)
+        return Graph.read(self.name)
 
     @property
     def robot(self) -> Any:  # type: ignore[override]
@@ -237,12 +237,12 @@ def _loaded(robot: Any) -> Loop:
 
 
 def _grasping(robot: Any) -> Loop:
-    """The same where a gripper tells of the load, and what it is."""
-    told: dict[str, Spec] = {
+    """The same where a gripper reports the load and its parameters."""
+    gripper: dict[str, Spec] = {
         "dynamics": ("reset_compensator", {"Gamma": 3, "clearing": 2}),
         "gripper": ("gripper", {"at": [1, 2], "mass": [0.5, 0]}),
     }
-    return Loop(f"{robot.name} grasping PI", robot, {**_loaded(robot).specs, **told})
+    return Loop(f"{robot.name} grasping PI", robot, {**_loaded(robot).specs, **gripper})
 
 
 FULL = "full gains"

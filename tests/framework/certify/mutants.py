@@ -260,17 +260,20 @@ def _renamed(function: Callable[..., Any], which: str, names: Sequence[str]) -> 
 @contextlib.contextmanager
 def patched(mutant: Mutant) -> Iterator[None]:
     """The library with one function replaced, wherever it is known."""
-    holders: list[Any] = [module for name, module in sys.modules.items() if name.startswith("dmframe")]
-    holders += [SymbolicRobot, Body]
     name = mutant.original.__name__
-    found = [holder for holder in holders if vars(holder).get(name) is mutant.original]
+
+    def holders(of: Any) -> list[Any]:
+        modules = [module for module_name, module in sys.modules.items() if module_name.startswith("dmframe")]
+        return [holder for holder in (*modules, SymbolicRobot, Body) if vars(holder).get(name) is of]
+
+    found = holders(mutant.original)
     assert found
     try:
         for holder in found:
             setattr(holder, name, mutant.function)
         yield
     finally:
-        for holder in found:
+        for holder in holders(mutant.function):  # a module that was imported meanwhile has it too
             setattr(holder, name, mutant.original)
 
 

@@ -16,7 +16,7 @@ Rates = Callable[[Any, Any, Any], Mapping[str, Any]]
 
 
 def scalar_loop(states: str, rates: Rates, claim: Callable[[Any, Any, Any], Certificate], **sources: Any) -> Diagram:
-    """One block with these states, beside sources ``{"r": a function of time}`` that it follows."""
+    """One block with these states, and sources ``{"r": a function of time}`` that it follows."""
 
     @final
     class Toy(AbstractBlock):

@@ -11,10 +11,10 @@ from scalar_blocks import scalar_loop
 
 from dmframe.certificate import Certificate, Square
 from dmframe.certify import Verdict, claim_of, verify
-from dmframe.certify.along import along
 from dmframe.certify.checked import Numbers
 from dmframe.certify.contradicted import kept_above
 from dmframe.diagram import Diagram
+from dmframe.results.along import along
 from dmframe.simulate import simulate
 
 WHY = "the tank never runs dry"
@@ -47,7 +47,7 @@ def failing(verdict: Verdict) -> list[str]:
     return [item.name for item in verdict.conditions if not item.holds]
 
 
-def test_a_weight_that_nobody_can_decide_is_assumed_by_its_text_and_by_what_it_is() -> None:
+def test_an_undecidable_weight_is_assumed_by_its_text_and_by_what_it_is() -> None:
     verdict = verify(draining(), start=START)
     assert verdict.outcome == "proved"
     assert assumed(verdict) == [f"toy: the weight z of |y|^2 in V stays above a positive constant: {WHY}"]
@@ -87,7 +87,7 @@ def test_a_weight_that_is_assumed_but_decidable_is_decided() -> None:
 
 
 def two(*weights: Any) -> Verdict:
-    """Two errors beside a level that stands still, with these weights."""
+    """Two errors and a level that is constant, with these weights."""
 
     def claim(x: Any, u: Any, p: Any) -> Certificate:
         column, error = ca.vertcat(*(weight(x, p) for weight in weights)), ca.vertcat(x.a, x.b)
@@ -168,7 +168,7 @@ def test_a_bound_is_not_to_be_had_by_assumption() -> None:
     assert "expected no weight of the excess to be positive by assumption" in verdict.reason
 
 
-def test_nobody_pays_with_a_weight_that_is_only_assumed() -> None:
+def test_a_weight_that_is_only_assumed_dominates_no_cross_term() -> None:
     def claim(x: Any, u: Any, p: Any) -> Certificate:
         spent = Square(x.y, x.z, positive=WHY)
         return Certificate(storage=(Square(x.y, x.z, positive=WHY),), dissipation=(spent,), dominates=(1,))
@@ -178,7 +178,7 @@ def test_nobody_pays_with_a_weight_that_is_only_assumed() -> None:
     assert "no weight that is positive by assumption can dominate a cascade's cross term" in verdict.reason
 
 
-def test_beside_a_residual_nothing_is_ultimately_bounded_by_a_weight_that_may_grow() -> None:
+def test_with_a_residual_a_weight_that_may_grow_gives_no_ultimate_bound() -> None:
     """V = z y^2 / 2 falls by y^2 and gains a constant: as z grows without end, y^2 is no share of V."""
 
     def loop(weight: Any, moves: int) -> Diagram:
@@ -207,7 +207,7 @@ def test_beside_a_residual_nothing_is_ultimately_bounded_by_a_weight_that_may_gr
 def weighed(
     states: str, rates: Any, weight: Any, spent: Any, also: Any = None, start: Any = None, **sources: Any
 ) -> Verdict:
-    """X with an assumed weight in V and another in dV/dt; `also` is a square that V holds and spends next to it."""
+    """X with an assumed weight in V and another in dV/dt; `also` is another square of V and of the dissipation."""
 
     def claim(x: Any, u: Any, p: Any) -> Certificate:
         storage, dissipation = [Square(x.x, weight(x, u), positive=WHY)], [Square(x.x, spent(x, u), positive=WHY)]
@@ -334,7 +334,7 @@ def test_a_weight_that_is_assumed_names_what_decides_that_it_stays_above_zero() 
     assert str(ca.symvar(verdict.claim.starts["toy.w"])[0]) in starts
 
 
-def test_a_run_tells_when_an_assumed_weight_is_not_above_zero() -> None:
+def test_a_run_warns_when_an_assumed_weight_is_not_above_zero() -> None:
     diagram = draining(sign=1)
     run = simulate(diagram, 4.0, clock=0.01, start={"y": [-1.9], "z": [1.0]})
     found = along(claim_of(diagram), run)

@@ -1,4 +1,4 @@
-"""What a projection onto bodies needs to be proved, and what of it is told to be false."""
+"""What a projection onto bodies needs to be proved, and which false statements of it are refuted."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from dmframe.certify import claim_of, verify
 from dmframe.certify.checked import Numbers
 from dmframe.certify.projection_laws import check_law
 from dmframe.certify.projections import projection_conditions
-from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import ClosedLoop
 from dmframe.diagram.projection import Bodies, Projection
 from dmframe.eigen import eigen, positive_part
 from dmframe.errors import DmframeError, StartError
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Positive, Real, Scalar
 from dmframe.port import Input, Output, State
 from dmframe.simulate import start_state
@@ -30,15 +30,15 @@ from dmframe.simulate import start_state
 LAW = "dynamics.a_d_hat: law of the set of bodies"
 
 
-def changed(**values: Any) -> Experiment:
+def changed(**values: Any) -> Graph:
     dynamics = {"type": "consistent_compensator", "c": 2, "Gamma": 5, "floor": 0.3}
     graph = dm.load("pendulum").set({"model.nominal": 0.5, "blocks.dynamics": dynamics})
-    return (graph.set(values) if values else graph).experiment
+    return graph.set(values) if values else graph
 
 
 @cache
 def projected() -> tuple[ClosedLoop, Projection]:
-    loop = changed().diagram().loop
+    loop = changed().diagram.loop
     (projection,) = (item for item in loop.projections if item.block == "dynamics")
     assert check_law(projection, loop).holds
     return loop, projection
@@ -46,13 +46,13 @@ def projected() -> tuple[ClosedLoop, Projection]:
 
 def failing(**values: Any) -> list[str]:
     """The conditions of the projection that do not hold."""
-    claim = claim_of(changed(**values).diagram())
+    claim = claim_of(changed(**values).diagram)
     checked, _ = projection_conditions(claim, Numbers(claim, {}))
     return [item.name for item in checked if not item.holds]
 
 
 def test_it_is_proved_and_said_to_stay_bodies() -> None:
-    verdict = verify(changed().diagram(), trials=1)
+    verdict = verify(changed().diagram, trials=1)
     assert verdict.outcome == "proved", verdict.reason
     assert all(control.refuted for control in verdict.controls)
     said = {(item.signal, item.says) for item in verdict.statements}
@@ -76,8 +76,8 @@ def test_a_nominal_body_that_is_none_is_no_proof() -> None:
 
 
 def test_a_run_from_below_the_floor_is_refused_with_the_link() -> None:
-    experiment = dm.load("ur10_consistent").set({"dynamics.floor": 0.5}).experiment
-    diagram = experiment.diagram()
+    experiment = dm.load("ur10_consistent").set({"dynamics.floor": 0.5})
+    diagram = experiment.diagram
     start = np.concatenate([0.5 * np.array(diagram.robot.inertia, dtype=float).ravel(), np.zeros(6)])
     start_state(diagram, {**experiment.start, "dynamics.a_d_hat": start})
     start[10:20] *= 0.4

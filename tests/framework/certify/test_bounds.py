@@ -1,4 +1,4 @@
-"""Widths, weights and starts that a bound needs; gains without effect; what samples show; numbers at the edge."""
+"""Bounds of residuals, starts of information matrices, gains without effect, sampled conditions, extreme numbers."""
 
 from __future__ import annotations
 
@@ -18,18 +18,19 @@ from dmframe.certificate import Certificate, Clipped, Gathered, Square, clip
 from dmframe.certify import claim_of, verify
 from dmframe.certify.assemble import assembled
 from dmframe.certify.checked import Checked, Numbers
-from dmframe.certify.definite import is_semidefinite
 from dmframe.certify.excess import bounds_of
 from dmframe.certify.memories import memory_starts
 from dmframe.certify.summary import summary
 from dmframe.certify.symbols import symbols_of
-from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
 from dmframe.exact.rational import as_float
+from dmframe.graph.graph import Graph
+from dmframe.prove.definite import is_semidefinite
 from dmframe.prove.faults import inject_faults
 from dmframe.report.content import Condition
 from dmframe.report.verdict_text import verdict_text
+from dmframe.text import Text
 
 ONE = ca.SX(1)
 
@@ -62,7 +63,7 @@ def test_a_clipped_term_has_its_width_as_bound() -> None:
 @pytest.mark.parametrize(
     "width", [lambda x, p: -p.k, lambda x, p: p.k - 2, lambda x, p: p.k + x.z, lambda x, p: 1 + x.z * x.z]
 )
-def test_a_width_that_is_not_above_zero_or_moves_bounds_nothing(width: Any) -> None:
+def test_a_width_that_is_not_positive_or_not_constant_gives_no_bound(width: Any) -> None:
     assert bound(drifting(width)) is None
     verdict = verify(drifting(width))
     assert verdict.outcome == "not_applicable"
@@ -76,7 +77,7 @@ def test_a_width_that_is_not_above_zero_or_moves_bounds_nothing(width: Any) -> N
 
 
 def gathering(start: float | None) -> Diagram:
-    """G' = -G + 1, in storage: 1 after a while, wherever it starts."""
+    """G' = -G + 1, in the storage: G goes to 1 from every start."""
 
     def claim(x: Any, u: Any, p: Any) -> Certificate:
         form = Gathered(x.y, ONE, x.G, ONE, ONE, ONE)
@@ -88,7 +89,7 @@ def gathering(start: float | None) -> Diagram:
     return diagram
 
 
-def test_what_is_gathered_must_not_start_below_zero() -> None:
+def test_an_information_matrix_must_not_start_below_zero() -> None:
     def starts(start: float | None) -> list[Checked]:
         claim = claim_of(gathering(start))
         return memory_starts(claim, Numbers(claim, {}), {})
@@ -102,7 +103,7 @@ def test_what_is_gathered_must_not_start_below_zero() -> None:
 
 
 @given(st.lists(st.lists(st.integers(-2, 2), min_size=3, max_size=3), min_size=1, max_size=3), st.booleans())
-def test_semidefinite_matrices_are_known_from_others(rows: list[list[int]], lower: bool) -> None:
+def test_a_matrix_is_semidefinite_exactly_if_no_eigenvalue_is_negative(rows: list[list[int]], lower: bool) -> None:
     a = np.array(rows)
     matrix = a.T @ a - (np.diag([0, 0, 1]) if lower else 0)
     exact = [[Fraction(int(value)) for value in row] for row in matrix]
@@ -111,7 +112,7 @@ def test_semidefinite_matrices_are_known_from_others(rows: list[list[int]], lowe
         assert is_semidefinite(exact) == (least > -1e-9)
 
 
-def test_a_gain_that_changes_no_rate_is_no_fault_and_one_that_does_is() -> None:
+def test_a_changed_gain_is_a_seeded_fault_only_if_it_changes_a_rate() -> None:
     def loop(effect: float) -> Diagram:
         return scalar_loop(
             "y",
@@ -131,10 +132,10 @@ def test_a_gain_that_changes_no_rate_is_no_fault_and_one_that_does_is() -> None:
     assert verify(loop(0.0)).outcome == verify(loop(1.0)).outcome == "proved"
 
 
-def test_what_was_sampled_is_not_said_to_hold() -> None:
-    graph = load_experiment("arm2_joint")
-    verdict = verify(graph.diagram())
-    sampled = Checked("M(q) > 0", "200 poses", 0.1, True, "property P2", "sampled")
+def test_a_sampled_condition_is_reported_as_sampled_and_not_proved() -> None:
+    graph = Graph.read("arm2_joint")
+    verdict = verify(graph.diagram)
+    sampled = Checked(Text("M(q) > 0"), "200 poses", 0.1, True, Text("property P2"), "sampled")
     object.__setattr__(verdict, "conditions", (sampled,))
     (line,) = [line for line in verdict_text(graph.name, verdict).splitlines() if "M(q) > 0" in line]
     assert line.endswith("sampled, not proved")
@@ -151,11 +152,11 @@ PLACES = {
 
 
 @pytest.mark.parametrize(("name", "place"), [(name, place) for name, places in PLACES.items() for place in places])
-def test_numbers_at_the_edge_give_an_answer_or_a_fault_of_the_graph(name: str, place: str) -> None:
+def test_extreme_numbers_give_a_verdict_or_an_error_of_the_graph(name: str, place: str) -> None:
     for value in EXTREMES:
         try:
-            graph = load_experiment(name, [f"{place}={value}"])
-            verdict = verify(graph.diagram(), trials=1)
+            graph = Graph.read(name, [f"{place}={value}"])
+            verdict = verify(graph.diagram, trials=1)
         except DmframeError:
             continue
         assert verdict.outcome != "refuted"
@@ -163,6 +164,6 @@ def test_numbers_at_the_edge_give_an_answer_or_a_fault_of_the_graph(name: str, p
         assert json.dumps(summary(name, verdict), allow_nan=False)
 
 
-def test_a_margin_beyond_the_largest_float_is_infinite_and_not_an_error() -> None:
+def test_a_margin_beyond_the_largest_float_is_infinite() -> None:
     assert [as_float(Fraction(10) ** 400), as_float(-(Fraction(10) ** 400))] == [float("inf"), float("-inf")]
     assert as_float(Fraction(1, 3)) == 1 / 3

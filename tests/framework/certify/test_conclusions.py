@@ -9,7 +9,7 @@ from scalar_blocks import scalar_loop
 
 from dmframe.certificate import Assumption, Certificate, Consumed, Driven, Square
 from dmframe.certify import verify
-from dmframe.config import load_experiment
+from dmframe.graph.graph import Graph
 
 
 def concluded(verdict) -> set[str]:
@@ -32,7 +32,7 @@ THEOREMS = {
 
 @pytest.mark.parametrize("graph", THEOREMS)
 def test_each_theorem_ends_in_its_conclusion_with_nothing_open(graph):
-    verdict = verify(load_experiment(graph, []).diagram())
+    verdict = verify(Graph.read(graph, []).diagram)
     assert verdict.outcome == "proved"
     assert concluded(verdict) == THEOREMS[graph]
     assert verdict.states is not None
@@ -42,21 +42,21 @@ def test_each_theorem_ends_in_its_conclusion_with_nothing_open(graph):
 
 
 def test_the_conclusion_of_a_task_assumes_the_rank_that_it_uses():
-    verdict = verify(load_experiment("theorem_3", []).diagram())
+    verdict = verify(Graph.read("theorem_3", []).diagram)
     (conclusion,) = (item for item in verdict.statements if item.signal == "x - x_d" and item.concludes)
     assert conclusion.assumes == ("J_hat keeps full row rank, uniformly",)
 
 
 def test_the_servos_true_gains_bound_the_command_without_a_box_on_the_estimates():
     changes = ["inverse.w_P_box=null", "inverse.w_I_box=null", "inverse.w_box=null"]
-    verdict = verify(load_experiment("theorem_4", changes).diagram())
+    verdict = verify(Graph.read("theorem_4", changes).diagram)
     assert verdict.outcome == "proved"
     assert "q_c - q_tie" in said(verdict, "is bounded")
     assert not any("exponentially stable" in item.text for item in verdict.assumptions)
 
 
 def test_indirect_adaptation_does_not_call_the_robot_stable():
-    verdict = verify(load_experiment("torque_indirect_pi", []).diagram())
+    verdict = verify(Graph.read("torque_indirect_pi", []).diagram)
     assert verdict.outcome == "proved"
     assert concluded(verdict) == set()
     assert verdict.states is not None
@@ -65,7 +65,7 @@ def test_indirect_adaptation_does_not_call_the_robot_stable():
 
 
 def test_a_posture_task_that_reads_q_leaves_the_self_motion_open():
-    verdict = verify(load_experiment("ur10_posture", []).diagram())
+    verdict = verify(Graph.read("ur10_posture", []).diagram)
     assert verdict.states is not None
     assert "arm.q" in verdict.states.open
 
@@ -138,7 +138,7 @@ def test_a_stable_equation_with_a_bounded_input_bounds_its_state_and_a_vanishing
     assert "z" not in said(only_bounded, "goes to zero")
 
 
-def test_what_is_said_to_follow_from_a_driven_signal_has_to_follow():
+def test_a_stated_consequence_of_a_driven_signal_has_to_follow():
     verdict = verify(
         scalar_loop(
             "x z y",
@@ -170,14 +170,14 @@ def test_a_lie_about_what_drives_a_state_leaves_it_open(rate, rest):
     assert "z" not in said(verdict, "goes to zero")
 
 
-def test_what_was_not_shown_of_a_driven_signal_asks_for_its_conditions():
+def test_a_property_of_a_driven_signal_that_was_not_shown_requires_its_conditions():
     text = "somebody knows that z stays bounded"
     verdict = _driven(lambda x, p: -p.k, lambda x, p: p.k * x.z + x.x, (Assumption(text),))
     assert text in {item.text for item in verdict.assumptions}
 
 
-def _payer(weight, *, task):
-    """X' = -weight x, of which one block says that it dissipates weight |x|^2, and another consumes |x|^2."""
+def _cascade(weight, *, task):
+    """X' = -weight x, of which one block says that it dissipates weight |x|^2, and another has the cross term |x|^2."""
     from typing import Any, final
 
     from dmframe.block import AbstractBlock, Equations
@@ -185,7 +185,7 @@ def _payer(weight, *, task):
     from dmframe.port import Input, Output, State
 
     @final
-    class Payer(AbstractBlock):
+    class Dominating(AbstractBlock):
         """Its state grows or falls."""
 
         outputs = (Output("x"),)
@@ -211,19 +211,19 @@ def _payer(weight, *, task):
             spent = (Square(x.y, 3 / 4), Square(x.y / 2 - u.x))
             return Certificate(storage=(Square(x.y),), dissipation=spent, consumes=Consumed(u.x, 1))
 
-    return verify(Diagram.build({"payer": Payer(), "taker": Taker()}))
+    return verify(Diagram.build({"dominating": Dominating(), "taker": Taker()}))
 
 
-def test_a_payer_that_v_weighs_by_one_has_no_kappa_to_pay_with():
-    assert _payer(0.5, task=False).outcome == "proved"
-    poor = _payer(0.5, task=True)
+def test_a_dissipation_whose_weight_in_v_is_one_has_no_kappa_to_dominate_with():
+    assert _cascade(0.5, task=False).outcome == "proved"
+    poor = _cascade(0.5, task=True)
     assert poor.outcome == "not_applicable"
     assert "with its weight 1 in V" in poor.reason
-    assert _payer(1.5, task=True).outcome == "proved"
+    assert _cascade(1.5, task=True).outcome == "proved"
 
 
 def test_growth_is_never_proved_to_vanish():
-    grown = _payer(-1.0, task=False)
+    grown = _cascade(-1.0, task=False)
     assert grown.outcome == "not_applicable"
     assert "weight" in grown.reason
 
@@ -231,7 +231,7 @@ def test_growth_is_never_proved_to_vanish():
 def test_two_loops_in_one_diagram_each_pay_for_their_own():
     from dmframe.diagram import Diagram
 
-    one = load_experiment("known_tracking_pi", []).diagram()
+    one = Graph.read("known_tracking_pi", []).diagram
     blocks = {f"{name}_{k}": block for k in (1, 2) for name, block in one.blocks.items()}
     wires = {}
     for (name, port), source in one.sources.items():
@@ -250,8 +250,7 @@ def test_two_loops_in_one_diagram_each_pay_for_their_own():
 def test_a_linear_combination_is_found_and_none_is_invented():
     """The coefficients that limits solves for are those of NumPy's least squares; a product is none."""
     from dmframe.certify.claim import claim_of
-    from dmframe.certify.limits import Own, Vanishing, _made_of
-    from dmframe.certify.symbols import exact_values, symbols_of
+    from dmframe.certify.limits import Combinations, Vanishing
 
     loop = scalar_loop(
         "x w",
@@ -259,14 +258,14 @@ def test_a_linear_combination_is_found_and_none_is_invented():
         lambda x, u, p: Certificate(storage=(Square(x.x), Square(x.w)), dissipation=(Square(x.x), Square(x.w))),
     )
     claim = claim_of(loop)
-    symbols, own = symbols_of(claim), Own(exact_values(loop), 2**127 - 1, 7)
+    field = Combinations(claim, 2**127 - 1, 7)
     x, w = (part.symbol for part in loop.loop.controller)
     k = loop.loop.parameters[0].symbol
     known = [Vanishing("x", x, True), Vanishing("w", w, True)]
-    assert _made_of(own, symbols, 3 * x - k * w, known) == ["x", "w"]
-    assert _made_of(own, symbols, k * x, known) == ["x"]
-    assert _made_of(own, symbols, x * w, known) is None
-    assert _made_of(own, symbols, x + 1, known) is None
+    assert field.made_of(3 * x - k * w, known) == ["x", "w"]
+    assert field.made_of(k * x, known) == ["x"]
+    assert field.made_of(x * w, known) is None
+    assert field.made_of(x + 1, known) is None
     rows = np.random.default_rng(0).normal(size=(9, 2))
     solved, *_ = np.linalg.lstsq(rows, rows @ np.array([3.0, -2.0]), rcond=None)
     assert np.allclose(solved, [3.0, -2.0])

@@ -19,10 +19,8 @@ from dmframe.certificate import Certificate, Inequality, Square
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.conditions import conditions_of
-from dmframe.certify.definite import pivots, pseudo_inertia
 from dmframe.certify.schema import verdict_schema
 from dmframe.certify.small_gain import small_gain
-from dmframe.certify.stability import common_margin
 from dmframe.certify.summary import summary
 from dmframe.certify.uncertain import intervals
 from dmframe.diagram import Diagram
@@ -31,7 +29,10 @@ from dmframe.exact.rational import Interval
 from dmframe.naming import named
 from dmframe.parameter import Positive, Scalar
 from dmframe.port import State
+from dmframe.prove.definite import pivots
+from dmframe.prove.stability import common_margin
 from dmframe.robot.library import load
+from dmframe.robot.pseudo_inertia import pseudo_inertia
 
 
 def built(kind: str = "PID", reference: str = "joint", friction: str = "none", **blocks: dict[str, Any]) -> Diagram:
@@ -96,7 +97,7 @@ def margin(a: tuple[float, float], b: tuple[float, float]) -> float:
     return float(common_margin(*(tuple(Fraction(str(x)) for x in ends) for ends in (a, b))))
 
 
-def test_the_four_corners_of_the_paper_are_told_apart() -> None:
+def test_the_four_corners_of_the_paper_are_distinguished() -> None:
     assert 0.27 <= margin((1, 3), (0.5, 2)) < 0.29  # 0.27 with the matrix of the paper's reading, 0.285 with the best
     assert margin((1, 3), (0.5, 2)) == pytest.approx(brute_force((1, 3), (0.5, 2)), rel=0.05)  # the grid is coarse
     assert margin((0.2, 3), (0.05, 5)) == 0
@@ -265,7 +266,7 @@ def test_a_condition_on_nothing_is_not_taken_for_one_that_holds() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "expression", "strict", "beside"),
+    ("words", "expression", "strict", "printed"),
     [
         ("k > 0", lambda k: k, True, ""),
         ("k > 0.5", lambda k: k - 0.5, True, ""),
@@ -286,7 +287,9 @@ def test_a_condition_on_nothing_is_not_taken_for_one_that_holds() -> None:
         ("k is large", lambda k: ca.vertcat(*(k + i for i in range(30))), True, " [an expression of k > 0]"),
     ],
 )
-def test_beside_the_words_of_a_condition_stands_what_is_decided_unless_they_say_it(words, expression, strict, beside):
+def test_after_the_words_of_a_condition_its_inequality_is_printed_unless_they_state_it(
+    words, expression, strict, printed
+):
     @final
     class Toy(AbstractBlock):
         """One state."""
@@ -305,7 +308,7 @@ def test_beside_the_words_of_a_condition_stands_what_is_decided_unless_they_say_
             return (Inequality(words, expression(p.k), "me", strict),)
 
     (found,) = (item.name for item in verify(Diagram.build({"a": Toy()}), trials=1).conditions if item.source == "me")
-    assert found == f"a: {words}{beside}"
+    assert found == f"a: {words}{printed}"
 
 
 def weighing(make: Any, role: str = "storage") -> Verdict:

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from dmframe.certify import claim_of, verify
 from dmframe.certify.assemble import assembled
-from dmframe.config import load_experiment
 from dmframe.exact import ZeroTest
+from dmframe.graph.graph import Graph
 from dmframe.prove import identity as exact
 from dmframe.robot.library import load
 
@@ -83,7 +83,7 @@ def test_a_robot_of_seven_joints_is_proved_in_full() -> None:
 
 @pytest.mark.parametrize("name", ["pendulum", "arm2_joint", "ur10_fast_tuned"])
 def test_packaged_graphs_are_proved(name: str) -> None:
-    assert verify(load_experiment(name).diagram()).outcome == "proved"
+    assert verify(Graph.read(name).diagram).outcome == "proved"
 
 
 @settings(max_examples=6, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])

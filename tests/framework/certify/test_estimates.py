@@ -1,4 +1,4 @@
-"""What a block declares of its estimates: what is made of it, and that a lie in it is refused or told."""
+"""Declarations of estimates: what follows from them, and that a wrong one is refuted or refused."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Started(Learner):
 
 
 class Nominal(AbstractBlock):
-    """Hands out where the estimate starts."""
+    """Outputs where the estimate starts."""
 
     outputs = (Output("w_nominal", "n", "m/s^2"),)
     at: Diagonal = Real("n", "m/s^2", default=0.3)
@@ -152,18 +152,18 @@ def test_an_effect_that_is_not_the_transpose_of_the_direction_is_refuted(monkeyp
     assert verdict.refutation.blame == ("learner",)
 
 
-def says(told: Callable[[Signals, Signals], dict[str, TrueValue]]) -> AdaptingBlock:
+def says(estimates: Callable[[Signals, Signals], dict[str, TrueValue]]) -> AdaptingBlock:
     """The learner, which says something else of what it estimates."""
 
     class Liar(Learner):
         def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-            return Certificate(estimates=told(x, truth), supply=-ca.dot(u.x, x.w - truth.theta))
+            return Certificate(estimates=estimates(x, truth), supply=-ca.dot(u.x, x.w - truth.theta))
 
     return Liar()
 
 
 @pytest.mark.parametrize(
-    "told",
+    "estimates",
     [
         lambda x, truth: {"w": TrueValue(truth.theta + 1)},
         lambda x, truth: {"w": TrueValue(2 * truth.theta)},
@@ -171,15 +171,15 @@ def says(told: Callable[[Signals, Signals], dict[str, TrueValue]]) -> AdaptingBl
         lambda x, truth: {"w": TrueValue(truth.theta, ca.SX([1, 3]))},
     ],
 )
-def test_a_true_value_or_a_weight_that_is_not_that_of_the_law_is_refuted(told: Any) -> None:
-    verdict = proof(says(told))
+def test_a_true_value_or_a_weight_that_is_not_that_of_the_law_is_refuted(estimates: Any) -> None:
+    verdict = proof(says(estimates))
     assert verdict.outcome == "refuted"
     assert verdict.refutation is not None
     assert verdict.refutation.blame == ("learner",)
 
 
 @pytest.mark.parametrize(
-    ("told", "text"),
+    ("estimates", "text"),
     [
         (
             lambda x, truth: {"w": TrueValue(truth.theta), "v": TrueValue(0)},
@@ -199,8 +199,10 @@ def test_a_true_value_or_a_weight_that_is_not_that_of_the_law_is_refuted(told: A
         ),
     ],
 )
-def test_a_certificate_that_does_not_say_what_each_estimate_estimates_is_told(told: Any, text: str) -> None:
-    verdict = proof(says(told))
+def test_a_certificate_that_does_not_state_the_true_value_of_each_estimate_is_refused(
+    estimates: Any, text: str
+) -> None:
+    verdict = proof(says(estimates))
     assert verdict.outcome == "not_applicable"
     assert text in verdict.reason
 
@@ -234,20 +236,20 @@ def moves(law: Callable[[Signals, SX], dict[str, SX]], **stated: Any) -> type[Ad
         (lambda u, error: {}, "learner: direction() moves nothing, and omits the estimate w"),
     ],
 )
-def test_a_direction_of_something_else_is_told(law: Any, text: str) -> None:
+def test_a_direction_of_something_else_is_refused(law: Any, text: str) -> None:
     with pytest.raises(BlockError) as fault:
         diagram(moves(law)())
     assert text in str(fault.value)
 
 
-def test_a_rate_that_is_stated_beside_its_direction_is_told() -> None:
+def test_a_rate_that_is_stated_together_with_its_direction_is_refused() -> None:
     with pytest.raises(
         BlockError, match=r"equations\(\) state the rate of w, which direction\(\) determines; remove it"
     ):
         diagram(moves(lambda u, error: {"w": -error}, w=ca.SX(0))())
 
 
-def test_a_dead_zone_of_a_law_that_is_not_linear_in_its_error_is_told() -> None:
+def test_a_dead_zone_of_a_law_that_is_not_linear_in_its_error_is_refused() -> None:
     cubic = moves(lambda u, error: {"w": -error - error**3})
     verdict = proof(cubic(dead_zone=0.1))
     assert verdict.outcome == "not_applicable"
@@ -274,12 +276,12 @@ def test_a_dead_zone_of_a_law_that_is_not_linear_in_its_error_is_told() -> None:
         ({"states": (State("w", "n", "m/s^2"),)}, "declares the state w twice"),
     ],
 )
-def test_a_declaration_of_what_the_block_lacks_is_told(changes: dict[str, Any], text: str) -> None:
+def test_a_declaration_of_what_the_block_lacks_is_refused(changes: dict[str, Any], text: str) -> None:
     kind = type("Lying", (Learner,), {"__module__": __name__, "__annotations__": {}, **changes})
     assert any(text in str(fault) for fault in kind.contract("learner"))
 
 
-def test_what_is_declared_of_another_kind_is_told_when_the_class_is_made() -> None:
+def test_a_declaration_of_another_type_is_refused_when_the_class_is_made() -> None:
     with pytest.raises(BlockError, match=r"Wrong: expected estimates to be a tuple of Adapteds, found .*; a comma"):
         type("Wrong", (Learner,), {"__module__": __name__, "estimates": Adapted("w", "n")})
     with pytest.raises(BlockError, match=r"Wrong: expected driven_by to be the name of an input or output"):
@@ -293,7 +295,7 @@ def test_a_parameter_that_every_adapting_block_is_given_is_not_declared_again() 
             leak: Scalar = Positive("", "1/s", default=1.0)
 
 
-def test_estimates_of_a_block_that_does_not_adapt_are_told() -> None:
+def test_estimates_of_a_block_that_does_not_adapt_are_refused() -> None:
     class Plain(Drift):
         estimates: Estimates = (Adapted("x", "n", gain="theta"),)
 
@@ -316,12 +318,12 @@ class Minimal(AbstractBlock):
         return Equations(outputs={"w": x.w}, rates={"w": -p.Gamma * u.x, "other_hat": -p.decay * x.other_hat})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        told: dict[str, Any] = {
+        stated: dict[str, Any] = {
             "estimates": {"estimates": {"w": TrueValue(truth.theta, 1 / p.Gamma)}},
             "storage": {"storage": (Square(x.w - truth.theta, 1 / p.Gamma),)},
             "nothing": {"estimates": {"v": TrueValue(truth.theta)}},
         }
-        return Certificate(**told[self.says], supply=-ca.dot(u.x, x.w - truth.theta))
+        return Certificate(**stated[self.says], supply=-ca.dot(u.x, x.w - truth.theta))
 
 
 def test_a_block_of_its_own_law_says_what_it_estimates_in_its_certificate() -> None:
@@ -339,7 +341,7 @@ def test_a_projected_state_has_to_be_said_to_be_an_estimate() -> None:
     assert proof(Minimal(says="storage")).outcome == "proved"
 
 
-def test_an_estimate_that_is_no_state_is_told() -> None:
+def test_an_estimate_that_is_no_state_is_refused() -> None:
     verdict = proof(Minimal(says="nothing"))
     assert verdict.outcome == "not_applicable"
     assert "learner: certificate() gives a true value for v, which is none of its states; choose from" in verdict.reason
@@ -413,7 +415,9 @@ class StartedElsewhere(Fitter):
 
 @pytest.mark.parametrize("kind", [Fitter, StartedElsewhere])
 @pytest.mark.parametrize(("start", "outcome"), [(0.0, "proved"), (0.6, "proved"), (-0.6, "not_applicable")])
-def test_a_memory_that_starts_below_zero_is_no_storage_whoever_starts_it(kind: Any, start: float, outcome: str) -> None:
+def test_a_memory_that_starts_below_zero_is_no_storage_however_it_is_started(
+    kind: Any, start: float, outcome: str
+) -> None:
     rows = [[start, 0.0], [0.0, start]]
     numbers: dict[str, Any] = {"R": 0.001, "forgetting": 0.01}
     plant = Seen(theta=[0.5, 0.8])

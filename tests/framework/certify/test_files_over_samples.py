@@ -103,7 +103,7 @@ def test_a_false_file_over_samples_is_refused(fault: str) -> None:
 
 
 class Divides(Learner):
-    """A state of which V says nothing becomes what is nowhere defined."""
+    """A state that V does not contain becomes undefined."""
 
     by: Literal["what is always zero", "infinity"] = "infinity"
 

@@ -120,10 +120,10 @@ def camera(low: str, high: str) -> Verdict:
     own = graph.diagram.models["camera"].values["position"]
     pairs = [(str(x + float(Fraction(low))), str(x + float(Fraction(high)))) for x in own]
     with SYMBOLIC:
-        return verify(graph.diagram, uncertain={"camera.position": over(*pairs)}, start=graph.experiment.start)
+        return verify(graph.diagram, uncertain={"camera.position": over(*pairs)}, start=graph.start)
 
 
-def test_a_weight_that_is_called_positive_is_held_to_the_whole_interval() -> None:
+def test_a_weight_that_is_stated_positive_is_checked_over_the_whole_interval() -> None:
     near, far = camera("-0.05", "0.05"), camera("-3", "3")
     assert near.outcome == "proved", near.reason
     assert far.outcome == "not_applicable"
@@ -139,7 +139,7 @@ def test_a_start_may_lie_in_an_interval() -> None:
         assert found.outcome == outcome, found.reason
 
 
-def test_a_page_asks_of_a_start_that_moves_what_verify_asks_of_a_graph_with_it() -> None:
+def test_a_page_checks_a_moved_start_as_verify_checks_a_graph_with_it() -> None:
     graph = dm.load("arm2_joint")
     label, verdict = "dynamics.a_d_hat", graph.verify().verdict
     claim = verdict.claim
@@ -177,8 +177,8 @@ def constructions(source: str) -> list[str]:
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "Checked":
             fails = len(node.args) > 3 and isinstance(node.args[3], ast.Constant) and node.args[3].value is False
-            told = {word.arg for word in node.keywords} & {"margin", "reads"} or len(node.args) > 7
-            if not fails and not told:
+            listed = {word.arg for word in node.keywords} & {"margin", "reads"} or len(node.args) > 7
+            if not fails and not listed:
                 found.append(f"line {node.lineno}: {ast.unparse(node)[:80]}")
     return found
 
@@ -200,6 +200,6 @@ def test_an_estimate_has_to_start_inside_every_box_of_an_interval(low: str, hold
     """It starts at 2 inside the graph's own box, and the true value is 4: lower ends up to 3 exclude the start."""
     graph = dm.load("arm2_joint")
     ends = over(("0.5", low), ("0.5", low), ("20", "20"), ("20", "20"))
-    found = verify(graph.diagram, uncertain={"inverse.w_I_box": ends}, start=graph.experiment.start)
+    found = verify(graph.diagram, uncertain={"inverse.w_I_box": ends}, start=graph.start)
     assert (found.outcome == "proved") is holds
     assert ("inverse.w_I: starts inside the box" in found.reason) is not holds

@@ -14,13 +14,13 @@ import pytest
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import Certificate, LeastSquaresSteps, PlantIdentity
 from dmframe.certify import Verdict, verify
-from dmframe.certify.definite import is_semidefinite
 from dmframe.diagram import Diagram
 from dmframe.exact.rational import evaluate
 from dmframe.parameter import Positive, Scalar
 from dmframe.port import PERIOD, Access, Input, Output, Side, State
+from dmframe.prove.definite import is_semidefinite
 from dmframe.simulate import simulate
-from dmframe.steps import packed, packed_size, unpacked
+from dmframe.steps import packed_size, unpacked
 
 States = ClassVar[tuple[State, ...]]
 Matrix = list[list[Fraction]]
@@ -198,10 +198,9 @@ def test_after_a_step_the_estimate_is_in_its_box_and_no_farther_from_what_it_hol
 
 
 def test_triangles_are_what_the_matrices_were() -> None:
-    matrices = [ca.DM([[1, 2, 3], [2, 4, 5], [3, 5, 6]]), ca.DM([[7, 8], [8, 9]])]
-    assert flat(packed(matrices)).tolist() == [1, 2, 3, 4, 5, 6, 7, 8, 9]
-    for matrix, back in zip(matrices, unpacked((3, 2), packed(matrices)), strict=True):
-        np.testing.assert_array_equal(matrix.full(), ca.evalf(back).full())
+    first, second = unpacked((3, 2), ca.DM([1, 2, 3, 4, 5, 6, 7, 8, 9]))
+    np.testing.assert_array_equal(ca.evalf(first).full(), [[1, 2, 3], [2, 4, 5], [3, 5, 6]])
+    np.testing.assert_array_equal(ca.evalf(second).full(), [[7, 8], [8, 9]])
 
 
 class Cart(AbstractBlock):
@@ -367,14 +366,14 @@ def test_a_memory_starts_positive_semidefinite(start: list[float], holds: bool) 
     assert ("learner: start of G" in found.reason) is not holds
 
 
-def test_a_memory_that_grows_by_itself_and_a_box_without_the_truth_are_told() -> None:
+def test_a_memory_that_grows_by_itself_and_a_box_without_the_truth_are_reported() -> None:
     assert "retention of the steps of theta" in verdict(retention=1.01).reason
     assert "true value of theta inside its box" in verdict(most=1.5).reason
 
 
 @pytest.mark.parametrize("lie", ["", "another_relation"])
 def test_rows_are_compared_with_the_plants_motion_whatever_relation_is_stated(lie: str) -> None:
-    """dy/dt = v is true of the plant, and says nothing of its mass."""
+    """dy/dt = v is true of the plant, and does not depend on its mass."""
     found = verdict(lie=lie)
     assert found.outcome == "proved"
     assert not found.rows_assumed

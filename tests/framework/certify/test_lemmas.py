@@ -1,4 +1,4 @@
-"""Functions that the field does not have, the lemmas for them, projections, and blocks that a user brings."""
+"""Lemmas for functions that a prime field does not have, projections, ill-formed certificates, blocks of a user."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def verdict_of(diagram: Diagram) -> Verdict:
 
 
 @pytest.mark.parametrize("missing", ["viscous", "coulomb"])
-def test_friction_in_the_plant_that_the_regressor_leaves_out_is_refuted(missing: str) -> None:
+def test_friction_in_the_plant_that_is_not_in_the_regressor_is_refuted(missing: str) -> None:
     honest = diagram(friction="both")
     kept = tuple(kind for kind in ("viscous", "coulomb") if kind != missing)
     other = {**honest.blocks, "model": known_blocks()["regressor"](friction=kept)}
@@ -54,14 +54,14 @@ def test_friction_in_the_plant_that_the_regressor_leaves_out_is_refuted(missing:
     assert verdict.outcome == "refuted"
 
 
-def test_friction_in_the_regressor_that_the_plant_has_not_is_proved() -> None:
+def test_friction_in_the_regressor_that_is_not_in_the_plant_is_proved() -> None:
     honest = diagram(friction="none")
     other = {**honest.blocks, "model": known_blocks()["regressor"](friction=("viscous", "coulomb"))}
     assert verdict_of(Diagram.build(other, {}, honest.robot)).outcome == "proved"
 
 
 @pytest.mark.parametrize("phi", MONOTONE)
-def test_a_lemma_is_never_negative_whatever_its_parts(phi: str) -> None:
+def test_a_lemma_is_never_negative(phi: str) -> None:
     rng = np.random.default_rng(0)
     a, b = ca.SX.sym("a", 3), ca.SX.sym("b", 3)
     lemma = Lemma(ca.SX([2, 0, 1]), a, b, ca.SX(0.1), phi)
@@ -70,14 +70,14 @@ def test_a_lemma_is_never_negative_whatever_its_parts(phi: str) -> None:
 
 
 def test_a_lemma_with_a_negative_weight_fails_its_condition() -> None:
-    def lying(honest: Certificate, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+    def negative(honest: Certificate, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         lemma = Lemma(-p.Gamma[:2] / p.Gamma[:2] * 3, u.sigma, -u.sigma, ca.SX(1))
         return Certificate(honest.storage, (lemma,), honest.supply + lemma.value)
 
-    # on its own the block keeps its word; the diagram does not
-    verdict = verdict_of(diagram(swapped=claiming("dynamic_compensator", lying)))
+    # the block's own claim is true; that of the diagram is not
+    verdict = verdict_of(diagram(swapped=claiming("dynamic_compensator", negative)))
     assert verdict.outcome == "refuted"
-    claim = claim_of(diagram(swapped=claiming("dynamic_compensator", lying)))
+    claim = claim_of(diagram(swapped=claiming("dynamic_compensator", negative)))
     checked, _ = conditions_of(claim, Numbers(claim, {}))
     (failing,) = (item for item in checked if not item.holds)
     assert failing.name.startswith("dynamics: weight of ")
@@ -121,7 +121,7 @@ def test_a_projected_state_that_v_does_not_store_as_one_square_is_not_applicable
 @pytest.mark.parametrize(
     "block", [FilteredDamping(beta=3, k=2), SaturatedDamping(beta=3, v=0.1)], ids=lambda block: type(block).__name__
 )
-def test_a_users_own_block_is_proved_without_a_change_to_the_framework(block: AbstractBlock) -> None:
+def test_a_block_of_a_user_is_proved(block: AbstractBlock) -> None:
     found = diagram(extra={"damping": block})
     verdict = verify(found)
     assert verdict.outcome == "proved"
@@ -130,7 +130,7 @@ def test_a_users_own_block_is_proved_without_a_change_to_the_framework(block: Ab
     assert true_in_numbers(found, verdict.claim)
 
 
-def test_a_users_block_with_a_wrong_sign_is_refuted_and_blamed() -> None:
+def test_a_block_of_a_user_with_a_wrong_sign_is_refuted_with_its_name() -> None:
     class Wrong(FilteredDamping):  # type: ignore[misc]
         def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
             honest = super().certificate(u, x, p, truth)
@@ -143,13 +143,13 @@ def test_a_users_block_with_a_wrong_sign_is_refuted_and_blamed() -> None:
     )
 
 
-def test_what_is_true_only_by_a_property_that_the_field_lacks_is_neither_proved_nor_refuted() -> None:
+def test_a_claim_that_needs_a_property_which_the_field_lacks_is_neither_proved_nor_refuted() -> None:
     verdict = verdict_of(diagram(extra={"damping": OddDamping(beta=3, v=0.1)}))
     assert verdict.outcome == "not_applicable"
     assert verdict.reason.startswith("not decided: dV/dt is what the blocks claim at every real point that was tried")
 
 
-def test_a_certificate_that_raises_is_told_with_its_line() -> None:
+def test_an_error_in_a_certificate_is_reported_with_its_line() -> None:
     def broken(honest: Certificate, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         raise ZeroDivisionError("no reason")
 
@@ -159,6 +159,7 @@ def test_a_certificate_that_raises_is_told_with_its_line() -> None:
     assert verdict.reason.endswith(": ZeroDivisionError: no reason")
 
 
+FOREIGN = ca.SX.sym("foreign")
 FORMS = {
     "expected storage[0] to be a Square, a Gathered, a Potential or a LogDet, found a Lemma": lambda c, u: Certificate(
         (Lemma(ca.SX(1), u.sigma, u.sigma, ca.SX(1)),), (), c.supply
@@ -182,8 +183,11 @@ FORMS = {
     "a certificate with dominates must dissipate squares": lambda c, u: Certificate(
         c.storage, (Lemma(ca.SX(1), u.sigma, u.sigma, ca.SX(1)),), c.supply, dominates=(ca.SX(1),)
     ),
-    "a certificate holds stranger, which is no signal": lambda c, u: Certificate(
-        c.storage, (Square(u.sigma, ca.SX.sym("stranger")),), c.supply
+    "a certificate holds foreign, which is no signal": lambda c, u: Certificate(
+        c.storage, (Square(u.sigma, FOREIGN),), c.supply
+    ),
+    "states another dissipation when evaluated again": lambda c, u: Certificate(
+        c.storage, (Square(u.sigma, ca.SX.sym("fresh")),), c.supply
     ),
     "supply and dominates: expected expressions of its u, x, p and truth, found an MX": lambda c, u: Certificate(
         c.storage, supply=ca.MX(0)
@@ -193,17 +197,17 @@ FORMS = {
 
 
 @pytest.mark.parametrize("text", FORMS)
-def test_an_ill_formed_certificate_is_not_applicable_and_says_why(text: str) -> None:
+def test_an_ill_formed_certificate_is_not_applicable_with_the_reason(text: str) -> None:
     made = claiming("dynamic_compensator", lambda c, u, x, p, truth: FORMS[text](c, u))
     verdict = verdict_of(diagram(swapped=made))
     assert verdict.outcome == "not_applicable"
     assert text in verdict.reason
 
 
-def test_a_subclass_of_a_term_is_none() -> None:
-    """It could say anything of itself."""
-    kind = type("Liar", (Square,), {"value": property(lambda self: -1)})
+def test_a_subclass_of_a_term_is_refused() -> None:
+    """Its value could be any expression."""
+    kind = type("Fake", (Square,), {"value": property(lambda self: -1)})
     with pytest.raises(
-        TypeError, match=r"expected storage\[0\] to be a Square, a Gathered, a Potential or a LogDet, found a Liar"
+        TypeError, match=r"expected storage\[0\] to be a Square, a Gathered, a Potential or a LogDet, found a Fake"
     ):
         Certificate((kind(ca.SX.sym("x")),))

@@ -25,7 +25,7 @@ def assumed(verdict: Verdict) -> str:
 
 
 @final
-class Payer(AbstractBlock):
+class Dominating(AbstractBlock):
     """v' = -v + 1.5 y."""
 
     side = Side.PLANT
@@ -61,7 +61,7 @@ class Eater(AbstractBlock):
 
 def test_one_square_does_not_pay_for_four_elements() -> None:
     """[[-1, 1.5], [1.5, -1.25]] has the eigenvalue 0.38."""
-    verdict = verify(Diagram.build({"a": Payer(), "b": Eater()}))
+    verdict = verify(Diagram.build({"a": Dominating(), "b": Eater()}))
     assert verdict.outcome == "not_applicable"
     assert "expected the squares that pay, and their shares, to be of one length" in verdict.reason
 
@@ -85,7 +85,7 @@ def test_a_sentence_does_not_make_an_equation_stable() -> None:
 
 @final
 class Pushed(AbstractBlock):
-    """An estimate that t sin t pushes against its box; y hears the push, and so swings as far as t."""
+    """An estimate that t sin t pushes against its box; y follows the push, and so swings as far as t."""
 
     inputs = (TIME,)
     states = (State("x"), State("theta", box="theta_box"), State("y"))
@@ -106,7 +106,7 @@ def test_what_a_projection_takes_away_is_bounded_only_where_the_rate_is() -> Non
     assert "a.y" in verdict.states.open
 
 
-def test_a_path_that_the_proof_differentiates_late_is_held_to_be_smooth_too() -> None:
+def test_a_path_that_the_proof_differentiates_late_has_to_be_smooth_too() -> None:
     """Pulses of 2 + sin t for 1/(1 + t)^2 at each whole second: x stops short of zero, and r does not vanish."""
     verdict = verify(
         scalar_loop(
@@ -201,7 +201,7 @@ class Pd(AbstractBlock):
         return Certificate(supply=-(u.y + u.dy) * (f + 2 * u.y + 2 * u.dy))
 
 
-def test_a_measured_rate_that_is_wired_to_nobody_is_listed() -> None:
+def test_a_measured_rate_without_a_reader_is_listed() -> None:
     verdict = verify(Diagram.build({"arm": Mass(), "pd": Pd()}))
     assert verdict.outcome == "proved"
     assert "exact and without delay: arm.vel, arm.y" in assumed(verdict)

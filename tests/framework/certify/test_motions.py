@@ -143,7 +143,7 @@ class Idle(Learner):
 
 
 class Direct(Carts):
-    """Hands out the command in what it measures."""
+    """Outputs the command in what it measures."""
 
     outputs = (*Carts.outputs, Output("extra", "2", access=Access.MEASURED))
 

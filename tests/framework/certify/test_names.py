@@ -1,4 +1,4 @@
-"""What is said of a signal is said under a name that no other signal has."""
+"""Every statement about a signal uses a name that no other signal has."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_signal_by_the_name_of_a_rate_in_another_block_is_not_said_to_vanish()
     assert not any(item.concludes for item in verdict.statements)
 
 
-def test_two_vectors_that_nothing_prints_are_told_apart():
+def test_two_vectors_that_nothing_prints_are_distinguished():
     def claim(x: Any, u: Any, p: Any) -> Certificate:
         e = ca.erf(x.y)
         storage = (Square(e * (x.x + x.z)), Square(x.x), Square(x.y))
@@ -72,7 +72,7 @@ def test_of_two_vectors_that_differ_far_away_only_none_stands_for_the_other():
     assert names == ["x", "y", "expression 1 of x, y (toy)", "expression 2 of x, y (toy)"]
 
 
-def test_plant_states_of_one_name_are_told_with_their_blocks():
+def test_plant_states_of_one_name_are_printed_with_their_blocks():
     def claim(x: Any) -> Certificate:
         return Certificate((Square(x.x),), (Square(x.x),))
 

@@ -1,4 +1,4 @@
-"""Lies in limits, assumed inputs, errors, loads and filters, none of which may be proved; what is true beside each."""
+"""False statements of limits, assumed inputs, errors, loads and filters that must not be proved, and true ones."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ WIDE = 1e9
 
 
 def limited(stored: Callable[[Any], Any], start: float, slow: float, **uncertain: Any) -> Verdict:
-    """A position q that leaves a reference by s, of which V holds a potential and spends a square."""
+    """A position q that leaves a reference by s, of which V holds a potential, and dV/dt dissipates a square."""
 
     def barrier(x: Any) -> Barrier:
         low, high, speed, rate, width = map(ca.SX, (-1.0, 1.0, 50.0, 3.0, 0.02))
@@ -64,7 +64,7 @@ def test_a_potential_that_rounding_takes_for_zero_has_its_tube_all_the_same() ->
     assert 1.03 < np.max(run.y[0]) < 1.1444
 
 
-def test_no_tube_is_told_where_a_source_steps_since_v_begins_again_there() -> None:
+def test_no_tube_is_reported_where_a_source_steps_since_v_begins_again_there() -> None:
     made = {
         "dmframe": 1,
         "robot": "arm2",
@@ -91,7 +91,7 @@ def test_no_tube_is_told_where_a_source_steps_since_v_begins_again_there() -> No
     assert says(dm.load(made, name="still").verify().verdict, "stays between") == ["arm.q"]
 
 
-# What a block assumes of an input is told in words that are not its own.
+# The text of a block's assumption of an input is not the block's own.
 
 
 def driven(inputs: Callable[[Any], Any], growth: float, sources: Any = None) -> Verdict:
@@ -238,7 +238,7 @@ def test_a_generator_that_names_errors_may_be_filtered() -> None:
 
     @final
     class Following(AbstractBlock):
-        """Hears the wish."""
+        """Reads the wish."""
 
         inputs = (Input("wish"),)
         states = (State("y"),)
@@ -254,7 +254,7 @@ def test_a_generator_that_names_errors_may_be_filtered() -> None:
     assert says(verdict, "goes to zero") == ["y", "dy"]
 
 
-# Nobody knows the primes beforehand, and what is above zero may have an edge there.
+# The primes are not known beforehand, and what is above zero may have an edge there.
 
 
 def test_what_vanishes_modulo_primes_that_are_known_is_not_zero() -> None:
@@ -272,5 +272,5 @@ def test_of_what_is_above_zero_a_root_is_smooth_and_an_arcsine_is_not(function: 
         return Certificate((Square(function(x.y**2 + 0.5) * x.z), Square(x.y)), (Square(x.y),))
 
     diagram = scalar_loop("y z", lambda x, u, p: {"y": -x.y, "z": x.z}, claim)
-    told = {item.text for item in smoothness(diagram, claim_of(diagram)).assumptions}
-    assert any("stays inside the region where it has a derivative" in text for text in told) is edge
+    texts = {item.text for item in smoothness(diagram, claim_of(diagram)).assumptions}
+    assert any("stays inside the region where it has a derivative" in text for text in texts) is edge

@@ -18,11 +18,11 @@ from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.projection_laws import check_law
 from dmframe.certify.projections import projection_conditions
-from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.projection import Ball, Box
 from dmframe.errors import StartError
 from dmframe.exact.rational import Interval
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Around, Diagonal, Positive, Real, Scalar
 from dmframe.parameter import Ball as Sphere
 from dmframe.parameter import Box as Range
@@ -163,7 +163,7 @@ def conditions(built: Diagram, start: Mapping[str, Any] | None = None) -> tuple[
 
 
 def test_the_packaged_arm_with_a_start_outside_its_box_is_not_proved() -> None:
-    verdict = verify(load_experiment("arm2_joint", ["inverse.w_I=0"]).diagram(), trials=1)
+    verdict = verify(Graph.read("arm2_joint", ["inverse.w_I=0"]).diagram, trials=1)
     assert verdict.outcome == "not_applicable"
     assert failing(verdict) == ["inverse.w_I: starts inside the box"]
 
@@ -176,7 +176,7 @@ def test_a_start_that_a_graph_gives_goes_before_the_blocks(key: str) -> None:
         assert [item.holds for item in checked if "starts inside" in item.name] == [holds]
 
 
-def test_a_start_that_the_plant_decides_is_told_as_an_assumption() -> None:
+def test_a_start_that_the_plant_decides_is_listed_as_an_assumption() -> None:
     checked, assumed = conditions(diagram(Says(by_plant=True, w_box=[0, 1])))
     assert not [item for item in checked if "starts inside" in item.name]
     assert [item.text for item in assumed] == [
@@ -334,10 +334,10 @@ def test_a_box_without_width_is_no_fault() -> None:
     assert check_law(built.loop.projections[0], built.loop).holds
 
 
-def test_every_packaged_projection_is_held_to_the_lemma() -> None:
+def test_every_packaged_projection_is_checked_against_the_lemma() -> None:
     count = 0
     for name in structures():
-        loop = load_experiment(name).diagram().loop
+        loop = Graph.read(name).diagram.loop
         for projection in loop.projections:
             found = check_law(projection, loop)
             assert found.holds, (name, found)

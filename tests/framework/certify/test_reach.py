@@ -73,7 +73,7 @@ def _center() -> np.ndarray:
 
 
 @pytest.mark.parametrize("share", [1.0001, 3.0])
-def test_a_goal_out_of_reach_is_told_with_distance_and_reach(share: float, farthest: float) -> None:
+def test_a_goal_out_of_reach_is_reported_with_distance_and_reach(share: float, farthest: float) -> None:
     goal = _center() + share * farthest * np.array([0.6, 0.8])
     verdict = following({"type": "setpoint", "x_d": goal.tolist()}).verify().verdict
     assert verdict.outcome == "not_applicable"
@@ -81,7 +81,7 @@ def test_a_goal_out_of_reach_is_told_with_distance_and_reach(share: float, farth
     assert f"reaches no farther than {plain(farthest, 'm')}" in verdict.reason
 
 
-def test_a_path_that_leaves_the_reach_later_is_told_with_the_time(farthest: float) -> None:
+def test_a_path_that_leaves_the_reach_later_is_reported_with_the_time(farthest: float) -> None:
     path = {"type": "circle", "center": _center().tolist(), "radius": 0.9 * farthest, "rate": 1}
     assert far(following(path)) == []
     (said,) = far(following(path | {"center": (_center() + np.array([0.2 * farthest, 0])).tolist()}))
@@ -89,9 +89,9 @@ def test_a_path_that_leaves_the_reach_later_is_told_with_the_time(farthest: floa
 
 
 def test_a_sampled_law_may_not_follow_what_is_out_of_reach_either() -> None:
-    from dmframe.config.experiment import load_experiment
+    from dmframe.graph.graph import Graph
 
-    diagram = load_experiment("ur10_slow_sampled", ("path.radius=3",)).diagram()
+    diagram = Graph.read("ur10_slow_sampled", ("path.radius=3",)).diagram
     (said,) = [item.name for item in reach_conditions(claim_of(diagram))]
     assert said.startswith("path.x_d is ")
 

@@ -12,8 +12,8 @@ from closed_loops import field_of, loop_of, loops, states_of
 
 from dmframe.certify import claim_of
 from dmframe.certify.assemble import assembled
-from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
+from dmframe.graph.graph import Graph
 from dmframe.prove.identity import identity
 from dmframe.robot.library import load
 from dmframe.simulate import Solver, simulate
@@ -69,7 +69,7 @@ def test_what_is_changed_in_the_loop_that_runs_changes_what_is_proved(side: str)
 
 @pytest.mark.parametrize("name", ["arm2_joint", "pendulum"])
 def test_v_falls_along_a_run_in_continuous_time(name: str) -> None:
-    diagram = load_experiment(name).diagram()
+    diagram = Graph.read(name).diagram
     claim = claim_of(diagram)
     run = simulate(diagram, 2.0, solver=Solver("cvodes", output=0.01, tolerance=1e-11), start={})
     V = at_time(diagram, claim.V, claim.kappa)

@@ -1,4 +1,4 @@
-"""Proofs over samples: an estimator, a filter and a memory, each with the lies that it could tell."""
+"""Proofs over samples: an estimator, a filter and a memory, each with the false statements that it could make."""
 
 from __future__ import annotations
 
@@ -38,7 +38,6 @@ from dmframe.prove.refute import replay
 from dmframe.report.verdict_text import verdict_text
 from dmframe.report.words import meaning_of
 from dmframe.simulate import simulate
-from dmframe.steps import stepped
 
 States = ClassVar[tuple[State, ...]]
 
@@ -107,7 +106,8 @@ class Learner(AbstractBlock):
         elif self.lie == "cut":
             becomes = ca.fmin(becomes, p.most / 2)
         elif self.lie == "other_gain":
-            becomes = stepped((2, 2), becomes, h, y, 1.01 * p.gain * ca.DM.ones(4), p.floor)
+            gain = 1.01 * p.gain * ca.DM.ones(4)
+            becomes = NormalisedSteps("theta", becomes, becomes, gain, (2, 2), p.floor, ((h, y),)).held
         kept = x.rows[:, :2] if self.lie != "forgetful" else x.rows[:, 1:]
         return Equations(
             outputs={"c": self._pushes(x)},
@@ -252,16 +252,17 @@ def test_along_a_run_v_falls_by_what_numpy_says_and_the_true_values_are_found() 
     assert V[k + 1] - V[k] == pytest.approx(-error / 2, rel=1e-9)
 
 
-def test_with_a_small_floor_a_step_changes_an_estimate_no_more_than_a_row_asks() -> None:
+def test_with_a_small_floor_a_step_changes_an_estimate_no_more_than_a_row_requires() -> None:
     rng = np.random.default_rng(0)
     theta, h, y = rng.normal(size=5), rng.normal(size=5), rng.normal(size=2)
-    found = ca.DM(stepped((2, 3), ca.DM(theta), ca.DM(h), ca.DM(y), ca.DM.ones(5), 1e-14)).full()[:, 0]
+    steps = NormalisedSteps("theta", theta, theta, np.ones(5), (2, 3), 1e-14, ((h, y),))
+    found = ca.evalf(steps.held).full()[:, 0]
     for part, wanted in ((slice(0, 2), y[0]), (slice(2, 5), y[1])):
         least, *_ = np.linalg.lstsq(h[None, part], [wanted - theta[part] @ h[part]], rcond=None)
         np.testing.assert_allclose(found[part] - theta[part], least, rtol=1e-10)
 
 
-def test_a_claim_says_who_says_nothing() -> None:
+def test_a_claim_lists_blocks_without_a_certificate() -> None:
     claim = claim_of(Diagram.build({"learner": Learner(), "carts": Carts(), "mute": Mute()}))
     assert claim.silent == ("mute",)
 
@@ -302,7 +303,7 @@ class MisshapenLearner(Learner):
         ("box", "the steps of theta: expected a box of two ends, found 1"),
     ],
 )
-def test_what_does_not_fit_is_told(wrong: Any, says: str) -> None:
+def test_a_value_of_the_wrong_shape_or_name_is_refused(wrong: Any, says: str) -> None:
     reason = verify(Diagram.build({"learner": MisshapenLearner(wrong=wrong), "carts": Carts()})).reason
     assert says in reason
 
@@ -333,7 +334,7 @@ class SaysLess(Certificate):
 
 
 class Filter(AbstractBlock):
-    """f+ = a f + y, and what can be said of it that is not so, or says nothing."""
+    """f+ = a f + y, and statements about it that are false or void."""
 
     inputs = (Input("y", "2"), Input("v", "2"), TIME)
     states = (State("f", "2", sampled=True), State("rows", "2 2", sampled=True))
@@ -446,7 +447,7 @@ def test_what_the_framework_does_after_a_sample_is_a_part_of_the_map() -> None:
 
 
 class Steps(AbstractBlock):
-    """Learns a weight that nobody knows from the carts' positions."""
+    """Learns an unknown weight from the carts' positions."""
 
     inputs = (Input("y", "2"), PERIOD)
     states = (State("w", "2", sampled=True),)
@@ -533,7 +534,7 @@ def test_what_a_sample_divides_by_is_assumed_not_to_vanish() -> None:
     assert "f.gain-2) is not zero" in verdict.reason.replace("(-2+f.gain)", "(f.gain-2)")
 
 
-def test_it_is_said_what_nothing_bounds_and_what_nothing_ties_to_the_plant() -> None:
+def test_a_residual_without_a_bound_and_rows_without_a_relation_are_listed() -> None:
     said = assumed(filtered(Steps))
     assert "f: the plant's motion obeys what its rows say; the block states no relation that does" in said
     assert "other: the residual besides the steps, made of carts.y, is small: nothing bounds it" in said
@@ -551,7 +552,7 @@ class Emulated(Mute):
         return Certificate(storage=(Square(x.i),), supply=ca.dot(x.i, u.y))
 
 
-def test_a_claim_in_continuous_time_is_told_not_to_be_a_part() -> None:
+def test_a_certificate_in_continuous_time_is_listed_as_no_contribution() -> None:
     claim = claim_of(Diagram.build({"learner": Learner(), "carts": Carts(), "emulated": Emulated()}))
     assert claim.silent == ("emulated",)
 
@@ -659,17 +660,17 @@ def test_of_sums_of_states_only_what_they_determine_is_bounded() -> None:
 class Listener(Learner):
     """Learns from the commands of another."""
 
-    inputs = (*Learner.inputs, Input("heard", "2"))
+    inputs = (*Learner.inputs, Input("received", "2"))
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         own = super().equations(u, x, p)
-        return replace(own, next={**own.next, "c_old": u.heard})
+        return replace(own, next={**own.next, "c_old": u.received})
 
 
 def test_of_two_estimators_both_are_named_and_the_plant_is_not_called_bounded() -> None:
     two = Diagram.build(
         {"carts": Carts(), "learner": Learner(), "other": Listener(gain=3.0)},
-        {"carts.c": "learner.c", "other.heard": "learner.c"},
+        {"carts.c": "learner.c", "other.received": "learner.c"},
     )
     verdict = verify(two)
     assert verdict.outcome == "proved"

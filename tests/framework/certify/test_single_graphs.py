@@ -1,4 +1,4 @@
-"""What is said of many numbers at once is what `verify` says of each graph by itself: boxes, counts, and moved numbers.
+"""A verdict over many numbers at once is what `verify` says of each graph by itself: boxes, counts, and moved numbers.
 
 Of each packaged graph some numbers and starts are drawn, those that are zero too. Whenever the box, the count of a
 study or the margins of a page say that the proof holds, or that it fails, `verify` of that single graph has to agree.
@@ -89,7 +89,7 @@ def box_of(diagram: Diagram, start: dict[str, Any], label: str, rows: np.ndarray
 def disagreements(name: str, labels: int = LABELS) -> Iterator[tuple[str, str]]:
     """Each comparison: which numbers moved, and ``agrees``, ``open``, or what was false."""
     graph = dm.load(name)
-    diagram, start = graph.diagram, dict(graph.experiment.start)
+    diagram, start = graph.diagram, dict(graph.start)
     rng = np.random.default_rng(zlib.crc32(name.encode()))
     with SYMBOLIC:
         nominal = verify(diagram, start=start)
@@ -98,13 +98,13 @@ def disagreements(name: str, labels: int = LABELS) -> Iterator[tuple[str, str]]:
             if rows is None:
                 continue
             moved = written(diagram, label, rows)
-            told = {"page": held_at(diagram, start, {label: moved}, POINTS, nominal)}
+            verdicts = {"page": held_at(diagram, start, {label: moved}, POINTS, nominal)}
             box = box_of(diagram, start, label, rows)
             if box is not None:
-                told["count"] = held_at(diagram, start, {label: moved}, POINTS, box)
-                told["box"] = np.full(POINTS, HOLDS) if box.outcome == "proved" else None
+                verdicts["count"] = held_at(diagram, start, {label: moved}, POINTS, box)
+                verdicts["box"] = np.full(POINTS, HOLDS) if box.outcome == "proved" else None
             for point in range(POINTS):
-                says = {kind: int(found[point]) for kind, found in told.items() if found is not None}
+                says = {kind: int(found[point]) for kind, found in verdicts.items() if found is not None}
                 if not {HOLDS, FAILS} & set(says.values()):
                     yield label, "open"
                     continue
@@ -120,13 +120,13 @@ def false(name: str, labels: int) -> list[tuple[str, str]]:
     return [(label, what) for label, what in disagreements(name, labels) if "falsely" in what]
 
 
-def test_what_is_said_of_many_numbers_single_graphs_say() -> None:
+def test_single_graphs_agree_with_the_verdict_over_many_numbers() -> None:
     assert false("arm2_joint", 1) == []
 
 
 def test_the_ends_of_an_interval_are_those_of_the_graph_that_writes_them() -> None:
     graph, label = dm.load("arm2_joint"), "inverse.w_I_box"
-    diagram, start = graph.diagram, dict(graph.experiment.start)
+    diagram, start = graph.diagram, dict(graph.start)
     # the first reads the same whichever ends are written as a row; of the second only the ends as written hold
     rows = np.array([[[0.5, 2.5], [2.5, 20]], [[0.5, 0.6], [20, 20]]])
     with SYMBOLIC:

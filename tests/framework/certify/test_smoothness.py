@@ -22,9 +22,9 @@ from dmframe.certificate import (
 from dmframe.certify import claim_of, verify
 from dmframe.certify.claim import flow_part
 from dmframe.certify.smoothness import Smoothness, is_smooth_over, smoothness, smoothness_faults
-from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.exact import Tape
+from dmframe.graph.graph import Graph
 from dmframe.program import KINKS
 from dmframe.text import Text
 
@@ -131,7 +131,7 @@ def test_a_kink_that_passes_as_smooth_has_one_slope(case: int) -> None:
 
 
 def test_a_correction_of_a_projection_in_v_is_refused() -> None:
-    loop = load_experiment("arm2_joint").diagram()
+    loop = Graph.read("arm2_joint").diagram
     claim = claim_of(loop)
     (projection, *_) = [item for item in claim.loop.projections if item.block == "inverse"]
     held = Square(projection.correction, ONE, Text("a correction"))
@@ -177,7 +177,7 @@ def test_a_hidden_jump_is_found_by_looking() -> None:
 
 
 def test_waypoints_are_continuous_at_all_their_instants() -> None:
-    found = look(load_experiment("pendulum").diagram())
+    found = look(Graph.read("pendulum").diagram)
     assert found.faults == ()
     assert found.assumptions == ()
     assert "path.q_d is continuous at its 4 switching instants, and smooth between" in found.notes
@@ -191,7 +191,7 @@ def test_a_path_made_of_a_state_is_refused() -> None:
     assert "path_r.r moves with s; a desired trajectory is a function of time and parameters alone" in fault
 
 
-def test_a_rate_that_jumps_is_told_as_an_assumption() -> None:
+def test_a_rate_that_jumps_is_listed_as_an_assumption() -> None:
     diagram = scalar_loop(
         "y",
         lambda x, u, p: {"y": -ca.sign(x.y)},

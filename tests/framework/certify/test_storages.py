@@ -76,7 +76,7 @@ def test_a_force_that_is_not_the_gradient_is_refuted(force: Any) -> None:
     ids=["wrong sign", "no width", "a width that moves", "a weight that moves"],
 )
 def test_a_potential_that_is_not_positive_fails_its_condition(stored: Any, part: str) -> None:
-    # the identity is broken on the way too; what is asked here is that the sign is never believed
+    # the identity is broken on the way too; what is checked here is that the sign is never believed
     diagram = pulled(stored=stored)
     claim = claim_of(diagram)
     checked, _ = conditions_of(claim, Numbers(claim, {}))
@@ -200,7 +200,7 @@ def test_what_only_moves_the_upper_triangle_is_refuted() -> None:
     assert any(label.endswith("is symmetric") for label, _ in failing(claim, seed=0))
 
 
-def test_beside_a_bounded_residual_that_it_stays_positive_definite_is_assumed() -> None:
+def test_with_a_bounded_residual_it_is_assumed_to_stay_positive_definite() -> None:
     def rates(x: Any, u: Any, p: Any) -> dict[str, Any]:
         return {"y": -x.y * (x.y - p.k) * x.y, "z": -x.z + clip(x.z, p.k)}
 

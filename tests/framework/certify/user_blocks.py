@@ -1,4 +1,4 @@
-"""Blocks that a user might write, beside the graph that uses them: each with a certificate of its own."""
+"""Blocks that a user might write, next to the graph that uses them: each with a certificate of its own."""
 
 from __future__ import annotations
 
@@ -51,14 +51,14 @@ class FilteredDamping(AbstractBlock):
 
 @final
 class SaturatedDamping(AbstractBlock):
-    r"""Damping that never asks for more than beta.
+    r"""Damping that never exceeds beta.
 
     .. math:: \tau_{task} = -\beta \tanh(\sigma / v), \quad 0 = -\sigma^\top \beta \tanh(\sigma / v) + supply   \tag{1}
 
     Parameters
     ----------
     beta : diagonal (n,), N m, > 0
-        The most that it asks for.
+        Its bound.
     v : diagonal (n,), rad/s, > 0
         Where it reaches three quarters of that.
     """

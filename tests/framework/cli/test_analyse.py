@@ -10,7 +10,7 @@ import pytest
 from dmframe.catalogue import graphs
 
 
-def test_the_page_tells_margins_poles_and_periods(dmframe: Any) -> None:
+def test_the_page_prints_margins_poles_and_periods(dmframe: Any) -> None:
     said = dmframe("analyse", "pendulum", "--horizon", "2")
     assert (said.status, said.err) == (0, "")
     for expected in ("crossover", "phase margin", "slowest pole", "poles at zero", "linearised, moving", "simulated"):
@@ -22,8 +22,8 @@ def test_the_page_tells_margins_poles_and_periods(dmframe: Any) -> None:
 
 
 def test_json_holds_poles_that_are_stable_and_periods_in_order(dmframe: Any) -> None:
-    told = json.loads(dmframe("analyse", "arm2_joint", "--horizon", "2", "--set", "clock=2 ms", "--json").out)
-    assert set(told) == {
+    data = json.loads(dmframe("analyse", "arm2_joint", "--horizon", "2", "--set", "clock=2 ms", "--json").out)
+    assert set(data) == {
         "graph",
         "field_hash",
         "clock",
@@ -39,27 +39,27 @@ def test_json_holds_poles_that_are_stable_and_periods_in_order(dmframe: Any) -> 
         "kinks",
         "note",
     }
-    assert told["clock"] == 0.002
-    assert max(real for real, _ in told["at_rest"]["poles"]) < 0
-    assert told["at_rest"]["spectral_radius"] < 1
-    period = told["largest_stable_period"]["at_rest"]
+    assert data["clock"] == 0.002
+    assert max(real for real, _ in data["at_rest"]["poles"]) < 0
+    assert data["at_rest"]["spectral_radius"] < 1
+    period = data["largest_stable_period"]["at_rest"]
     assert 0.002 < period["stable"] < period["unstable"] < 0.005
-    proof = told["proof"]["at_rest"]
-    assert told["at_rest"]["spectral_radius"] < proof["proved_radius"] < 1
+    proof = data["proof"]["at_rest"]
+    assert data["at_rest"]["spectral_radius"] < proof["proved_radius"] < 1
     assert 0.99 * period["stable"] < proof["proved_period"] < period["stable"]
-    assert (proof["directions"], proof["resting"], proof["reason"]) == (8, told["at_rest"]["zero_poles"], "")
-    (limit,) = told["emulation"]
+    assert (proof["directions"], proof["resting"], proof["reason"]) == (8, data["at_rest"]["zero_poles"], "")
+    (limit,) = data["emulation"]
     assert (limit["gain"], limit["value"]) == ("dynamics.Gamma", 100)
     assert limit["most_at_bound"] < limit["most_at_rest"]
-    assert told["joints"][0]["servo"]["num"] == pytest.approx([60, 240])
-    assert told["joints"][0]["gain_margin"] is None
+    assert data["joints"][0]["servo"]["num"] == pytest.approx([60, 240])
+    assert data["joints"][0]["gain_margin"] is None
 
 
 def test_a_clock_beyond_the_largest_period_has_a_spectral_radius_above_one(dmframe: Any) -> None:
-    told = json.loads(dmframe("analyse", "arm2_joint", "--horizon", "2", "--set", "clock=5 ms", "--json").out)
-    assert told["at_rest"]["spectral_radius"] > 1
-    assert told["proof"]["at_rest"]["proved_radius"] is None
-    assert told["proof"]["at_rest"]["reason"] == "floats find it unstable"
+    data = json.loads(dmframe("analyse", "arm2_joint", "--horizon", "2", "--set", "clock=5 ms", "--json").out)
+    assert data["at_rest"]["spectral_radius"] > 1
+    assert data["proof"]["at_rest"]["proved_radius"] is None
+    assert data["proof"]["at_rest"]["reason"] == "floats find it unstable"
 
 
 def test_a_graph_that_runs_on_a_clock_alone_is_analysed(dmframe: Any, tmp_path: Any) -> None:
@@ -97,7 +97,7 @@ def test_a_horizon_that_is_no_time_is_refused(dmframe: Any) -> None:
     assert said.err == "dmframe: horizon -1.0: expected a time above zero\n"
 
 
-def test_a_tie_that_is_too_weak_for_the_uncertain_gains_is_told(dmframe: Any, tmp_path: Any) -> None:
+def test_a_feedback_correction_too_weak_for_the_uncertain_gains_is_reported(dmframe: Any, tmp_path: Any) -> None:
     text = graphs()["pendulum"].read_text(encoding="utf-8")
     file = tmp_path / "mine.yaml"
     file.write_text(text + "uncertain: {servo.K_I: [1, 2000]}\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""``dmframe delay``: what to tell the blocks, or why nothing."""
+"""``dmframe delay``: what to configure in the blocks, or why nothing."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 from typing import Any
 
 
-def test_it_prints_what_to_tell_the_blocks(dmframe: Any) -> None:
+def test_it_prints_what_to_configure_in_the_blocks(dmframe: Any) -> None:
     said = dmframe("delay", "ur10_slow_probe")
     assert said.status == 0
     assert "samples of 90 ms" in said.out
@@ -16,9 +16,9 @@ def test_it_prints_what_to_tell_the_blocks(dmframe: Any) -> None:
 def test_motion_that_does_not_show_it_is_refused(dmframe: Any) -> None:
     said = dmframe("delay", "ur10_slow_kinematic", "--json")
     assert said.status == 1
-    told = json.loads(said.out)
-    assert told["delay"] is None
-    assert "does not determine it" in told["refused"]
+    data = json.loads(said.out)
+    assert data["delay"] is None
+    assert "does not determine it" in data["refused"]
 
 
 def test_what_has_no_clock_has_no_delay(dmframe: Any) -> None:

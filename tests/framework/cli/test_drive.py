@@ -96,9 +96,9 @@ def test_a_stop_by_the_gate_has_another_status_and_its_reason(dmframe: Any) -> N
     assert "the robot was stopped: workspace: coordinate 2 of the tool is at 79" in said.out
 
 
-def test_wrong_words_are_told(dmframe: Any) -> None:
+def test_wrong_arguments_are_refused(dmframe: Any) -> None:
     Path("arm.yaml").write_text("dmframe-limits: 1\nacceleration: 15 rad/s^2\n")
-    for words, told in (
+    for words, text in (
         (["--robot", "abb"], "--robot abb: unknown kind of robot; "),
         (["--robot", "sim:-1"], "--robot sim:-1: expected a delay of commands in samples"),
         (["--robot", "sim", "--ramp", "-1"], "--ramp -1: expected a number in s of 0 or above"),
@@ -109,7 +109,7 @@ def test_wrong_words_are_told(dmframe: Any) -> None:
     ):
         said = dmframe("drive", "ur10_fast", "--without-a-passed-rehearsal", *words)
         assert said.status == 2
-        assert told in said.err
+        assert text in said.err
         assert not Path("runs").exists() or not any(Path("runs").iterdir())
     said = dmframe("drive", "pd_torque", "--robot", "sim", "--set", "clock=2 ms")
     assert (said.status, "expected a graph whose only command is" in said.err) == (2, True)

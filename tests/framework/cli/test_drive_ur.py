@@ -73,12 +73,12 @@ def test_it_follows_the_run_and_its_log_is_played_again_identically(dmframe: Any
             said = dmframe(*words(host, "--patience", f"{LONG} s"))
         finally:
             process.terminate()
-        told = process.stdout.read()
+        printed = process.stdout.read()
     assert said.status == 0, said.err
     assert "measured latency of commands" in said.out
-    assert "dmframe_follow ends: its last line is done" in told
+    assert "dmframe_follow ends: its last line is done" in printed
     assert len(signals("time")[0]) == 251
-    assert off_the_run() < 1e-6  # 0.1 mm is asked for
+    assert off_the_run() < 1e-6  # 0.1 mm is required
     said = dmframe("replay", "log", "ur10_fast")
     assert said.status == 0
     assert said.out.startswith("ur10_fast: inverse.dq_c, robot.sent and ")
@@ -111,7 +111,7 @@ def until(held: VirtualRobot, sample: int) -> Iterator[subprocess.Popen[str]]:
             process.kill()
 
 
-def heard(held: VirtualRobot) -> float:
+def last_heartbeat(held: VirtualRobot) -> float:
     """When the robot had a heartbeat last [s]."""
     return held.registers.written["input_int_register_24"] * held.dt
 
@@ -121,7 +121,7 @@ def test_while_a_client_is_frozen_the_arm_comes_to_rest_and_it_says_so_when_it_w
         trace = Trace(held)
         process.send_signal(signal.SIGSTOP)
         held.advance(30)
-        assert trace.rest(heard(held)) < 0.1
+        assert trace.rest(last_heartbeat(held)) < 0.1
         assert trace.speed[0] > 0.3
         assert "dmframe_follow ends: its last line is done" in held.messages[-1]
         with held.in_background():
@@ -142,7 +142,7 @@ def test_when_a_client_is_killed_the_arm_comes_to_rest() -> None:
         process.wait()
         held.advance(30)
         assert trace.speed[0] > 0.3
-        assert trace.rest(heard(held)) < 0.1
+        assert trace.rest(last_heartbeat(held)) < 0.1
         assert "dmframe_follow ends: its last line is done" in held.messages[-1]
         assert held.listeners == [trace]  # its connections are gone
 
@@ -193,13 +193,13 @@ def test_what_must_be_there_before_an_arm_is_driven(
 ) -> None:
     rehearsed = [word for word in words("arm", "--seconds", "0.1 s") if word != "--without-a-passed-rehearsal"]
     unlimited = [word for word in rehearsed if word not in ("--limits", "arm.yaml")]
-    for given, told in (
+    for given, text in (
         (unlimited, "expected an acceleration limit for a real robot"),
         (rehearsed, "expected a passed rehearsal of exactly this graph, found none"),
     ):
         said = dmframe(*given)
         assert said.status == 2
-        assert told in said.err
+        assert text in said.err
         assert arm.cycles == 0
     monkeypatch.setattr(rehearse, "conditions", lambda *_: [Condition("nothing, the ideal robot", {})])
     monkeypatch.setattr(rehearse, "LONGEST", 0.4)
@@ -217,7 +217,7 @@ def test_a_robot_that_is_not_there_or_not_ready_is_one_line(dmframe: Any, arm: V
     assert not Path("log").exists() or not any(Path("log").iterdir())
 
 
-def test_nobody_at_an_address_is_one_line(dmframe: Any) -> None:
+def test_an_address_without_a_robot_is_one_line(dmframe: Any) -> None:
     said = dmframe(*words("127.0.0.77"))
     assert said.status == 2
     assert "127.0.0.77:30004: no robot answers: Connection refused" in said.err

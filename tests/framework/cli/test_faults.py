@@ -176,7 +176,7 @@ def test_faults_of_a_graph_come_one_a_line_with_their_place(dmframe: Any, tmp_pa
     ]
 
 
-def test_a_defect_of_a_users_block_is_told_in_one_line(dmframe: Any, tmp_path: Path) -> None:
+def test_a_defect_of_a_users_block_is_reported_in_one_line(dmframe: Any, tmp_path: Path) -> None:
     tmp_path.joinpath("odd.py").write_text(
         "from dmframe.block import AbstractBlock, Equations\n"
         "class Odd(AbstractBlock):\n"
@@ -238,7 +238,7 @@ def test_a_certificate_that_ends_the_program_proves_nothing(dmframe: Any, tmp_pa
 
 
 def test_a_file_that_cannot_be_read_is_named(dmframe: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Root may read everything, so that the system is told to refuse."""
+    """Root may read everything, so that the system is made to refuse."""
 
     def refuse(path: object, *_: Any, **__: Any) -> None:
         raise PermissionError(errno.EACCES, "Permission denied", str(path))

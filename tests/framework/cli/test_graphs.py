@@ -41,7 +41,7 @@ def test_commas_outside_of_brackets_and_quotes_part_values(text: str, each: list
     assert alternatives(text) == each
 
 
-def test_an_empty_value_between_commas_is_told() -> None:
+def test_an_empty_value_between_commas_is_refused() -> None:
     with pytest.raises(DmframeError, match="expected a value between commas"):
         alternatives("a.b=1,,2")
 
@@ -94,7 +94,7 @@ def test_robots_are_listed(dmframe: Any) -> None:
     assert [line.split()[0] for line in said.out.splitlines()][:2] == ["arm2", "arm3"]
 
 
-def test_a_new_graph_has_its_schema_beside_it(dmframe: Any, tmp_path: Path) -> None:
+def test_a_new_graph_has_its_schema_next_to_it(dmframe: Any, tmp_path: Path) -> None:
     assert dmframe("new", "ur10_fast").status == 0
     first = (tmp_path / "ur10_fast.yaml").read_text(encoding="utf-8").splitlines()[0]
     name = first.removeprefix("# yaml-language-server: $schema=")
@@ -152,11 +152,11 @@ def test_two_runs_of_one_millisecond_have_a_folder_each(
 )
 def test_a_shell_completes_graphs_blocks_and_robots(tmp_path: Path, words: str, expected: str) -> None:
     (tmp_path / "mine.yaml").write_text("")
-    asked = {"_DMFRAME_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": "2"}
+    request = {"_DMFRAME_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": "2"}
     done = subprocess.run(
         [str(Path(sys.executable).with_name("dmframe"))],
         cwd=tmp_path,
-        env={**os.environ, **asked},
+        env={**os.environ, **request},
         capture_output=True,
         text=True,
         check=False,
@@ -194,7 +194,7 @@ def test_force_leaves_no_figure_of_another_run_and_touches_no_folder_or_link_of_
         ("pendulum", "pendulum is a file, but a folder has to be created; move it, or name another folder"),
     ],
 )
-def test_force_asks_before_the_run_whether_what_it_would_replace_is_ours(
+def test_force_checks_before_the_run_whether_what_it_would_replace_is_ours(
     dmframe: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stranger: str, reason: str
 ) -> None:
     (tmp_path / "o" / stranger).parent.mkdir(parents=True)
@@ -208,8 +208,8 @@ def test_force_asks_before_the_run_whether_what_it_would_replace_is_ours(
 def test_force_replaces_the_folders_of_results_of_before(dmframe: Any, tmp_path: Path) -> None:
     words = ("run", "pendulum", "arm2_joint", *SHORT, "--out", "o")
     assert dmframe(*words).status == 0
-    (tmp_path / "o" / "beside").mkdir()
-    (tmp_path / "o" / "beside" / "notes.txt").write_text("mine")
+    (tmp_path / "o" / "next").mkdir()
+    (tmp_path / "o" / "next" / "notes.txt").write_text("mine")
     assert dmframe(*words, "--set", "pendulum:dynamics.Gamma=7", "--force").status == 0
     assert read_file(tmp_path / "o" / "pendulum" / "graph.yaml").data["blocks"]["dynamics"]["Gamma"] == 7
-    assert (tmp_path / "o" / "beside" / "notes.txt").read_text() == "mine"
+    assert (tmp_path / "o" / "next" / "notes.txt").read_text() == "mine"

@@ -1,4 +1,4 @@
-"""An interrupt that comes while expressions are made is not lost, whoever clears it."""
+"""An interrupt that comes while expressions are made is not lost, whichever library clears it."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ def goes_on() -> None:
 
 
 class Odd:
-    """An operand that is interrupted as CasADi asks what it is."""
+    """An operand that is interrupted as CasADi inspects it."""
 
     def __SX__(self) -> ca.SX:
         interrupted()
         return ca.SX(1)
 
 
-def test_casadi_clears_an_interrupt_and_tells_a_fault_that_is_none() -> None:
+def test_casadi_clears_an_interrupt_and_reports_a_fault_that_is_none() -> None:
     with pytest.raises(Exception, match="sum1") as caught:
         ca.sum1(Odd())
     assert not isinstance(caught.value, KeyboardInterrupt)

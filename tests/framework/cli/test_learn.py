@@ -62,7 +62,7 @@ def test_a_lesson_is_printed_and_nothing_is_written(dmframe: Any, tmp_path: Path
         (("learn", "3", "--read", "--force"), "--force: it has no effect with --read"),
     ],
 )
-def test_what_makes_no_sense_is_told(dmframe: Any, words: tuple[str, ...], fault: str) -> None:
+def test_values_that_make_no_sense_are_refused(dmframe: Any, words: tuple[str, ...], fault: str) -> None:
     said = dmframe(*words)
     assert said.status == 2
     assert said.err.startswith(f"dmframe: {fault}")

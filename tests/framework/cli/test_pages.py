@@ -18,8 +18,10 @@ import jsonschema
 import numpy as np
 import pinocchio as pin
 import pytest
+import typer
 
 from dmframe.catalogue import block_types, graphs
+from dmframe.cli.app import app, app_for
 from dmframe.config.document import read_document, read_file
 from dmframe.report.linear import LinearView
 from dmframe.robot.library import find_robot
@@ -49,6 +51,16 @@ def test_help_lists_every_command_of_the_contract(dmframe: Any) -> None:
     assert all(f"\n  {command} " in said.out for command in COMMANDS)
 
 
+def test_each_command_alone_has_the_parameters_that_it_has_among_all() -> None:
+    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]  # a group
+    assert set(COMMANDS) < set(commands)
+    for name, command in commands.items():
+        alone = typer.main.get_command(app_for([name, "--help"])).commands  # type: ignore[attr-defined]
+        assert list(alone) == [name]
+        assert [vars(each)["name"] for each in alone[name].params] == [vars(each)["name"] for each in command.params]
+    assert app_for(["nosuch"]) is app_for([]) is app
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_each_command_has_help(command: str, dmframe: Any) -> None:
     said = dmframe(command, "--help")
@@ -75,7 +87,7 @@ def test_graphs_lists_every_packaged_graph_with_its_title(dmframe: Any) -> None:
         assert line.endswith(str(read_file(path).data["title"]))
 
 
-def test_graphs_tells_how_long_each_runs_and_its_clock(dmframe: Any) -> None:
+def test_graphs_prints_how_long_each_runs_and_its_clock(dmframe: Any) -> None:
     lines = {line.split()[0]: line for line in dmframe("graphs").out.splitlines()}
     assert "  200 s  8 ms  " in lines["ur10_fast"]
     assert "30 s   continuous" in lines["pendulum"]
@@ -95,15 +107,15 @@ def test_what_there_is_to_choose_from_can_be_read_by_a_program(dmframe: Any) -> 
     assert refused.err == "dmframe: --json: a block's page is text; leave the type out for a list\n"
 
 
-def test_one_robot_is_told_with_its_joints_masses_tool_source_and_known_errors(dmframe: Any) -> None:
+def test_one_robot_is_printed_with_its_joints_masses_tool_source_and_known_errors(dmframe: Any) -> None:
     page = dmframe("robots", "arm2").out
     assert page.startswith("arm2: Planar arm with two revolute joints")
     assert "tool, at (0.4, 0, 0) m in the last joint's frame" in page
     assert "  joint2  revolute  -2.8 rad  2.8 rad  4 rad/s   50 N m   3.5 kg\n" in page
     assert "source\n  Origin: written for dmframe." in page
     assert page.endswith("known errors\n  None known. There is no friction and no rotor inertia.\n")
-    told = json.loads(dmframe("robots", "arm2", "--json").out)
-    assert [joint["mass"] for joint in told["joints"]] == [6.0, 3.5]  # as its SOURCE.md states them
+    data = json.loads(dmframe("robots", "arm2", "--json").out)
+    assert [joint["mass"] for joint in data["joints"]] == [6.0, 3.5]  # as its SOURCE.md states them
     assert dmframe("robots", "ur1").err == "dmframe: robot ur1: unknown robot; did you mean ur10?\n"
 
 
@@ -141,7 +153,7 @@ def test_a_path_may_begin_at_home(
     assert not (tmp_path / "~").exists()
 
 
-def test_a_home_that_there_is_not_is_told(dmframe: Any) -> None:
+def test_an_unknown_home_folder_is_reported(dmframe: Any) -> None:
     said = dmframe("draw", "pendulum", "--out=~no_such_user/p.svg")
     expected = "~no_such_user/p.svg: unknown user; give the full path"
     assert (said.status, said.err) == (2, f"dmframe: {expected}\n")
@@ -170,8 +182,8 @@ def test_new_never_overwrites_a_file(dmframe: Any, tmp_path: Path) -> None:
 
 def test_new_says_where_it_cannot_write(dmframe: Any) -> None:
     said = dmframe("new", "pendulum", "no/mine.yaml")
-    told = "dmframe: no/mine.yaml: the folder no does not exist; create it first, or choose another\n"
-    assert (said.status, said.err) == (2, told)
+    expected = "dmframe: no/mine.yaml: the folder no does not exist; create it first, or choose another\n"
+    assert (said.status, said.err) == (2, expected)
 
 
 def test_check_names_each_block_wire_size_and_derived_signal(dmframe: Any) -> None:

@@ -123,7 +123,7 @@ def test_output_that_cannot_be_written_loses_no_results(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 @pytest.mark.parametrize("words", [("run", "nosuch"), ("run", "--nosuch")])
-def test_a_fault_that_nobody_can_be_told_has_its_status(words: tuple[str, ...], tmp_path: Path) -> None:
+def test_a_fault_that_cannot_be_printed_has_its_status(words: tuple[str, ...], tmp_path: Path) -> None:
     with Path("/dev/full").open("w") as full:
         out = subprocess.PIPE if words[1] == "nosuch" else full
         assert ended(started(words, tmp_path, stdout=out, stderr=full))[0] == 2
@@ -135,13 +135,13 @@ def test_streams_may_be_closed(closed: tuple[int, ...], tmp_path: Path) -> None:
     words = ["sh", "-c", f'exec "$@" {shut}', "sh", *START]
     assert ended(subprocess.Popen([*words, *SHORT], cwd=tmp_path))[0] == 0
     assert held(tmp_path / "mine") == FILES
-    if 2 in closed:  # what tells of a fault
+    if 2 in closed:  # where faults are printed
         assert ended(subprocess.Popen([*words, "run", "nosuch"], cwd=tmp_path))[0] == 2
 
 
 def test_letters_that_the_terminal_has_not_are_escaped(tmp_path: Path) -> None:
-    told = os.environ | {"PYTHONIOENCODING": "ascii"}
-    status, out, err = ended(started((SHORT[0], "pendulum", *SHORT[2:]), tmp_path, env=told))
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    status, out, err = ended(started((SHORT[0], "pendulum", *SHORT[2:]), tmp_path, env=environment))
     assert (status, err) == (0, "")
     assert "\\xb5rad" in out
     assert held(tmp_path / "mine") == FILES
@@ -154,8 +154,8 @@ def test_names_of_bytes_that_are_no_letters_are_escaped(tmp_path: Path) -> None:
     status, out, err = ended(started(words, tmp_path))
     assert (status, err) == (0, "")
     assert out.splitlines()[-1] == "results: o\\udcff"
-    told = json.loads(tmp_path.joinpath(os.fsdecode(b"o\xff"), "summary.json").read_text(encoding="utf-8"))
-    assert (told["graph"], told["out"]) == ("bad\udcff", "o\udcff")
+    data = json.loads(tmp_path.joinpath(os.fsdecode(b"o\xff"), "summary.json").read_text(encoding="utf-8"))
+    assert (data["graph"], data["out"]) == ("bad\udcff", "o\udcff")
     words = ("verify", os.fsdecode(graph), "--set", "duration=0.1", "--report", "r.html")
     assert ended(started(words, tmp_path, QUICK))[::2] == (0, "")
     assert held(tmp_path) == {"r.html", "dmframe.schema.json", os.fsdecode(b"bad\xff.yaml"), os.fsdecode(b"o\xff")}
@@ -188,18 +188,18 @@ def test_no_signal_breaks_the_writing_of_results(tmp_path: Path) -> None:
 
 
 def interrupted_while_running(words: Sequence[str], cwd: Path, number: int = signal.SIGINT) -> tuple[int, str, str]:
-    """Ctrl-C as soon as the first progress is made: the process says so on a pipe, so that nobody waits for a clock."""
-    told, tell = os.pipe()
+    """Ctrl-C as soon as the first progress is made: the process says so on a pipe, so that no clock is needed."""
+    received, sent = os.pipe()
     hook = (
         "import os, dmframe.simulate.run as run\n"
         "march = run.march\n"
         "def hooked(*args, **kw):\n"
         "    words = list(args)\n"
         "    progress = words[6]\n"
-        "    def told(time):\n"
-        f"        os.write({tell}, b'x')\n"
+        "    def hook(time):\n"
+        f"        os.write({sent}, b'x')\n"
         "        progress(time)\n"
-        "    words[6] = told\n"
+        "    words[6] = hook\n"
         "    return march(*words, **kw)\n"
         "run.march = hooked\n"
         "from dmframe.cli import main\n"
@@ -212,12 +212,12 @@ def interrupted_while_running(words: Sequence[str], cwd: Path, number: int = sig
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        pass_fds=(tell,),
+        pass_fds=(sent,),
     )
-    os.close(tell)
-    assert os.read(told, 1) == b"x"
+    os.close(sent)
+    assert os.read(received, 1) == b"x"
     process.send_signal(number)
-    os.close(told)
+    os.close(received)
     return ended(process)
 
 
@@ -228,8 +228,8 @@ def test_ctrl_c_leaves_a_complete_folder_with_what_was_computed(number: int, tmp
     assert "the results so far are kept" in out
     assert out.splitlines()[-1] == "results: mine"
     assert {path.name for path in tmp_path.joinpath("mine").iterdir()} == FILES
-    told = json.loads(tmp_path.joinpath("mine", "summary.json").read_text(encoding="utf-8"))
-    assert told["interrupted"] is True
+    data = json.loads(tmp_path.joinpath("mine", "summary.json").read_text(encoding="utf-8"))
+    assert data["interrupted"] is True
     import xarray
 
     signals = xarray.open_dataset(tmp_path / "mine" / "signals.nc", engine="h5netcdf")
@@ -263,7 +263,7 @@ def test_ctrl_c_before_anything_was_computed_leaves_nothing(moment: str, tmp_pat
 
 def test_ctrl_c_in_the_second_graph_keeps_the_first(tmp_path: Path) -> None:
     hook = (
-        "import signal, dmframe.config.experiment as run\n"
+        "import signal, dmframe.config.graph as run\n"
         "simulate, count = run.simulate, []\n"
         "def hooked(*args, **kw):\n"
         "    count.append(1)\n"
@@ -285,5 +285,5 @@ def test_ctrl_c_in_the_second_graph_keeps_the_first(tmp_path: Path) -> None:
     )
     status, out, err = ended(process)
     assert (status, err) == (130, "dmframe: stopped\n")
-    assert [told["graph"] for told in json.loads(out)] == ["arm2_joint"]
+    assert [data["graph"] for data in json.loads(out)] == ["arm2_joint"]
     assert {path.name for path in tmp_path.joinpath("mine").iterdir()} == FILES

@@ -11,7 +11,7 @@ from ruamel.yaml import YAML
 QUICK = ("--tube", "0.01 rad", "--boxes", "500", "--set", "duration=1 s")
 
 
-def test_the_page_tells_the_region_and_how_to_use_it(dmframe: Any) -> None:
+def test_the_page_prints_the_region_and_how_to_use_it(dmframe: Any) -> None:
     said = dmframe("analyse", "theorem_3", "--rank", *QUICK)
     assert (said.status, said.err) == (0, "")
     for expected in ("within 0.01 rad", "radius", "fails at", "certified", "tightest", "Assumed: the robot stays"):
@@ -24,14 +24,14 @@ def test_the_page_tells_the_region_and_how_to_use_it(dmframe: Any) -> None:
 
 
 def test_json_holds_the_set_the_bound_and_what_to_paste(dmframe: Any) -> None:
-    told = json.loads(dmframe("analyse", "theorem_3", "--rank", "--json", "--shape", "ball", *QUICK).out)
-    assert (told["holds"], told["loss"], told["option"]) == (True, None, "geometry.a_k_hat_ball")
-    assert told["set"][0]["name"] == "shoulder_pan_joint x"
-    assert 0 < told["asked"] <= told["certified"] < told["nominal"]
-    assert told["radius"] < told["fails_at"]
-    assert told["value"][1] <= told["radius"]
+    data = json.loads(dmframe("analyse", "theorem_3", "--rank", "--json", "--shape", "ball", *QUICK).out)
+    assert (data["holds"], data["loss"], data["option"]) == (True, None, "geometry.a_k_hat_ball")
+    assert data["set"][0]["name"] == "shoulder_pan_joint x"
+    assert 0 < data["asked"] <= data["certified"] < data["nominal"]
+    assert data["radius"] < data["fails_at"]
+    assert data["value"][1] <= data["radius"]
     page = Path(__file__).parents[3].joinpath("docs", "reference", "command_line.md").read_text(encoding="utf-8")
-    assert all(f"`{key}`" in page for key in (*told, *told["path"], *told["set"][0]))
+    assert all(f"`{key}`" in page for key in (*data, *data["path"], *data["set"][0]))
 
 
 def test_known_kinematics_have_nothing_to_paste(dmframe: Any) -> None:
@@ -41,18 +41,18 @@ def test_known_kinematics_have_nothing_to_paste(dmframe: Any) -> None:
     assert "under blocks" not in said.out
 
 
-def test_an_estimate_that_starts_outside_is_told(dmframe: Any) -> None:
+def test_an_estimate_that_starts_outside_is_reported(dmframe: Any) -> None:
     said = dmframe("analyse", "theorem_3", "--rank", *QUICK, "--set", "geometry.start_error=150 mm")
     assert said.status == 0
     assert "The initial estimate is outside" in said.out
 
 
-def test_a_path_that_cannot_be_followed_is_told_with_the_time_and_the_status(dmframe: Any) -> None:
+def test_a_path_that_cannot_be_followed_is_reported_with_the_time_and_the_status(dmframe: Any) -> None:
     said = dmframe("analyse", "theorem_3", "--rank", "--set", "path.radius=0.9")
     assert said.status == 1
     assert "no region: the path leaves the workspace at t = 0 s" in said.out
-    told = json.loads(dmframe("analyse", "theorem_3", "--rank", "--set", "path.radius=0.9", "--json").out)
-    assert (told["holds"], told["radius"], told["value"], told["loss"]["kind"]) == (False, 0, None, "unreachable")
+    data = json.loads(dmframe("analyse", "theorem_3", "--rank", "--set", "path.radius=0.9", "--json").out)
+    assert (data["holds"], data["radius"], data["value"], data["loss"]["kind"]) == (False, 0, None, "unreachable")
 
 
 def test_wrong_arguments_are_refused(dmframe: Any) -> None:

@@ -1,4 +1,4 @@
-"""``--reality``: what a run tells of it, and what a proof says."""
+"""``--reality``: the notices of a run, and the scope of a proof."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ blocks:
 """
 
 
-def test_a_run_tells_of_it_and_a_proof_does_not_reach_it(dmframe: Dmframe) -> None:
+def test_a_run_reports_it_and_a_proof_does_not_cover_it(dmframe: Dmframe) -> None:
     Path("plain.yaml").write_text(TEXT, encoding="utf-8")
     said = dmframe("run", "plain.yaml", "--reality", "none,ur", "--no-plots", "--out", "out")
     assert said.status == 0
@@ -44,7 +44,7 @@ def test_a_run_tells_of_it_and_a_proof_does_not_reach_it(dmframe: Dmframe) -> No
     assert "transport_delay.dq_c_line is a sampled state" in proof.out
 
 
-def test_a_set_that_there_is_not_is_told(dmframe: Dmframe) -> None:
+def test_an_unknown_set_is_refused(dmframe: Dmframe) -> None:
     said = dmframe("run", "ur10_slow", "--reality", "abb")
     assert said.status == 2
     assert said.err == "dmframe: --set reality=abb: reality abb: unknown set; choose from none, ur\n"

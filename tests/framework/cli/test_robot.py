@@ -21,7 +21,7 @@ def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
     return ended.value.code
 
 
-def test_it_tells_where_it_listens(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_prints_where_it_listens(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(monkeypatch, "ur10_fast", *FREE, "--series", "cb3", "--until", "20 ms") == 0
     first, second = capsys.readouterr().out.splitlines()
     assert first.startswith("ur10_fast: a virtual ur10 at 127.0.0.1, 125 cycles a second; rtde ")
@@ -47,10 +47,10 @@ def test_what_cannot_be_meant_is_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str], text: str
 ) -> None:
     assert run(monkeypatch, *words) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert told.err.startswith(f"dmframe: {text}")
-    assert told.err.count("\n") == 1
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith(f"dmframe: {text}")
+    assert printed.err.count("\n") == 1
 
 
 def test_ctrl_c_ends_it_with_one_line() -> None:

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from dmframe.config import load_experiment
 from dmframe.errors import ValueFault
+from dmframe.graph.graph import Graph
 from dmframe.results.place import FIGURES, OF_EACH
 
 CONTRACT = {"graph", "duration", "clock", "diverged", "error", "engine", "wall_time", "real_time_factor", "out"}
@@ -58,16 +58,16 @@ def test_results_go_to_a_folder_of_their_own_below_runs(dmframe: Any, tmp_path: 
 def test_json_is_one_object_with_the_keys_of_the_contract_and_nothing_else(dmframe: Any) -> None:
     said = dmframe("run", "arm2_joint", *SHORT, "--json", "--out", "mine")
     assert (said.status, said.err) == (0, "")
-    told = strict(said.out)
-    assert set(told) == CONTRACT | EXTRAS
-    assert set(told["error"]) == {"signal", "unit", "rms_by_eighth", "rms_final"}
-    assert len(told["error"]["rms_by_eighth"]) == 8
-    assert told["error"]["rms_final"] == told["error"]["rms_by_eighth"][-1]
-    assert told["error"]["unit"] == "rad"
-    assert (told["graph"], told["clock"], told["out"]) == ("arm2_joint", 0.002, "mine")
-    assert told["duration"] == pytest.approx(0.5)
-    assert told["engine"] in ("compiled", "interpreted")
-    assert told["diverged"] is False
+    data = strict(said.out)
+    assert set(data) == CONTRACT | EXTRAS
+    assert set(data["error"]) == {"signal", "unit", "rms_by_eighth", "rms_final"}
+    assert len(data["error"]["rms_by_eighth"]) == 8
+    assert data["error"]["rms_final"] == data["error"]["rms_by_eighth"][-1]
+    assert data["error"]["unit"] == "rad"
+    assert (data["graph"], data["clock"], data["out"]) == ("arm2_joint", 0.002, "mine")
+    assert data["duration"] == pytest.approx(0.5)
+    assert data["engine"] in ("compiled", "interpreted")
+    assert data["diverged"] is False
 
 
 @pytest.mark.usefixtures("without_v")
@@ -78,7 +78,7 @@ def test_json_says_continuous_for_a_continuous_clock(dmframe: Any) -> None:
 @pytest.mark.usefixtures("without_v")
 def test_json_of_several_graphs_is_a_list_in_their_order(dmframe: Any, tmp_path: Path) -> None:
     said = dmframe("run", "pendulum", "arm2_joint", *SHORT, "--json", "--out", "two")
-    assert [told["graph"] for told in strict(said.out)] == ["pendulum", "arm2_joint"]
+    assert [data["graph"] for data in strict(said.out)] == ["pendulum", "arm2_joint"]
     assert {path.name for path in tmp_path.joinpath("two").iterdir()} == {"pendulum", "arm2_joint", "seal.json"}
     assert {path.name for path in tmp_path.joinpath("two", "pendulum").iterdir()} == FILES - {
         "seal.json"
@@ -107,16 +107,16 @@ def test_until_replaces_the_duration(dmframe: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("without_v")
-def test_set_changes_the_run_and_stands_in_its_graph(dmframe: Any, tmp_path: Path) -> None:
+def test_set_changes_the_run_and_is_written_to_its_graph(dmframe: Any, tmp_path: Path) -> None:
     plain = strict(dmframe("run", "arm2_joint", *SHORT, "--json").out)
-    told = strict(
+    data = strict(
         dmframe(
             "run", "arm2_joint", *SHORT, "--json", "--out", "mine", "--set", "task.alpha_bar=8", "--set", "clock=2 ms"
         ).out
     )
-    assert told["clock"] == 0.002
-    assert told["error"]["rms_final"] < plain["error"]["rms_final"]
-    kept = load_experiment(tmp_path / "mine" / "graph.yaml")
+    assert data["clock"] == 0.002
+    assert data["error"]["rms_final"] < plain["error"]["rms_final"]
+    kept = Graph.read(tmp_path / "mine" / "graph.yaml")
     assert kept.blocks["task"].alpha_bar == 8  # type: ignore[attr-defined]
     assert kept.file.clock == 0.002
 
@@ -128,7 +128,7 @@ def test_the_resolved_graph_gives_the_same_run(dmframe: Any) -> None:
     assert again["error"] == first["error"]
 
 
-def test_figures_are_drawn_unless_told_otherwise(dmframe: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_figures_are_drawn_by_default(dmframe: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("dmframe.plotting", "dmframe.results.estimate_figure"):
         monkeypatch.setattr(f"{module}.settle", lambda figure: None)
     assert dmframe("run", "pendulum", "--until", "0.5", "--out", "mine").status == 0
@@ -142,10 +142,10 @@ def test_figures_are_drawn_unless_told_otherwise(dmframe: Any, tmp_path: Path, m
 
 def test_a_loop_that_is_unstable_on_its_clock_has_its_notice_in_print_and_in_the_summary(dmframe: Any) -> None:
     said = dmframe("run", "ur10_slow", "--until", "12", "--no-plots", "--engine", "interpreted", "--out", "mine")
-    told = strict(Path("mine", "summary.json").read_text(encoding="utf-8"))
-    assert told["storage"]["start"] > 0
-    assert [text in said.out for text in told["notices"]] == [True] * len(told["notices"])
-    assert "unstable near its set-point on a clock of 90 ms" in " ".join(told["notices"])
+    data = strict(Path("mine", "summary.json").read_text(encoding="utf-8"))
+    assert data["storage"]["start"] > 0
+    assert [text in said.out for text in data["notices"]] == [True] * len(data["notices"])
+    assert "unstable near its set-point on a clock of 90 ms" in " ".join(data["notices"])
 
 
 def test_the_numbers_are_printed_before_v_is_computed(dmframe: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -186,7 +186,7 @@ def test_a_file_is_refused_as_a_folder(dmframe: Any, tmp_path: Path) -> None:
     assert (said.status, said.err) == (2, "dmframe: mine: expected a folder, found a file; name another folder\n")
 
 
-def test_a_folder_that_cannot_be_written_is_told_before_the_run(dmframe: Any) -> None:
+def test_a_folder_that_cannot_be_written_is_reported_before_the_run(dmframe: Any) -> None:
     said = dmframe("run", "arm2_joint", *SHORT, "--out", "/proc/mine")
     assert (said.status, said.out) == (2, "")
     assert said.err == (
@@ -194,7 +194,7 @@ def test_a_folder_that_cannot_be_written_is_told_before_the_run(dmframe: Any) ->
     )
 
 
-def test_a_folder_without_the_right_to_write_is_told(dmframe: Any, tmp_path: Path) -> None:
+def test_a_folder_without_the_right_to_write_is_reported(dmframe: Any, tmp_path: Path) -> None:
     if os.geteuid() == 0:
         pytest.skip("root may write everywhere")
     tmp_path.joinpath("closed").mkdir(mode=0o500)
@@ -209,7 +209,7 @@ def test_a_fault_in_one_of_two_graphs_stops_both(dmframe: Any, tmp_path: Path) -
     assert not tmp_path.joinpath("mine").exists()
 
 
-def test_a_graph_that_has_no_page_is_told_before_the_first_run(dmframe: Any, tmp_path: Path) -> None:
+def test_a_graph_that_has_no_page_is_reported_before_the_first_run(dmframe: Any, tmp_path: Path) -> None:
     said = dmframe("run", "arm2_joint", *SHORT, "--page", "--set", "jitter=0.1 ms", "--out", "mine")
     assert said.status == 2
     assert said.err.startswith("dmframe: page: expected a deterministic loop")
@@ -217,7 +217,7 @@ def test_a_graph_that_has_no_page_is_told_before_the_first_run(dmframe: Any, tmp
     assert not tmp_path.joinpath("mine").exists()
 
 
-def test_a_page_that_nobody_named_replaces_none_but_an_older_page(dmframe: Any, tmp_path: Path) -> None:
+def test_a_page_with_a_default_name_replaces_only_an_older_page(dmframe: Any, tmp_path: Path) -> None:
     page = tmp_path / "pendulum.html"
     page.write_text("mine", "utf-8")
     said = dmframe("page", "pendulum")
@@ -235,9 +235,9 @@ def test_divergence_gives_status_1_names_the_culprit_and_keeps_what_was_computed
     said = dmframe(*UNSTABLE, "--out", "mine")
     assert (said.status, said.err) == (1, "")
     (line,) = (line for line in said.out.splitlines() if "diverged" in line)
-    told = strict(tmp_path.joinpath("mine", "summary.json").read_text(encoding="utf-8"))
-    assert line == f"arm2_joint: diverged: {told['divergence']}"
-    block, rest = told["divergence"].split(".", 1)
+    data = strict(tmp_path.joinpath("mine", "summary.json").read_text(encoding="utf-8"))
+    assert line == f"arm2_joint: diverged: {data['divergence']}"
+    block, rest = data["divergence"].split(".", 1)
     state, rest = rest.split("[", 1)
     element, rest = rest.split("]", 1)
     words, unit = rest.rsplit(" ", 1)
@@ -249,16 +249,16 @@ def test_divergence_gives_status_1_names_the_culprit_and_keeps_what_was_computed
     assert (words.rsplit(" ", 1)[0], unit) == (" is no longer finite at t =", "s")
     assert float(words.rsplit(" ", 1)[1]) == pytest.approx(float(signals["time"][-1]) + 0.002)
     assert bool(kept.notnull().all())
-    assert told["diverged"] is True
+    assert data["diverged"] is True
 
 
 @pytest.mark.usefixtures("without_v")
 def test_divergence_is_valid_json_with_null_where_the_run_never_came(dmframe: Any) -> None:
     said = dmframe(*UNSTABLE, "--json")
     assert said.status == 1
-    told = strict(said.out)
-    assert told["diverged"] is True
-    assert told["error"]["rms_final"] is None
+    data = strict(said.out)
+    assert data["diverged"] is True
+    assert data["error"]["rms_final"] is None
 
 
 @pytest.mark.usefixtures("without_v")
@@ -270,7 +270,7 @@ def test_one_diverged_graph_of_two_gives_status_1_and_both_results(dmframe: Any,
     bad.write_text(good.read_text(encoding="utf-8").replace("Gamma: 100.0", "Gamma: 1.0e+300"), encoding="utf-8")
     said = dmframe("run", "bad.yaml", "good.yaml", "--no-plots", "--json")
     assert said.status == 1
-    assert [told["diverged"] for told in strict(said.out)] == [True, False]
+    assert [data["diverged"] for data in strict(said.out)] == [True, False]
 
 
 @pytest.mark.usefixtures("without_v")
@@ -319,7 +319,7 @@ def test_a_full_disk_at_the_end_leaves_the_numbers(dmframe: Any, monkeypatch: py
 
 
 @pytest.mark.usefixtures("without_v")
-def test_results_go_where_they_were_told_whatever_is_there(dmframe: Any, tmp_path: Path) -> None:
+def test_results_go_to_the_given_folder_whatever_is_there(dmframe: Any, tmp_path: Path) -> None:
     for name in ("here", "far"):
         tmp_path.joinpath(name).mkdir()
     tmp_path.joinpath("link").symlink_to("far")
@@ -334,7 +334,7 @@ def test_results_go_where_they_were_told_whatever_is_there(dmframe: Any, tmp_pat
 
 
 @pytest.mark.usefixtures("without_v")
-def test_graphs_of_any_name_lie_beside_their_figures(
+def test_graphs_of_any_name_are_next_to_their_figures(
     dmframe: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("dmframe.results.figures.files_of", names_of)
@@ -349,6 +349,6 @@ def test_graphs_of_any_name_lie_beside_their_figures(
     assert {"error.png", "estimates_new_line.svg"} <= set(held)
 
 
-def test_an_engine_that_there_is_not_is_told_without_a_place_in_the_graph(dmframe: Any) -> None:
+def test_an_unknown_engine_is_refused_without_a_place_in_the_graph(dmframe: Any) -> None:
     said = dmframe("run", "pendulum", *SHORT, "--engine", "fast")
     assert (said.status, said.err) == (2, "dmframe: engine: expected auto, compiled, interpreted, found 'fast'\n")

@@ -54,27 +54,27 @@ def test_a_condition_that_fails_gives_status_1_and_is_marked(dmframe: Any) -> No
 def test_verify_json_has_the_keys_of_the_contract(dmframe: Any) -> None:
     said = dmframe("verify", "arm2_joint", "--json")
     assert (said.status, said.err) == (0, "")
-    told = strict(said.out)
-    assert set(told) >= CONTRACT
-    assert (told["graph"], told["verdict"], told["residual_zero"]) == ("arm2_joint", "proved", True)
-    assert told["mutants"]["tried"] == told["mutants"]["refuted"] > 0
-    assert {"name", "expression", "value", "holds", "source"} <= set(told["conditions"][0])
-    assert set(told["time"]) == {"build", "check"}
-    assert told["log2_error_bound"] < -200
+    data = strict(said.out)
+    assert set(data) >= CONTRACT
+    assert (data["graph"], data["verdict"], data["residual_zero"]) == ("arm2_joint", "proved", True)
+    assert data["mutants"]["tried"] == data["mutants"]["refuted"] > 0
+    assert {"name", "expression", "value", "holds", "source"} <= set(data["conditions"][0])
+    assert set(data["time"]) == {"build", "check"}
+    assert data["log2_error_bound"] < -200
 
 
 def test_verify_json_is_valid_where_nothing_was_proved(dmframe: Any) -> None:
     said = dmframe("verify", "ur10_fast_kinematic", "--json")
     assert said.status == 1
-    told = strict(said.out)
-    assert set(told) >= CONTRACT
-    assert told["verdict"] == "not_applicable"
+    data = strict(said.out)
+    assert set(data) >= CONTRACT
+    assert data["verdict"] == "not_applicable"
 
 
 def test_verify_of_several_graphs_is_a_list_and_one_failure_decides_the_status(dmframe: Any) -> None:
     said = dmframe("verify", "pendulum", "ur10_fast_kinematic", "--json")
     assert said.status == 1
-    assert [told["verdict"] for told in strict(said.out)] == ["proved", "not_applicable"]
+    assert [data["verdict"] for data in strict(said.out)] == ["proved", "not_applicable"]
 
 
 def test_the_seed_changes_the_primes_and_nothing_else(dmframe: Any) -> None:

@@ -43,10 +43,10 @@ def test_a_refuted_graph_gives_status_1_and_names_the_block(dmframe: Any, liar: 
 
 
 def test_json_of_a_refutation_holds_every_symbol_of_the_point(dmframe: Any, liar: str) -> None:
-    told = json.loads(dmframe("verify", liar, "--json").out)
-    assert (told["verdict"], told["residual_zero"], told["log2_error_bound"]) == ("refuted", False, None)
-    assert told["mutants"] == {"tried": 0, "refuted": 0, "faults": []}
-    refutation = told["refutation"]
+    data = json.loads(dmframe("verify", liar, "--json").out)
+    assert (data["verdict"], data["residual_zero"], data["log2_error_bound"]) == ("refuted", False, None)
+    assert data["mutants"] == {"tried": 0, "refuted": 0, "faults": []}
+    refutation = data["refutation"]
     assert refutation["blame"] == ["dynamics"]
     assert 0 < int(refutation["residue"]) < int(refutation["prime"])
     states = {"dynamics.a_d_hat", "inverse.q_r", "inverse.z", "inverse.w", "servo.i", "arm.q", "arm.dq"}
@@ -57,15 +57,15 @@ def test_json_of_a_refutation_holds_every_symbol_of_the_point(dmframe: Any, liar
 def test_one_refuted_graph_among_several_gives_status_1(dmframe: Any, liar: str) -> None:
     said = dmframe("verify", "pendulum", liar, "--json")
     assert said.status == 1
-    assert [told["verdict"] for told in json.loads(said.out)] == ["proved", "refuted"]
+    assert [data["verdict"] for data in json.loads(said.out)] == ["proved", "refuted"]
 
 
 def test_the_same_seed_gives_the_same_primes_and_the_same_point(dmframe: Any, liar: str) -> None:
     first, again, other = (
         json.loads(dmframe("verify", liar, "--json", "--seed", seed).out) for seed in ("5", "5", "6")
     )
-    for told in (first, again, other):  # the two entries that say when and how long
-        del told["time"], told["proved_at"]
+    for data in (first, again, other):  # the two entries that say when and how long
+        del data["time"], data["proved_at"]
     assert first == again
     assert first["refutation"]["point"] != other["refutation"]["point"]
 

@@ -22,9 +22,9 @@ from dmframe.codegen.source import shipped
 from dmframe.codegen.wasm import HOST, written
 from dmframe.codegen.wasm_arithmetic import ARITHMETIC
 from dmframe.codegen.wasm_binary import I32, Function, Whole, module, number, signed, unsigned, whole
-from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import EngineError
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Real, Scalar
 from dmframe.port import PERIOD, Access, Input, Output, Side, State
 from dmframe.program import OPERATIONS
@@ -197,8 +197,8 @@ def test_functions_that_browsers_refuse_are_refused_here() -> None:
 
 
 def prepared_graph(name: str, duration: float) -> tuple[Prepared, Diagram, np.ndarray]:
-    graph = load_experiment(name)
-    diagram = graph.diagram()
+    graph = Graph.read(name)
+    diagram = graph.diagram
     prepared = prepare(diagram, duration, clock=graph.file.clock, solver=graph.solver, log=Log())
     return prepared, diagram, start_state(diagram, graph.start, prepared.starts)
 

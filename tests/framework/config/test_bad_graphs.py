@@ -1,7 +1,7 @@
 """Bad graphs and their messages, word for word: `bad_graphs.txt`, and `bad_blocks.txt` for a user's own blocks.
 
 In those files ``== name`` begins a case; ``- old`` and ``+ new`` change `GOOD`, ``$`` is an override, ``|`` a line of a
-graph of its own, ``> file`` begins a file beside it whose lines follow after a colon (``> Mine``: the body of a block
+graph of its own, ``> file`` begins a file next to it whose lines follow after a colon (``> Mine``: the body of a block
 class Mine in mine.py), and what remains is the whole message, in which ``{block types}`` lists the packaged ones.
 """
 
@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from dmframe.config.experiment import Experiment, load_experiment
 from dmframe.config.places import placed
 from dmframe.errors import DmframeError, Faults
+from dmframe.graph.graph import Graph
 from dmframe.simulate import simulate
 
 GOOD = """\
@@ -101,12 +101,12 @@ GRAPHS, BLOCKS = list(cases("bad_graphs.txt")), list(cases("bad_blocks.txt"))
 
 
 def complaint(text: str, overrides: list[str] | None = None) -> str:
-    """What is said of a graph file g.yaml in the current folder."""
+    """The error for a graph file g.yaml in the current folder."""
     Path("g.yaml").write_text(text, encoding="utf-8")
-    graph: Experiment | None = None
+    graph: Graph | None = None
     try:
-        graph = load_experiment("g.yaml", overrides or ())
-        diagram = graph.diagram()
+        graph = Graph.read("g.yaml", overrides or ())
+        diagram = graph.diagram
         graph.intervals(diagram)
         simulate(diagram, graph.file.duration, clock=graph.file.clock, solver=graph.solver, start=graph.start)
     except DmframeError as error:
@@ -115,7 +115,7 @@ def complaint(text: str, overrides: list[str] | None = None) -> str:
 
 
 @pytest.mark.parametrize("case", [*GRAPHS, *BLOCKS], ids=lambda case: case.name)
-def test_a_bad_graph_is_told_what_is_wrong_where_and_what_is_right(
+def test_a_bad_graph_is_refused_with_fault_place_and_remedy(
     case: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -139,16 +139,16 @@ def test_a_graph_of_ten_megabytes_is_not_read(tmp_path: Path, monkeypatch: pytes
 def test_the_good_graph_is_good(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("g.yaml").write_text(GOOD, encoding="utf-8")
-    graph = load_experiment("g.yaml")
-    assert simulate(graph.diagram(), 0.02, clock=graph.file.clock, start=graph.start).divergence is None
+    graph = Graph.read("g.yaml")
+    assert simulate(graph.diagram, 0.02, clock=graph.file.clock, start=graph.start).divergence is None
 
 
-def test_several_faults_are_told_in_the_order_of_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_several_faults_are_reported_in_the_order_of_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     bad = GOOD.replace("arm2", "amr2").replace("gamma", "gama").replace("4 ms", "4 kg").replace("[60, 30]", "[60, -3]")
     Path("g.yaml").write_text(bad, encoding="utf-8")
     with pytest.raises(Faults) as caught:
-        load_experiment("g.yaml")
+        Graph.read("g.yaml")
     assert [fault.location for fault in caught.value.faults] == [
         "g.yaml:3:8",
         "g.yaml:4:8",

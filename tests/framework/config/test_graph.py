@@ -9,11 +9,11 @@ import pytest
 
 from dmframe.catalogue import graphs
 from dmframe.config.document import read_file
-from dmframe.config.experiment import load_experiment
 from dmframe.config.grammar import GraphFile
 from dmframe.config.overrides import overridden
 from dmframe.config.places import placed
 from dmframe.errors import DmframeError, Faults
+from dmframe.graph.graph import Graph
 from dmframe.simulate import Solver, simulate
 
 PENDULUM = graphs()["pendulum"].read_text()
@@ -43,7 +43,7 @@ def test_a_file_says_robot_clock_duration_solver_start_and_blocks(tmp_path: Path
         "blocks:", "solver: {method: cvodes, tolerance: 1e-6, output: 20 ms}\nstart: {q: 5 deg, dq: [0.25]}\nblocks:"
     )
     (tmp_path / "own.yaml").write_text(text)
-    graph = load_experiment(tmp_path / "own.yaml")
+    graph = Graph.read(tmp_path / "own.yaml")
     assert graph.name == "own"
     assert (graph.file.clock, graph.file.duration) == (0.005, 30.0)
     assert graph.solver == Solver("cvodes", None, 0.02, 1e-6)
@@ -53,11 +53,11 @@ def test_a_file_says_robot_clock_duration_solver_start_and_blocks(tmp_path: Path
 
 
 def test_a_continuous_clock_is_no_period() -> None:
-    assert load_experiment("pendulum").file.clock is None
+    assert Graph.read("pendulum").file.clock is None
 
 
 def test_an_override_goes_before_the_file() -> None:
-    graph = load_experiment(
+    graph = Graph.read(
         "pendulum", ["task.alpha_bar=3", "clock=4 ms", "blocks.servo.K_D=[25]", "robot.friction_velocity=0.01"]
     )
     assert graph.blocks["task"].alpha_bar == 3.0  # type: ignore[attr-defined]
@@ -65,30 +65,30 @@ def test_an_override_goes_before_the_file() -> None:
     assert graph.file.clock == 0.004
     assert graph.robot.friction_velocity == 0.01
     assert graph.data["blocks"]["task"]["alpha_bar"] == 3
-    assert load_experiment("pendulum").data["blocks"]["task"]["alpha_bar"] == 2
+    assert Graph.read("pendulum").data["blocks"]["task"]["alpha_bar"] == 2
 
 
-def test_a_robot_asked_for_in_the_same_words_is_not_read_again() -> None:
-    graph = load_experiment("ur10_fast")
-    assert graph.changed({"dynamics.Gamma": 3}).robot is graph.robot
-    other = graph.changed({"robot.friction_velocity": "1 mrad/s"})
+def test_a_robot_requested_in_the_same_words_is_not_read_again() -> None:
+    graph = Graph.read("ur10_fast")
+    assert graph.set({"dynamics.Gamma": 3}).robot is graph.robot
+    other = graph.set({"robot.friction_velocity": "1 mrad/s"})
     assert other.robot is not graph.robot
     assert other.robot.friction_velocity == 0.001
 
 
 def test_the_last_override_of_a_value_holds() -> None:
-    assert load_experiment("pendulum", ["task.alpha_bar=3", "task.alpha_bar=4"]).blocks["task"].alpha_bar == 4.0  # type: ignore[attr-defined]
+    assert Graph.read("pendulum", ["task.alpha_bar=3", "task.alpha_bar=4"]).blocks["task"].alpha_bar == 4.0  # type: ignore[attr-defined]
 
 
 def test_a_fault_that_an_override_brought_is_placed_there() -> None:
     with pytest.raises(DmframeError) as caught:
-        load_experiment("pendulum", ["servo.K_D=[1, 2]"]).diagram()
+        _ = Graph.read("pendulum", ["servo.K_D=[1, 2]"]).diagram
     assert str(caught.value) == "--set servo.K_D=[1, 2]: servo.K_D: expected n = 1 (bound by robot pendulum), found 2"
 
 
 def test_another_duration_leaves_the_graph_as_it_was() -> None:
-    graph = load_experiment("pendulum")
-    assert graph.with_duration(1.5).file.duration == 1.5
+    graph = Graph.read("pendulum")
+    assert graph.until(1.5).file.duration == 1.5
     assert graph.file.duration == 30.0
 
 
@@ -104,9 +104,9 @@ def test_another_duration_leaves_the_graph_as_it_was() -> None:
     ],
 )
 def test_a_diagram_is_refused_for_what_a_run_would_refuse(override: str, text: str) -> None:
-    graph = load_experiment("pendulum", [override])
+    graph = Graph.read("pendulum", [override])
     with pytest.raises(DmframeError) as caught:
-        graph.diagram()
+        _ = graph.diagram
     assert text in str(caught.value)
     assert str(caught.value).startswith("--set ")
 
@@ -120,31 +120,31 @@ def test_a_diagram_is_refused_for_what_a_run_would_refuse(override: str, text: s
     ],
 )
 def test_intervals_are_refused_where_a_proof_takes_them_and_leave_a_run_alone(override: str, text: str) -> None:
-    graph = load_experiment("pendulum", [override])
-    diagram = graph.diagram()
+    graph = Graph.read("pendulum", [override])
+    diagram = graph.diagram
     with pytest.raises(DmframeError) as caught:
         graph.intervals(diagram)
     assert text in str(caught.value)
     assert str(caught.value).startswith("--set ")
 
 
-def test_all_that_a_run_would_refuse_is_told_at_once() -> None:
+def test_everything_that_a_run_would_refuse_is_reported_at_once() -> None:
     with pytest.raises(Faults) as caught:
-        load_experiment("pendulum", ["start.qq=1", "log.signals=[a, b]"]).diagram()
+        _ = Graph.read("pendulum", ["start.qq=1", "log.signals=[a, b]"]).diagram
     assert len(caught.value.faults) == 3
 
 
 def test_a_fault_of_the_duration_that_a_call_gave_is_placed_there() -> None:
-    graph = load_experiment("pendulum").with_duration(1e9)
+    graph = Graph.read("pendulum").until(1e9)
     assert graph.data["duration"] == 1e9
     with pytest.raises(DmframeError) as caught:
-        graph.diagram()
+        _ = graph.diagram
     assert str(caught.value).startswith("--until 1e+09: duration: a run of 1e+11 ticks is too long")
 
 
 def test_a_fault_of_a_whole_block_says_which_overrides_changed_it() -> None:
     with pytest.raises(DmframeError) as caught:
-        load_experiment("pendulum", ["path.times=[0, 0, 0, 0, 0]", "task.alpha_bar=1"])
+        Graph.read("pendulum", ["path.times=[0, 0, 0, 0, 0]", "task.alpha_bar=1"])
     assert caught.value.location.endswith("pendulum.yaml:7:13 with --set path.times=[0, 0, 0, 0, 0]")
 
 
@@ -172,12 +172,12 @@ def test_an_override_keeps_all_of_its_one_value(written: str, value: object) -> 
     assert document.data["title"] == value
 
 
-def test_a_users_block_beside_the_graph_runs_from_any_folder(tmp_path: Path) -> None:
+def test_a_users_block_next_to_the_graph_runs_from_any_folder(tmp_path: Path) -> None:
     (tmp_path / "my_block.py").write_text(LEAKY)
     own = "  slow:     {type: my_block.py:Leaky, rate: 3}\n"
     (tmp_path / "own.yaml").write_text(PENDULUM + own)
-    graph = load_experiment(tmp_path / "own.yaml")
-    run = simulate(graph.diagram(), 6.0, solver=graph.solver, start=graph.start)
+    graph = Graph.read(tmp_path / "own.yaml")
+    run = simulate(graph.diagram, 6.0, solver=graph.solver, start=graph.start)
     slow, q = run["slow.kept"].ravel(), run["arm.q"].ravel()
     np.testing.assert_allclose(run["slow.q_slow"].ravel(), 2 * slow)
     np.testing.assert_allclose(np.gradient(slow, run.time)[1:-1], (3 * (q - slow))[1:-1], atol=1e-3)
@@ -188,17 +188,17 @@ def test_a_users_block_that_reads_what_is_hidden_is_refused(tmp_path: Path) -> N
         LEAKY.replace('Input("q", "n", "rad"),', 'Input("u", "n", "V"),').replace("u.q", "u.u")
     )
     (tmp_path / "own.yaml").write_text(PENDULUM + "  slow:     {type: my_block.py:Leaky, rate: 3}\n")
-    graph = load_experiment(tmp_path / "own.yaml")
+    graph = Graph.read(tmp_path / "own.yaml")
     with pytest.raises(DmframeError) as caught:
-        graph.diagram()
+        _ = graph.diagram
     assert str(caught.value).endswith("servo.u is hidden: slow.u cannot read it (the robot's architecture is closed)")
 
 
 def test_a_start_that_cannot_be_is_placed_in_the_file(tmp_path: Path) -> None:
     (tmp_path / "own.yaml").write_text(PENDULUM.replace("blocks:", "start: {q: [9]}\nblocks:"))
-    graph = load_experiment(tmp_path / "own.yaml")
+    graph = Graph.read(tmp_path / "own.yaml")
     with pytest.raises(DmframeError) as caught:
-        simulate(graph.diagram(), 1.0, start=graph.start)
+        simulate(graph.diagram, 1.0, start=graph.start)
     fault = placed(caught.value, graph.document)
     assert fault.location.endswith("own.yaml:6:12")
 
@@ -208,4 +208,4 @@ def test_every_file_is_read_without_its_folder_being_the_current_one(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for path in graphs().values():
-        assert load_experiment(path).diagram().loop.plant
+        assert Graph.read(path).diagram.loop.plant

@@ -13,12 +13,11 @@ import pytest
 import dmframe as dm
 from dmframe.catalogue import find_reality, realities
 from dmframe.cli.graphs import graphs_of
-from dmframe.config import load_experiment
 from dmframe.config.document import read_file
 from dmframe.config.given import node_of
 from dmframe.config.reality import SET
 from dmframe.errors import DmframeError
-from dmframe.graph import Graph
+from dmframe.graph.graph import Graph
 from dmframe.study.grid import Given, changed
 
 pytestmark = pytest.mark.usefixtures("without_v")
@@ -67,7 +66,7 @@ def test_the_set_of_ur_says_what_its_page_says() -> None:
     assert list(realities()) == ["ur"]
 
 
-def test_none_is_the_graph_itself_and_both_can_be_asked_for_together() -> None:
+def test_none_is_the_graph_itself_and_both_can_be_requested_together() -> None:
     plain = dm.load(TEXT)
     assert plain.reality("none") == plain == dm.load(f"{TEXT}reality: none\n")
     both = graphs_of(["ur10_slow"], ["reality=none,ur"])
@@ -93,9 +92,9 @@ def test_any_graph_can_be_had_so(
     run = real.run(until=0.1, engine="interpreted")
     assert run.divergence is None
     assert "through transport_delay" in run.notices[0]
-    told = capsys.readouterr().err
+    text = capsys.readouterr().err
     why = "no block outputs dq_c"
-    assert [kind for kind in UR if f"reality {kind} is left out: {why}" in told] == left_out
+    assert [kind for kind in UR if f"reality {kind} is left out: {why}" in text] == left_out
 
 
 def test_a_baseline_goes_the_same_way() -> None:
@@ -109,7 +108,7 @@ def test_a_set_can_be_changed_in_the_file_and_from_outside() -> None:
     assert tuple(added(graph)) == (*(name for name in UR if name != "command_ramp"), "measurement_delay")
     encoder: Any = graph.blocks["encoder"]
     assert (encoder.step, encoder.window) == (1e-4, 0.008)
-    outside = load_experiment("ur10_slow", ["encoder.step=2e-4", "reality=ur", "reality.transport_delay.samples=3"])
+    outside = Graph.read("ur10_slow", ["encoder.step=2e-4", "reality=ur", "reality.transport_delay.samples=3"])
     assert outside.blocks["encoder"].step == 2e-4
     assert outside.blocks["transport_delay"].samples == 3
     inside = dm.load(TEXT).set({"encoder.window": "2 ms", "reality": "ur"})
@@ -133,13 +132,13 @@ def test_what_the_graph_has_stays_as_it_is(capsys: pytest.CaptureFixture[str]) -
     assert graph.blocks["wheel"].step == 0.01
     names = {name: type(block).__name__ for name, block in added(graph).items()}
     assert (names["joint_stops"], names["joint_stops_2"]) == ("TorqueLimits", "JointStops")
-    told = capsys.readouterr().err
-    assert "notice: reality encoder is left out: the graph has it, wheel" in told
-    assert "notice: reality torque_limits is left out: the graph has it, joint_stops" in told
+    text = capsys.readouterr().err
+    assert "notice: reality encoder is left out: the graph has it, wheel" in text
+    assert "notice: reality torque_limits is left out: the graph has it, joint_stops" in text
     assert graph.reality("ur") == graph
 
 
-def test_what_was_put_in_before_goes_when_another_is_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+def test_earlier_channels_are_removed_when_others_are_requested(capsys: pytest.CaptureFixture[str]) -> None:
     plain, filed = dm.load(TEXT), dm.load(f"{TEXT}reality: {{like: ur, command_ramp: null}}\n")
     for graph in (plain.reality(), filed, pickle.loads(pickle.dumps(filed)), plain.reality().reality("ur")):
         assert not added(graph.reality("none"))
@@ -155,8 +154,8 @@ def test_what_was_put_in_before_goes_when_another_is_asked_for(capsys: pytest.Ca
         late.reality("none")
 
 
-def test_a_study_asks_for_it_anew_too(capsys: pytest.CaptureFixture[str]) -> None:
-    filed = dm.load(f"{TEXT}reality: {{like: ur, command_ramp: null}}\n").experiment
+def test_a_study_requests_it_anew_too(capsys: pytest.CaptureFixture[str]) -> None:
+    filed = dm.load(f"{TEXT}reality: {{like: ur, command_ramp: null}}\n")
     sets = {
         "none": [("reality", "none")],
         "ur": [("encoder.step", 0.5), ("reality", "ur")],
@@ -164,13 +163,13 @@ def test_a_study_asks_for_it_anew_too(capsys: pytest.CaptureFixture[str]) -> Non
     made = {}
     for name, values in sets.items():
         givens = [Given(label, node_of(value, (label,), name), name) for label, value in values]
-        made[name] = Graph(changed(filed, givens))
+        made[name] = changed(filed, givens)
     assert [tuple(added(graph)) for graph in made.values()] == [(), UR]
     assert made["ur"].blocks["encoder"].step == 0.5
     assert not capsys.readouterr().err
 
 
-def test_none_tells_of_blocks_that_the_graph_has_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
+def test_none_reports_blocks_that_the_graph_has_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
     dm.load(TEXT.replace("  arm: ", "  wheel:   {type: encoder, step: 0.01}\n  arm: ")).reality("none")
     assert "notice: reality none leaves the graph's own blocks in: wheel" in capsys.readouterr().err
 
@@ -205,23 +204,23 @@ def test_none_tells_of_blocks_that_the_graph_has_of_its_own(capsys: pytest.Captu
         ("reality: {like: ur, transport_delay: {samples: 9}}", "graph:12:48: blocks.transport_delay.samples: expected"),
     ],
 )
-def test_what_is_wrong_is_told_with_its_place(section: str, text: str) -> None:
+def test_a_fault_is_reported_with_its_place(section: str, text: str) -> None:
     with pytest.raises(DmframeError) as caught:
         dm.load(f"{TEXT}{section}\n")
     assert text in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "end"),
     [
         ("{encoder: {step: .nan}}", "}}: encoder.step: expected a finite number, found .nan"),
         ("{like: ur, like: none}", "}: like appears twice; keep one of them"),
     ],
 )
-def test_a_fault_inside_a_value_names_what_was_written(text: str, told: str) -> None:
+def test_a_fault_inside_a_value_names_what_was_written(text: str, end: str) -> None:
     with pytest.raises(DmframeError) as caught:
-        load_experiment("arm2_joint", [f"reality={text}"])
-    assert str(caught.value).endswith(told)
+        Graph.read("arm2_joint", [f"reality={text}"])
+    assert str(caught.value).endswith(end)
 
 
 def test_a_block_that_fits_nowhere_is_refused() -> None:
@@ -230,5 +229,5 @@ def test_a_block_that_fits_nowhere_is_refused() -> None:
 
 
 def test_data_says_it_as_a_file_does() -> None:
-    data: Mapping[str, Any] = {**load_experiment("arm2_joint").data, "reality": "ur"}
+    data: Mapping[str, Any] = {**Graph.read("arm2_joint").data, "reality": "ur"}
     assert tuple(added(dm.load(data))) == UR

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.config import load_experiment
+from dmframe.config.resolved import resolved
 from dmframe.errors import BlockError, DmframeError, Faults
+from dmframe.graph.graph import Graph
 from dmframe.port import Output
-from dmframe.results.resolved import resolved
 
 pytestmark = pytest.mark.usefixtures("without_v")
 
@@ -93,7 +93,7 @@ def write(tmp_path: Path) -> Callable[[str], Path]:
     return write
 
 
-def told(call: Callable[[], Any]) -> str:
+def printed(call: Callable[[], Any]) -> str:
     with pytest.raises(DmframeError) as caught:
         call()
     return str(caught.value)
@@ -109,15 +109,15 @@ def test_an_old_name_is_read_as_the_new_one_with_one_notice(
     before: str,
     after: str,
 ) -> None:
-    plain = load_experiment(write(NEW))
+    plain = Graph.read(write(NEW))
     assert capsys.readouterr().err == ""
     text = NEW.replace(new, old, 1)
     assert text != NEW
-    graph = load_experiment(write(text))
+    graph = Graph.read(write(text))
     assert resolved(graph) == resolved(plain) or "cart.z" in text
     assert {**graph.start, "place": 2.0, "cart.place": 2.0} == {"place": 2.0, "cart.place": 2.0}
-    assert graph.diagram().fingerprint == plain.diagram().fingerprint
-    assert graph.baseline().diagram().fingerprint == plain.baseline().diagram().fingerprint
+    assert graph.diagram.fingerprint == plain.diagram.fingerprint
+    assert graph.baseline().diagram.fingerprint == plain.baseline().diagram.fingerprint
     file = plain.document.name
     assert capsys.readouterr().err == (
         f"{file}:{place}: notice: {before} is now called {after}; the former name still works, but write {after}\n"
@@ -127,11 +127,11 @@ def test_an_old_name_is_read_as_the_new_one_with_one_notice(
 def test_every_old_name_at_once_gives_the_same_graph(
     write: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    plain, text = load_experiment(write(NEW)), NEW
+    plain, text = Graph.read(write(NEW)), NEW
     for new, old, *_ in PAIRS[1:]:
         text = text.replace(new, old, 1)
-    graph = load_experiment(write(text))
-    assert graph.diagram().fingerprint == plain.diagram().fingerprint
+    graph = Graph.read(write(text))
+    assert graph.diagram.fingerprint == plain.diagram.fingerprint
     assert capsys.readouterr().err.count("notice: ") == len(PAIRS) - 1
 
 
@@ -143,13 +143,13 @@ def test_set_takes_an_old_name_and_goes_before_the_file(
     write: Callable[[str], Path], capsys: pytest.CaptureFixture[str], override: str, parameter: str, value: float
 ) -> None:
     for text in (NEW, NEW.replace("rate: 3", "gain: 3").replace("push: 0.5", "shove: 0.5")):
-        graph = load_experiment(write(text), [override])
-        values = {item.label: item.value for item in graph.diagram().loop.parameters}
+        graph = Graph.read(write(text), [override])
+        values = {item.label: item.value for item in graph.diagram.loop.parameters}
         np.testing.assert_array_equal(values[parameter], value)
         notice = f"--set {override}: notice: {override.split('=')[0].split('.')[-1]} is now called"
         assert notice in capsys.readouterr().err
         renamed = override.replace("gain", "rate").replace("shove", "push")
-        assert load_experiment(write(text), [renamed]).diagram().fingerprint == graph.diagram().fingerprint
+        assert Graph.read(write(text), [renamed]).diagram.fingerprint == graph.diagram.fingerprint
         capsys.readouterr()
 
 
@@ -170,35 +170,35 @@ def test_set_takes_an_old_name_and_goes_before_the_file(
 def test_set_reads_old_names_wherever_a_file_may_hold_them(
     write: Callable[[str], Path], capsys: pytest.CaptureFixture[str], old: str, new: str
 ) -> None:
-    wanted = load_experiment(write(NEW), [new])
+    wanted = Graph.read(write(NEW), [new])
     assert capsys.readouterr().err == ""
-    assert load_experiment(write(NEW), [old]).data == wanted.data
-    told = capsys.readouterr().err.splitlines()
-    assert told
-    assert all(line.startswith(f"--set {old}: notice: ") for line in told)
+    assert Graph.read(write(NEW), [old]).data == wanted.data
+    printed = capsys.readouterr().err.splitlines()
+    assert printed
+    assert all(line.startswith(f"--set {old}: notice: ") for line in printed)
 
 
 def test_set_takes_an_old_start(write: Callable[[str], Path]) -> None:
-    assert load_experiment(write(NEW), ["start.z=5"]).start == {"place": 5.0}
+    assert Graph.read(write(NEW), ["start.z=5"]).start == {"place": 5.0}
 
 
 def test_both_names_at_once_are_an_error_with_its_place(write: Callable[[str], Path]) -> None:
     file = write(NEW.replace("rate: 3", "rate: 3, gain: 4").replace("{cart.push", "{cart.shove: [0, 1], cart.push"))
-    text = told(lambda: load_experiment(file))
+    text = printed(lambda: Graph.read(file))
     assert f"{file}:7:43: gain is now called rate, and both are given; keep only rate" in text
     assert f"{file}:11:13: cart.shove is now called cart.push, and both are given" in text
-    text = told(lambda: load_experiment(write(NEW), ["pull.gain=1", "pull.rate=2"]))
+    text = printed(lambda: Graph.read(write(NEW), ["pull.gain=1", "pull.rate=2"]))
     assert text == "--set pull.gain=1: gain is now called rate, and both are given; keep only rate"
 
 
-def test_a_bad_value_under_an_old_name_is_told_where_it_stands(write: Callable[[str], Path]) -> None:
+def test_a_bad_value_under_an_old_name_is_reported_at_its_place(write: Callable[[str], Path]) -> None:
     file = write(NEW.replace("rate: 3", "gain: -3"))
-    assert told(lambda: load_experiment(file)).startswith(f"{file}:7:40: blocks.pull.rate: ")
-    assert "--set pull.gain=-1: blocks.pull.rate: " in told(lambda: load_experiment(write(NEW), ["pull.gain=-1"]))
+    assert printed(lambda: Graph.read(file)).startswith(f"{file}:7:40: blocks.pull.rate: ")
+    assert "--set pull.gain=-1: blocks.pull.rate: " in printed(lambda: Graph.read(write(NEW), ["pull.gain=-1"]))
 
 
 def test_a_block_of_another_type_has_no_old_names(write: Callable[[str], Path]) -> None:
-    assert "gain" in told(lambda: load_experiment(write(NEW.replace("push: 0.5", "gain: 0.5"))))
+    assert "gain" in printed(lambda: Graph.read(write(NEW.replace("push: 0.5", "gain: 0.5"))))
 
 
 def test_old_names_must_lead_to_names_that_the_block_has() -> None:
@@ -226,5 +226,5 @@ def test_the_command_line_says_so_on_stderr_and_keeps_json_clean(write: Callable
 def test_faults_of_both_kinds_do_not_hide_one_another(write: Callable[[str], Path]) -> None:
     file = write(NEW.replace("rate: 3", "rate: 3, gain: 4").replace("rate: 1}", "rate: 1, gain: 4}"))
     with pytest.raises(Faults) as caught:
-        load_experiment(file)
+        Graph.read(file)
     assert len(caught.value.faults) == 2

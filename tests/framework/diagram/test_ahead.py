@@ -34,7 +34,7 @@ class Wave(AbstractBlock):
 
 
 class Deadbeat(AbstractBlock):
-    """Puts an integrator on y_d at the next sample; hands out what it saw."""
+    """Puts an integrator on y_d at the next sample; outputs what it saw."""
 
     inputs = (
         Input("y"),
@@ -63,7 +63,7 @@ class Integrator(AbstractBlock):
 
 
 class Filter(AbstractBlock):
-    """A controller's y_d, of which nobody knows the future."""
+    """A controller's y_d, whose future is unknown."""
 
     outputs = (Output("y_d"),)
     states = (State("s"),)
@@ -73,7 +73,7 @@ class Filter(AbstractBlock):
 
 
 class Differentiating(AbstractBlock):
-    """Asks for the time derivative of what looks ahead."""
+    """Reads the time derivative of what looks ahead."""
 
     inputs = (Input("seen"), Input("dseen", derivative_of="seen"))
     states = (State("s"),)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.wiring import Derived, Time, Wire, Zero
 from dmframe.errors import (
@@ -26,6 +25,7 @@ from dmframe.errors import (
     UnknownNameError,
     WiringError,
 )
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Diagonal, Positive, Real, Scalar
 from dmframe.port import TIME, Access, Input, Output, Side, State
 from dmframe.simulate import Solver, simulate
@@ -106,7 +106,7 @@ class OddCart(Cart):
 
 
 class BlindCart(Cart):
-    """The same, its velocity not handed out."""
+    """The same, its velocity not an output."""
 
     outputs = (Output("y", "", "m", Access.MEASURED), Output("v", "", "m/s", derivative_of="y"))
 
@@ -215,14 +215,14 @@ def test_a_letter_is_one_number_in_the_whole_diagram() -> None:
     assert str(found) == "gain.g: expected n = 2 (bound by lag.z), found 3"
 
 
-def test_a_letter_that_nothing_binds_is_told_once_a_block() -> None:
+def test_a_letter_that_nothing_binds_is_reported_once_a_block() -> None:
     found = fault({"lag": Lag(), "gain": Gain()})
     assert isinstance(found, Faults)
     assert [str(item).partition(":")[0] for item in found.faults] == ["lag", "gain"]
     assert "the size n is undetermined" in str(found)
 
 
-def test_wires_of_different_shapes_are_told_with_their_reasons() -> None:
+def test_wires_of_different_shapes_are_reported_with_their_reasons() -> None:
     class Wide(Lag):
         inputs = (Input("one", "m", ""),)
 
@@ -237,7 +237,7 @@ def test_wires_of_different_shapes_are_told_with_their_reasons() -> None:
     assert str(found) == "wire gain.one -> lag.one: expected shape (m) with m = 3 (bound by lag), found (2,)"
 
 
-def test_all_faults_of_one_stage_are_told_together() -> None:
+def test_all_faults_of_one_stage_are_reported_together() -> None:
     found = fault(cart(), {"law.y": "cart.secret", "cart.v_c": "law.inner", "law.y_d": "cart.v"})
     assert isinstance(found, Faults)
     assert {type(item) for item in found.faults} == {AccessError, UnitError}
@@ -251,13 +251,13 @@ def test_a_block_whose_output_is_its_state_makes_no_loop() -> None:
     assert float(rate(3.0, loop.p_values)) == pytest.approx(2 * 3 - 3)
 
 
-def test_a_loop_is_told_port_by_port() -> None:
+def test_a_loop_is_reported_port_by_port() -> None:
     found = fault({"gain": Gain(g=(2.0,)), "back": Back()})
     assert isinstance(found, AlgebraicLoopError)
     assert found.ports == ("gain.one", "back.two", "gain.one")
 
 
-def test_a_loop_is_told_once_and_without_those_who_only_suffer_from_it() -> None:
+def test_a_loop_is_reported_once_and_without_blocks_downstream_of_it() -> None:
     class Reader(AbstractBlock):
         inputs = (Input("one", "n", ""),)
         outputs = (Output("three", "n", ""),)
@@ -270,7 +270,7 @@ def test_a_loop_is_told_once_and_without_those_who_only_suffer_from_it() -> None
     assert "reader.three" not in found.ports
 
 
-def test_a_loop_across_the_wall_is_told_port_by_port() -> None:
+def test_a_loop_across_the_wall_is_reported_port_by_port() -> None:
     class Stiff(AbstractBlock):
         side = Side.PLANT
         inputs = (Input("v_c", "", "m/s"),)
@@ -285,7 +285,7 @@ def test_a_loop_across_the_wall_is_told_port_by_port() -> None:
     assert found.ports[0] == found.ports[-1]
 
 
-def test_a_chain_too_long_to_follow_is_told_in_words() -> None:
+def test_a_chain_too_long_to_follow_is_reported_in_words() -> None:
     def link(i: int) -> AbstractBlock:
         class Link(AbstractBlock):
             inputs = (Input(f"s{i}"),)
@@ -345,8 +345,8 @@ def test_derived_derivatives_of_first_and_second_order_are_those_of_the_trajecto
 
 
 def test_the_reference_acceleration_of_the_ur10_is_the_derivative_of_its_reference() -> None:
-    graph = load_experiment("ur10_fast")
-    diagram = graph.diagram()
+    graph = Graph.read("ur10_fast")
+    diagram = graph.diagram
     run = simulate(diagram, 0.5, solver=Solver(method="cvodes", output=0.002, tolerance=1e-11), start=graph.start)
     loop, model = diagram.loop, diagram.models["model"]
     assert "ddq_ref" in model.inputs

@@ -16,13 +16,14 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.catalogue import find_graph
 from dmframe.certify import verify
 from dmframe.certify.summary import summary
-from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
 from dmframe.errors import BlockError, DmframeError
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Positive, Real, Scalar
 from dmframe.port import TIME, Input, Output, Side, State
-from dmframe.results import Run, write_run
+from dmframe.results.folder import write_run
+from dmframe.results.run import Run
 from dmframe.simulate import simulate
 
 
@@ -65,68 +66,65 @@ def test_a_loop_built_again_has_the_same_fingerprint_and_any_change_another() ->
     ],
 )
 def test_a_graph_with_another_number_or_option_has_another(override: str) -> None:
-    assert (
-        load_experiment("arm2_joint").diagram().fingerprint
-        != load_experiment("arm2_joint", [override]).diagram().fingerprint
-    )
+    assert Graph.read("arm2_joint").diagram.fingerprint != Graph.read("arm2_joint", [override]).diagram.fingerprint
 
 
 def test_clock_duration_and_solver_are_no_part_of_the_field() -> None:
-    plain = load_experiment("arm2_joint").diagram().fingerprint
+    plain = Graph.read("arm2_joint").diagram.fingerprint
     for override in ("duration=3", "clock=4 ms", "solver.method=cvodes", "title=other"):
-        assert load_experiment("arm2_joint", [override]).diagram().fingerprint == plain
+        assert Graph.read("arm2_joint", [override]).diagram.fingerprint == plain
 
 
 def test_values_put_in_later_count() -> None:
-    diagram = load_experiment("arm2_joint").diagram()
+    diagram = Graph.read("arm2_joint").diagram
     assert diagram.fingerprint == diagram.fingerprint
     other = with_values(diagram, {"servo.K_P": [61, 30]})
-    assert other.fingerprint == load_experiment("arm2_joint", ["servo.K_P=[61, 30]"]).diagram().fingerprint
+    assert other.fingerprint == Graph.read("arm2_joint", ["servo.K_P=[61, 30]"]).diagram.fingerprint
     assert other.fingerprint != diagram.fingerprint
 
 
 def test_a_law_of_projection_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     from dmframe.diagram.projection import Box
 
-    diagram = load_experiment("arm2_joint").diagram()
+    diagram = Graph.read("arm2_joint").diagram
     before = diagram.fingerprint
     for name, other in (("law", lambda self, s, v: 0 * v), ("held", lambda self, s: s)):
         with monkeypatch.context() as changed:
             changed.setattr(Box, name, other)
-            assert load_experiment("arm2_joint").diagram().fingerprint != before
+            assert Graph.read("arm2_joint").diagram.fingerprint != before
 
 
 def test_another_process_finds_the_same() -> None:
-    code = "from dmframe.config import load_experiment; print(load_experiment('ur10_full').diagram().fingerprint)"
+    code = "from dmframe.config import Graph.read; print(Graph.read('ur10_full').diagram.fingerprint)"
     environment = {**os.environ, "PYTHONHASHSEED": "7"}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
-    assert done.stdout.strip() == load_experiment("ur10_full").diagram().fingerprint
+    assert done.stdout.strip() == Graph.read("ur10_full").diagram.fingerprint
 
 
 def test_what_was_proved_is_what_ran(tmp_path: Path) -> None:
-    graph = load_experiment("arm2_joint", ["duration=10 ms"])
-    diagram = graph.diagram()
-    told = summary("arm2_joint", verify(diagram, trials=1))
-    run = simulate(graph.diagram(), 0.01, clock=graph.file.clock, start=graph.start)
+    graph = Graph.read("arm2_joint", ["duration=10 ms"])
+    diagram = graph.diagram
+    data = summary("arm2_joint", verify(diagram, trials=1))
+    run = simulate(graph.diagram, 0.01, clock=graph.file.clock, start=graph.start)
     write_run(tmp_path / "out", [Run(graph, run)], plots=False)
     written = json.loads((tmp_path / "out" / "provenance.json").read_text())
-    assert told["field_hash"] == written["field_hash"] == diagram.fingerprint
-    again = load_experiment(tmp_path / "out" / "graph.yaml")
-    assert again.diagram().fingerprint == diagram.fingerprint
+    assert data["field_hash"] == written["field_hash"] == diagram.fingerprint
+    again = Graph.read(tmp_path / "out" / "graph.yaml")
+    assert again.diagram.fingerprint == diagram.fingerprint
     assert find_graph("arm2_joint") != tmp_path
 
 
 class Fickle(AbstractBlock):
-    """Its equations depend on how often they were asked."""
+    """Its equations depend on how often they were evaluated."""
 
     states = (State("y"), State("z", optional=True))
     outputs = (Output("out"),)
     how: str = ""
-    asked: ClassVar[list[int]] = []
+    calls: ClassVar[list[int]] = []
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        self.asked.append(1)
-        n = len(self.asked)
+        self.calls.append(1)
+        n = len(self.calls)
         sign = -1 if self.how != "sign" else (-1) ** n
         constant = 1 + n * 1e-12 if self.how == "constant" else 1
         rates: dict[str, Any] = {"y": sign * constant * x.y}
@@ -139,7 +137,7 @@ class Fickle(AbstractBlock):
     ("how", "what"),
     [("sign", "rate of y"), ("constant", "rate of y"), ("state", "rate of z"), ("output", "output of out")],
 )
-def test_equations_that_change_when_they_are_asked_again_are_refused(how: str, what: str) -> None:
+def test_equations_that_change_at_a_second_evaluation_are_refused(how: str, what: str) -> None:
     with pytest.raises(BlockError, match=f"block: equations\\(\\) state another {what} when evaluated again"):
         of(Fickle(how=how))
     assert of(Fickle())

@@ -11,16 +11,16 @@ import pytest
 from structures import structures
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import Known, known_truths
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Positive, Scalar
 from dmframe.port import Access, Input, Output, Side, State
 from dmframe.robot.library import load
 
 
 class Arm(AbstractBlock):
-    """dq = v; K is handed out, its twice is hidden."""
+    """dq = v; K is an output, its double is hidden."""
 
     side = Side.PLANT
     inputs = (Input("v", "n", "rad/s"),)
@@ -58,7 +58,7 @@ def known(expression: Callable[[Any, Any, Any], Any], robot: str = "ur10") -> tu
 
 
 def of(graph: str, overrides: tuple[str, ...] = ()) -> Mapping[str, Known]:
-    return {item.block: item for item in known_truths(load_experiment(graph, overrides).diagram())}
+    return {item.block: item for item in known_truths(Graph.read(graph, overrides).diagram)}
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ def test_axes_that_leave_no_symbol_are_known_all_the_same() -> None:
     """Adapted lengths, all of them: what is left is how the axes point."""
     found = of("theorem_1")
     assert found["geometry"].groups == ("axes",)
-    assert "robot.rotations" not in {p.label for p in load_experiment("theorem_1").diagram().loop.parameters}
+    assert "robot.rotations" not in {p.label for p in Graph.read("theorem_1").diagram.loop.parameters}
     assert found["model"].groups == ("lengths", "axes", "gravity", "friction_velocity")
     assert found["model"].words == "the link lengths, the joint axes, gravity and the friction velocity v_0"
 

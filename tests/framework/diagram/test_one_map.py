@@ -20,7 +20,6 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import Certificate, Square
 from dmframe.certify import verify
 from dmframe.certify.symbols import exact_values
-from dmframe.config import load_experiment
 from dmframe.diagram import ClosedLoop, Diagram, Parameter, Variable
 from dmframe.diagram.bodies import Bodies
 from dmframe.diagram.closed_loop import Noise, Signal
@@ -31,6 +30,7 @@ from dmframe.drive.rehearse import Condition, rehearsed
 from dmframe.errors import DmframeError
 from dmframe.export.c import source
 from dmframe.export.program import program_of
+from dmframe.graph.graph import Graph
 from dmframe.page.functions import functions_of
 from dmframe.parameter import Positive, Scalar
 from dmframe.port import Access, Input, Output, Side, State
@@ -260,8 +260,8 @@ def test_exact_numbers_of_a_robot_are_those_of_the_model_or_none() -> None:
 
 @cache
 def arm2() -> tuple[Any, Diagram]:
-    experiment = load_experiment("arm2_joint", ["duration=0.2 s"])
-    return experiment, experiment.diagram()
+    experiment = Graph.read("arm2_joint", ["duration=0.2 s"])
+    return experiment, experiment.diagram
 
 
 def changed(diagram: Diagram, field: str) -> Diagram:

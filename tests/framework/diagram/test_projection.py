@@ -78,7 +78,7 @@ def test_no_correction_raises_the_storage_whatever_the_gain_and_the_true_value_i
     assert min(seen.values()) > 50
 
 
-def test_the_room_is_negative_outside_and_the_metric_tells_a_skew_gain() -> None:
+def test_the_room_is_negative_outside_and_the_metric_detects_a_skew_gain() -> None:
     ball = Ball(column([0, 0]), column([2, 2]), column([1, 5]))
     assert numbers(ball.room(column([0, 1])))[0] == pytest.approx(0.75)
     assert numbers(ball.room(column([0, 3])))[0] < 0

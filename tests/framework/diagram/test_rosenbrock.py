@@ -12,11 +12,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from dmframe.config import load_experiment
 from dmframe.diagram.elimination import MOST_FACTORS, Elimination, residual_small
 from dmframe.diagram.rosenbrock import ROS34PW2, Rosenbrock
 from dmframe.diagram.slopes import Slopes
 from dmframe.errors import EngineError
+from dmframe.graph.graph import Graph
 from dmframe.robot.chain import pin_configuration
 from dmframe.simulate import Log, Solver
 from dmframe.simulate.run import prepare
@@ -133,11 +133,11 @@ def test_a_system_too_large_to_write_out_is_refused() -> None:
         Elimination.of(ca.SX.sym("A", size, size))
 
 
-def test_a_cheap_jacobian_is_used_whole_and_a_dear_one_but_for_inertia_gravity_and_coriolis_forces() -> None:
-    small = prepare(load_experiment("arm2_joint").diagram(), 1, clock=0.004, solver=Solver(), log=Log()).step.parts
+def test_a_cheap_jacobian_is_used_whole_and_a_slow_one_without_inertia_gravity_and_coriolis_forces() -> None:
+    small = prepare(Graph.read("arm2_joint").diagram, 1, clock=0.004, solver=Solver(), log=Log()).step.parts
     assert small.slopes.used is small.slopes.exact
-    experiment = load_experiment("ur10_full")
-    diagram = experiment.diagram()
+    experiment = Graph.read("ur10_full")
+    diagram = experiment.diagram
     parts = prepare(diagram, 1, clock=0.008, solver=Solver(), log=Log()).step.parts
     rng, n = np.random.default_rng(2), 6
     q, dq, q_c, i = rng.uniform(-1, 1, (4, n))
@@ -167,7 +167,7 @@ def test_a_cheap_jacobian_is_used_whole_and_a_dear_one_but_for_inertia_gravity_a
     )
 
 
-def test_of_a_dear_jacobian_what_stands_in_a_square_is_left_out() -> None:
+def test_a_slow_jacobian_leaves_out_what_is_in_a_square() -> None:
     x, u, w, p = ca.SX.sym("x", 30), ca.SX.sym("u", 0), ca.SX.sym("w", 0), ca.SX.sym("p")
     rate = -p * ca.sumsqr(x) * x - 3 * ca.tanh(x)
     slopes = Slopes.of(ca.Function("rate", [x, u, w, p], [rate]), 0)

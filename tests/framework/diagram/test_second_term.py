@@ -1,4 +1,4 @@
-"""What a block says of its step on a clock beside the rate: it runs, and no proof in continuous time sees it."""
+"""The step on a clock that a block states besides its rate: it runs, and no proof in continuous time sees it."""
 
 from __future__ import annotations
 

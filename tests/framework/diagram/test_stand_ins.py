@@ -1,4 +1,4 @@
-"""Outputs that stand in for a signal on its way between controller and plant."""
+"""Outputs that replace a signal on its way between controller and plant."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Sensor(AbstractBlock):
 
 
 class Line(AbstractBlock):
-    """Halves a command, and replaces one that nobody sends."""
+    """Halves a command, and replaces one without a source."""
 
     side = PLANT
     inputs = (Input("v"), Input("w", optional=True))
@@ -86,11 +86,11 @@ def test_without_one_all_is_as_it_was() -> None:
     assert wired() == PLAIN
 
 
-def test_a_measured_one_stands_in_for_controllers_and_the_plant_reads_on() -> None:
+def test_a_measured_one_replaces_the_signal_for_controllers_and_not_for_the_plant() -> None:
     assert wired(sensor=Sensor()) == {**PLAIN, "law.y": "sensor.y_m", "sensor.y": "cart.y"}
 
 
-def test_any_other_stands_in_for_the_plant() -> None:
+def test_any_other_replaces_the_signal_for_the_plant() -> None:
     assert wired(line=Line()) == {**PLAIN, "cart.v": "line.half", "line.v": "law.v"}
 
 
@@ -100,7 +100,7 @@ def test_several_are_a_chain_in_the_order_of_the_file() -> None:
     assert found == {**PLAIN, **chain, "cart.v": "one.half"}
 
 
-def test_a_wire_to_the_signal_leads_through_them_and_one_to_a_stand_in_is_taken_at_its_word() -> None:
+def test_a_wire_to_the_signal_leads_through_them_and_one_to_a_replacement_is_kept_as_written() -> None:
     through = wired({"law.y": "cart.y", "sensor.y": "cart.y"}, sensor=Sensor())
     assert through["law.y"] == "sensor.y_m"
     word = wired({"watch.y": "sensor.y_m"}, sensor=Sensor())
@@ -109,7 +109,7 @@ def test_a_wire_to_the_signal_leads_through_them_and_one_to_a_stand_in_is_taken_
     assert (first["law.y"], first["a.y"]) == ("b.y_m", "b.y_m")
 
 
-def test_each_stands_in_for_the_signal_that_drives_it_not_for_all_of_that_name() -> None:
+def test_each_replaces_the_signal_that_drives_it_not_all_of_that_name() -> None:
     two = {"other": Law(), "wheel": Cart(), "sensor": Sensor()}
     wires = {"law.y": "cart.y", "other.y": "wheel.y", "cart.v": "law.v", "wheel.v": "other.v", "watch.y": "cart.y"}
     found = wired({**wires, "sensor.y": "wheel.y"}, **two)

@@ -1,4 +1,4 @@
-"""A source that states a signal and its derivative: held to each other, and one leaf."""
+"""A source that states a signal and its derivative: checked against each other, and one leaf."""
 
 from __future__ import annotations
 

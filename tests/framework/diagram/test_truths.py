@@ -137,7 +137,7 @@ def test_two_certificates_of_one_loop_may_not_state_one_name_with_two_values(lat
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_what_certificates_state_in_two_loops_is_told_apart_in_any_order(seed: int) -> None:
+def test_statements_of_certificates_in_two_loops_are_distinguished_in_any_order(seed: int) -> None:
     names = ["plant1", "one1", "reads1", "plant2", "one2", "reads2"]
     kinds: dict[str, Any] = {"plant": Store, "one": lambda: States(name="b"), "reads": Reads}
     order = np.random.default_rng(seed).permutation(names)

@@ -4,16 +4,16 @@ import re
 
 import pytest
 
-from dmframe.config.experiment import load_experiment
 from dmframe.diagram.wiring import Derived, Wire
 from dmframe.drawing import mermaid
+from dmframe.graph.graph import Graph
 from dmframe.names import unicode_name
 from dmframe.port import Side
 
 
 @pytest.fixture(scope="module", params=["ur10_fast", "pendulum"])
 def diagram(request):
-    return load_experiment(request.param).diagram()
+    return Graph.read(request.param).diagram
 
 
 def test_each_wire_has_a_line_of_its_own(diagram):

@@ -4,9 +4,9 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from dmframe.config.experiment import load_experiment
 from dmframe.diagram.wiring import Wire
 from dmframe.drawing import svg
+from dmframe.graph.graph import Graph
 from dmframe.names import unicode_name
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -15,7 +15,7 @@ GRAPHS = ["ur10_fast", "ur10_fast_kinematic", "pendulum", "arm2_joint"]
 
 @pytest.fixture(scope="module", params=GRAPHS)
 def diagram(request):
-    return load_experiment(request.param).diagram()
+    return Graph.read(request.param).diagram
 
 
 def texts(root, kind):

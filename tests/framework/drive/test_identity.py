@@ -202,7 +202,7 @@ def test_a_block_file_that_is_put_back_after_it_was_loaded_opens_nothing(bench: 
 def test_what_no_file_shows_is_seen_in_the_closed_loop_that_drives(bench: Bench) -> None:
     kept.keep(bench.rehearse(payload=1.0))
     graph = bench.graph()
-    experiment, diagram = graph.experiment, graph.diagram
+    experiment, diagram = graph, graph.diagram
     loop = diagram.loop
     inertia = next(item for item in loop.parameters if item.label == "robot.inertia")
     heavier = replace(inertia, value=5 * inertia.value)
@@ -246,7 +246,7 @@ def test_what_is_cut_short_chosen_or_failed_is_not_kept(bench: Bench, tmp_path: 
     assert not kept.keep(bench.rehearse(until=0.05))
     graph = bench.graph()
     own = rehearse.rehearsed(
-        graph.experiment, graph.diagram, engine="interpreted", tried=[Condition("nothing, the ideal robot", {})]
+        graph, graph.diagram, engine="interpreted", tried=[Condition("nothing, the ideal robot", {})]
     )
     assert not kept.keep(own)
     assert not notes(tmp_path)

@@ -39,7 +39,7 @@ def test_its_signals_are_those_of_the_run_bit_by_bit() -> None:
     for label in ("arm.q", "arm.dq", "servo.q_c"):
         assert found[label].tobytes() == np.ascontiguousarray(run[label]).tobytes(), label
     assert not any(label in found.outputs for label in ("servo.u", "arm.ddq", "arm.g"))  # no robot measures them
-    error, other = drive().error, Run(graph().experiment, run).error
+    error, other = drive().error, Run(graph(), run).error
     assert error is not None
     assert other is not None
     assert error.rms_by_eighth == other.rms_by_eighth
@@ -127,7 +127,7 @@ def test_one_wrong_number_of_a_measurement_is_found_where_it_is(tmp_path: Path) 
     run = drive()
     measured = {label: values.copy() for label, values in run.recording.outputs.items()}
     measured["arm.q"][30, 1] = measured["arm.q"][30, 1] + 1e-12
-    Run(run.experiment, replace(run.recording, outputs=measured)).save(tmp_path / "log", plots=False)
+    Run(run.graph, replace(run.recording, outputs=measured)).save(tmp_path / "log", plots=False)
     assert graph().replay(tmp_path / "log", engine="interpreted").differs == 30
 
 

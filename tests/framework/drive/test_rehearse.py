@@ -25,7 +25,7 @@ def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def tried(graph: dm.Graph, seconds: float, *more: Condition) -> Any:
-    return rehearsed(graph.experiment, graph.diagram, seconds=seconds, engine="interpreted", tried=[IDEAL, *more])
+    return rehearsed(graph, graph.diagram, seconds=seconds, engine="interpreted", tried=[IDEAL, *more])
 
 
 def test_a_delay_is_borne_by_one_graph_and_not_by_another() -> None:
@@ -71,7 +71,7 @@ def test_an_error_that_is_too_large_or_that_grows_is_not_borne(second: float, la
 def test_steps_of_the_longest_tick_are_as_short_as_those_of_the_clocks() -> None:
     graph = dm.load("panda_full")
     still, jittered = (
-        robots.simulated_robot(graph.experiment, graph.diagram, 1.0, "interpreted", **options)._step
+        robots.simulated_robot(graph, graph.diagram, 1.0, "interpreted", **options)._step
         for options in ({}, {"jitter": 0.002})
     )
     assert still.length == 0.001

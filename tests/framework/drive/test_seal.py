@@ -87,13 +87,13 @@ def test_a_replay_compares_each_signal_that_it_names(drive: Run, tmp_path: Path,
     values = np.array(recording[label])
     values[5:] = values[5]
     if label in recording.beside:
-        beside = {**recording.beside, label: replace(recording.beside[label], values=values)}
-        changed = replace(recording, beside=beside)
+        series = {**recording.beside, label: replace(recording.beside[label], values=values)}
+        changed = replace(recording, beside=series)
     elif label in recording.outputs:
         changed = replace(recording, outputs={**recording.outputs, label: values})
     else:
         changed = replace(recording, states={**recording.states, label: values})
-    found = again(Run(drive.experiment, changed).save(tmp_path / "log", plots=False))
+    found = again(Run(drive.graph, changed).save(tmp_path / "log", plots=False))
     assert not found.identical
     assert found.differs == 6
     assert [name for name, item in found.summary["compared"].items() if not item["identical"]] == [label]
@@ -115,10 +115,10 @@ def test_a_replay_says_what_it_has_compared_and_by_which_engine(log: Path) -> No
 def test_another_limit_of_the_gate_is_seen_in_what_it_let_through(drive: Run, tmp_path: Path) -> None:
     limits = {**drive.recording.drive["limits"], "speed": ["0.01", "0.01"]}
     changed = replace(drive.recording, drive={**drive.recording.drive, "limits": limits})
-    found = again(Run(drive.experiment, changed).save(tmp_path / "log", plots=False))
+    found = again(Run(drive.graph, changed).save(tmp_path / "log", plots=False))
     assert [label for label, item in found.compared.items() if item.rows.size] == ["robot.sent"]
     unknown = replace(drive.recording, drive={})
-    found = again(Run(drive.experiment, unknown).save(tmp_path / "older", plots=False))
+    found = again(Run(drive.graph, unknown).save(tmp_path / "older", plots=False))
     assert "robot.sent is not compared: the limits of the drive are not in the record" in str(found)
 
 
@@ -133,7 +133,7 @@ def test_a_graph_of_a_folder_that_was_edited_is_loaded_with_a_notice(
 
 
 def test_several_runs_share_a_seal(tmp_path: Path, drive: Run) -> None:
-    from dmframe.results import write_run
+    from dmframe.results.folder import write_run
 
     write_run(tmp_path / "out", [drive, replace(drive, label="again")], plots=False)
     assert again(tmp_path / "out" / "again").identical

@@ -96,7 +96,7 @@ def test_a_rule_that_forgets_its_radius_is_found_out(name: str, monkeypatch: pyt
         assert not holds(values(e, arb(0.3))[0], wanted)
 
 
-def test_more_bits_tell_more() -> None:
+def test_more_bits_give_narrower_balls() -> None:
     e, at = ca.sin(1e40 * x), ball(0.3)
     widths = [float(value.rad()) for bits in (64, 256, 1024) for value in enclosed_in(e, ball(0.3, bits), bits)]
     assert widths[0] >= 1 > widths[1] > 1e-80 > 1e-200 > widths[2]

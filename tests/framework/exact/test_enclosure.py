@@ -71,7 +71,7 @@ def test_a_square_encloses_the_exact_one_and_is_never_negative(a: float, wide: f
 
 
 def outside(low: float, high: float, x: float) -> list[str]:
-    """Which of sine and cosine at x lies outside what is told of the angles from `low` to `high`."""
+    """Which of sine and cosine at x lies outside the enclosure of the angles from `low` to `high`."""
     found = Enclosure(np.asarray(low), np.asarray(high)).sin_cos()
     with mpmath.workprec(200):
         exact = (mpmath.sin(mpmath.mpf(x)), mpmath.cos(mpmath.mpf(x)))
@@ -101,7 +101,7 @@ def test_sine_and_cosine_of_a_number_are_sharp(x: float) -> None:
     assert max(sine.upper - sine.lower, cosine.upper - cosine.lower) < 1e-13
 
 
-def test_of_an_angle_too_far_away_nothing_is_told() -> None:
+def test_an_angle_too_far_away_has_the_whole_range() -> None:
     sine, cosine = Enclosure.of(1e9).sin_cos()
     assert (float(sine.lower), float(sine.upper), float(cosine.lower), float(cosine.upper)) == (-1, 1, -1, 1)
 

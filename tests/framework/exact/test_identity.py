@@ -23,7 +23,7 @@ IDENTITIES = {
     "an absolute value squared": ca.fabs(x - y) ** 2 - (x - y) ** 2,
     "a product of signs": (ca.sign(x) + 1) * (ca.sign(x) - 1) * ca.sign(x) * ca.sign(y),
     "an absolute value times its sign": ca.fabs(x + y) * ca.sign(x + y) ** 2 - ca.fabs(x + y),
-    "an absolute value squared beside its sign": (ca.fabs(x) ** 2 - x * x) * ca.sign(x),
+    "an absolute value squared and its sign": (ca.fabs(x) ** 2 - x * x) * ca.sign(x),
     "decimals": -0.1 * x - 0.2 * x + 0.3 * x,
     "thirds": x * (1 / 3) + x * (2 / 3) - x,
     "an odd function": ca.sin(x - y) + ca.sin(y - x),

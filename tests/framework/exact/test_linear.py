@@ -112,7 +112,7 @@ def test_primality_is_that_of_sympy() -> None:
     assert not is_prime((2**61 - 1) * (2**89 - 1))
 
 
-def test_random_primes_are_prime_of_the_size_asked_and_repeat_with_the_seed() -> None:
+def test_random_primes_are_prime_of_the_requested_size_and_repeat_with_the_seed() -> None:
     import sympy
 
     found = [random_prime(random.Random(seed), bits) for seed, bits in ((1, 121), (1, 127), (2, 160))]

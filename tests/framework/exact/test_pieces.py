@@ -61,7 +61,7 @@ def test_what_is_continuous_is_seen_to_be_at_each_switching_instant(name: str) -
 
 
 @pytest.mark.parametrize("name", JUMPING)
-def test_a_jump_is_told_with_its_instant_and_both_sides(name: str) -> None:
+def test_a_jump_is_reported_with_its_instant_and_both_sides(name: str) -> None:
     e, instant, before, after = JUMPING[name]
     jump = course(e).jump
     assert jump is not None
@@ -87,7 +87,7 @@ def test_a_switch_at_the_roots_of_anything_else_is_not_followed(e: Any) -> None:
         course(e)
 
 
-def test_a_moving_divisor_or_root_is_told() -> None:
+def test_a_moving_divisor_or_root_is_reported() -> None:
     assert course(ca.fmin(t, 1) / (1 + t * t)).edged
     assert course(ca.asin(ca.sin(t)) + ca.fmin(t, 1)).edged
     assert not course(rate(LEAST_JERK)).edged  # its divisors are numbers between the instants

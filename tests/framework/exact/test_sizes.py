@@ -85,7 +85,7 @@ class Quotients:
 
 
 def exceeds(polynomial: Any, degree: int, height: int) -> bool:
-    """True where a polynomial has a higher degree, or larger coefficients, than it is said to have."""
+    """True where a polynomial has a higher degree, or larger coefficients, than the bound says."""
     if polynomial == 0:
         return False
     terms = sympy.Poly(polynomial, *(sorted(polynomial.free_symbols, key=str) or [sympy.Symbol("x")]))

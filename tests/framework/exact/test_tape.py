@@ -21,7 +21,7 @@ def trial(seed: int = 0) -> Trial:
 
 
 def random_expression(rng: random.Random, leaves: list[tuple[ca.SX, Fraction]], steps: int) -> tuple[ca.SX, Fraction]:
-    """An SX and, computed beside it, its exact value: the independent reference."""
+    """An SX and, computed independently, its exact value: the independent reference."""
     pool = list(leaves)
     for _ in range(steps):
         (a, x), (b, y) = rng.choice(pool), rng.choice(pool)
@@ -154,7 +154,7 @@ def test_beyond_the_limit_a_sign_is_a_free_value() -> None:
     assert t.sign(SIGN_LIMIT + 1) not in (-1, 0, 1)
 
 
-def test_a_vanishing_denominator_asks_for_another_point() -> None:
+def test_a_vanishing_denominator_requires_another_point() -> None:
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     for e in (1 / (x - y), y / (x - y), (x - y) ** -2):
         with pytest.raises(ZeroDivision, match="a denominator vanishes modulo"):

@@ -1,4 +1,4 @@
-r"""A docstring that states another law than the code: twenty ways, each told with its line."""
+r"""A docstring that states another law than the code: twenty ways, each reported with its line."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ _count = itertools.count()
 def faults(tmp_path):
     """The faults of a block whose docstring has one thing exchanged for another."""
 
-    def told(old="", new="", law=LAW):
+    def found_in(old="", new="", law=LAW):
         assert old in law
         path = tmp_path / "mixed.py"
         path.write_text(CODE.replace("LAW", law.replace(old, new, 1) if old else law))
@@ -103,7 +103,7 @@ def faults(tmp_path):
         spec.loader.exec_module(module)
         return [fault.text for fault in check_docstring(module.Mixed)]
 
-    return told
+    return found_in
 
 
 def test_a_docstring_that_states_what_the_code_computes_has_no_fault(faults):
@@ -149,19 +149,19 @@ SEEDED = {
 
 
 @pytest.mark.parametrize("what", SEEDED)
-def test_a_docstring_that_differs_from_the_code_is_told_with_its_line(faults, what):
+def test_a_docstring_that_differs_from_the_code_is_reported_with_its_line(faults, what):
     old, new, said = SEEDED[what]
-    told = faults(old, new)
-    assert told
-    assert any(said in text for text in told), told
-    assert all(text.startswith("mixed.py:") for text in told)
+    found = faults(old, new)
+    assert found
+    assert any(said in text for text in found), found
+    assert all(text.startswith("mixed.py:") for text in found)
     lines = CODE.replace("LAW", LAW.replace(old, new, 1)).splitlines()
-    if new and not what.startswith("a definition"):  # a definition is told where it is used
+    if new and not what.startswith("a definition"):  # a definition is reported where it is used
         changed = next(number for number, line in enumerate(lines, 1) if new in line)
-        assert {changed, changed - 1} & {int(text.split(":")[1]) for text in told}
+        assert {changed, changed - 1} & {int(text.split(":")[1]) for text in found}
 
 
-def test_an_option_may_have_a_law_of_its_own_beside_the_one_of_the_defaults(faults):
+def test_an_option_may_have_a_law_of_its_own_next_to_the_one_of_the_defaults(faults):
     more = LAW + textwrap.indent(
         "\n.. math::\n\n    \\dot w = -\\Lambda \\tau_{dc} \\sigma - \\mathrm{leak}\\, w \\tag{7}\n", "    "
     )
@@ -169,7 +169,7 @@ def test_an_option_may_have_a_law_of_its_own_beside_the_one_of_the_defaults(faul
     assert faults("\\mathrm{leak}\\, w \\tag", "2 \\mathrm{leak}\\, w \\tag", law=more)
 
 
-def test_an_integral_of_a_state_is_held_to_its_rate(faults):
+def test_an_integral_of_a_state_is_checked_against_its_rate(faults):
     right = LAW.replace("With :math", ":math:`w = \\int -\\Lambda \\tau_{dc} \\sigma`. With :math", 1)
     assert faults(law=right) == []
     assert any("rate of w" in text for text in faults("\\int -", "\\int ", law=right))
@@ -217,7 +217,7 @@ class Delay(AbstractBlock):
 
 
 @pytest.mark.parametrize(("right", "faults"), [("3 u", []), ("u", [r"x_held^+: the docstring's law is not what"])])
-def test_a_sampled_states_next_value_prints_and_is_held_to_the_docstring(tmp_path, right, faults):
+def test_a_sampled_states_next_value_prints_and_is_checked_against_the_docstring(tmp_path, right, faults):
     from dmframe.catalogue import find_block
 
     tmp_path.joinpath("delay.py").write_text(DELAY.replace("RIGHT", right))
@@ -271,7 +271,7 @@ DISPLAYED = ".. math::\n\n        \\dot x = "
     ],
     ids=["far", "code", "inline", "capital", "option", "required"],
 )
-def test_a_docstring_is_held_to_the_block_of_the_graph_and_far_away(tmp_path, doc, field, code):
+def test_a_docstring_is_checked_against_the_block_of_the_graph_and_far_away(tmp_path, doc, field, code):
     from dmframe.catalogue import find_block
     from dmframe.diagram import Diagram
 
@@ -296,7 +296,7 @@ def test_a_docstring_is_held_to_the_block_of_the_graph_and_far_away(tmp_path, do
     ],
     ids=["raises", "value"],
 )
-def test_a_docstring_of_one_value_of_a_number_has_no_block_to_be_held_to(tmp_path, code):
+def test_a_docstring_of_one_value_of_a_number_has_no_block_to_be_checked_against(tmp_path, code):
     from dmframe.catalogue import find_block
     from dmframe.diagram import Diagram
 

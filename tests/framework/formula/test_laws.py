@@ -1,4 +1,4 @@
-"""The laws of blocks, printed from the code that runs, beside the paper's; and what would print another law."""
+"""The laws of blocks, printed from the code that runs, against the paper's; and what would print another law."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.catalogue import block_types
 from dmframe.certificate import Certificate, Square
 from dmframe.certify import NotApplicableError, claim_of
-from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import BlockError
 from dmframe.formula import laws_of, printed
@@ -23,6 +22,7 @@ from dmframe.formula.alone import law_of_type, options_of, plainest, read_type, 
 from dmframe.formula.points import agree, in_balls
 from dmframe.formula.tree import Applied, Name, Node, Unprinted
 from dmframe.formula.where import where
+from dmframe.graph.graph import Graph
 from dmframe.names import unicode_name
 from dmframe.naming import named
 from dmframe.parameter import Diagonal, Positive
@@ -61,7 +61,7 @@ def test_every_symbol_of_a_law_is_defined_and_none_by_itself(name):
 
 def check_symbols(law, given):
     known = given | {line.name for line in law.lines}
-    told = {sign for sign, _ in where(law.lines)}
+    defined = {sign for sign, _ in where(law.lines)}
     for line in law.lines:
         right, left = line.right.node, line.left.node
         assert names(right, Unprinted) == []
@@ -70,10 +70,10 @@ def check_symbols(law, given):
         assert not own, line.whole.text
         assert known.isdisjoint(item.function for item in functions), line.whole.text
         for item in names(right, Name):
-            assert item.name in known or unicode_name(item.name) in told, (line.whole.text, item.name)
+            assert item.name in known or unicode_name(item.name) in defined, (line.whole.text, item.name)
         for item in functions:
             standard = item.function in ("sin", "cos", "tanh", "abs", "exp", "sqrt", "min", "max")
-            assert standard or any(sign.startswith(f"{unicode_name(item.function)}(") for sign in told)
+            assert standard or any(sign.startswith(f"{unicode_name(item.function)}(") for sign in defined)
 
 
 def test_the_block_that_does_not_stand_with_its_defaults_prints_every_way_in_which_it_does():
@@ -174,8 +174,8 @@ def test_an_option_prints_exactly_when_it_is_switched_on():
     assert {"leak", "error_leak", "dead_zone"} <= {label for label, _ in options_of(block)}
 
 
-def test_what_nobody_drives_does_not_print():
-    law = printed(load_experiment("known_tracking_pid").diagram(), "dynamics")
+def test_an_input_without_a_source_does_not_print():
+    law = printed(Graph.read("known_tracking_pid").diagram, "dynamics")
     assert {line.name: line.right.text for line in law.outputs} == {"tau_dc": "Y_d a_d_hat"}
 
 
@@ -203,20 +203,20 @@ def spring(*how):
     return Diagram.build({"spring": Spring(k=[1.0, 2.0])})
 
 
-def test_equations_that_answer_differently_the_second_time_are_told_with_file_and_line():
+def test_equations_that_differ_the_second_time_are_refused_with_file_and_line():
     answers = chain([1, 1, 1], repeat(-1))  # a diagram is built on the first three
     diagram = spring(lambda x, p: next(answers) * p.k * x.q)
     with pytest.raises(BlockError, match=r"spring: test_laws\.py:\d+: the output f differs when equations\(\)"):
         printed(diagram, "spring")
 
 
-def test_a_law_that_is_another_one_for_matrices_is_told():
+def test_a_law_that_is_another_one_for_matrices_is_refused():
     diagram = spring(lambda x, p: (-p.k if isinstance(x.q, ca.SX) else p.k) * x.q)
     with pytest.raises(BlockError, match="the output f differs"):
         printed(diagram, "spring")
 
 
-def test_a_certificate_that_is_another_one_for_matrices_is_told():
+def test_a_certificate_that_is_another_one_for_matrices_is_refused():
     diagram = spring(lambda x, p: -p.k * x.q, lambda x, p: x.q if isinstance(x.q, ca.SX) else x.v)
     with pytest.raises(BlockError, match="Square 1 of its storage differs when certificate"):
         printed(diagram, "spring")
@@ -233,7 +233,7 @@ def knows_the_proof_by_counting():
 
 @pytest.mark.parametrize("vector", [knows_the_proof_by_its_names, knows_the_proof_by_counting()])
 def test_a_certificate_that_is_another_one_for_the_proof_is_no_claim(vector):
-    """It stores v as it prints, and q, which would be proved, when the proof asks."""
+    """It stores v as it prints, and q, which would be proved, when the proof evaluates it."""
     claim_of(spring(lambda x, p: -p.k * x.q, lambda x, p: x.q))
     with pytest.raises(NotApplicableError, match=r"spring: test_laws\.py:\d+: Square 1 of its storage differs"):
         claim_of(spring(lambda x, p: -p.k * x.q, lambda x, p: vector(x)))
@@ -247,7 +247,7 @@ def test_a_block_that_insists_on_scalars_prints_element_by_element():
     assert lifted.outputs[0].right.text == "-k (q + 2 v)"
 
 
-def test_a_name_stands_for_its_part_and_is_defined_beside():
+def test_a_name_replaces_its_subexpression_and_is_defined_next_to_the_law():
     law = printed(spring(lambda x, p: -p.k * named("a", x.q + x.v)), "spring")
     assert law.outputs[0].right.text == "-k a"
     assert [line.whole.text for line in law.definitions] == ["a = q + v"]
@@ -314,7 +314,7 @@ def test_where_floats_are_no_witnesses_more_digits_are():
 
 
 @pytest.mark.parametrize("name", ["dq_c", "q_start"])
-def test_what_lies_in_the_eighth_digit_is_told_there_too(name):
+def test_an_error_in_the_eighth_digit_is_reported_there_too(name):
     read = read_type(SampledInverse, delay=2)
     outputs = {**read.stated.outputs, name: read.stated.outputs[name] * (1 + 3e-7)}
     lying = copy(read)

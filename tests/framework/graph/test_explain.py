@@ -1,4 +1,4 @@
-"""What `Graph.explain` says is so: each kind of sentence is held to a graph for which it would be false."""
+"""What `Graph.explain` says is so: each kind of sentence is checked against a graph for which it would be false."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import dmframe as dm
 from dmframe.certify import Verdict
 from dmframe.certify.claim import claim_of
 from dmframe.diagram import Diagram
-from dmframe.report import Explanation
 from dmframe.report.exchange import exchange_of
+from dmframe.report.explanation import Explanation
 from dmframe.report.flow import order
 from dmframe.text import Text
 
@@ -33,7 +33,7 @@ class Plain(AbstractBlock):
 
 
 PROVED = ("pendulum", "ur10_fast", "ur10_slow_kinematic")
-"""Graphs of whose verdict these tests speak; of others, the claim alone is asked for."""
+"""Graphs of whose verdict these tests speak; of others, only the claim is needed."""
 
 
 @cache
@@ -41,11 +41,11 @@ def explained(name: str) -> Explanation:
     graph = dm.load(name)
     if name in PROVED:
         return graph.explain()
-    return Explanation(graph.experiment, graph.diagram, Verdict("not_applicable", Text(), claim_of(graph.diagram)))
+    return Explanation(graph, graph.diagram, Verdict("not_applicable", Text(), claim_of(graph.diagram)))
 
 
 def said(name: str, block: str = "") -> str:
-    """All that is said of a block, or under the last heading, of one graph, in one line."""
+    """The section of a block, or the last one, of one graph, in one line."""
     sections = explained(name).sections
     (found,) = [section for section in sections if f" {block} (" in section.heading] if block else sections[-1:]
     return " ".join([found.heading, *(item.text for item in found.said)])
@@ -64,8 +64,8 @@ def test_a_block_stands_behind_those_whose_outputs_its_own_need(name: str) -> No
 
 
 def test_the_order_is_that_of_the_signals_and_not_that_of_the_file() -> None:
-    experiment = dm.load("pendulum").experiment
-    backwards = dict(reversed(experiment.blocks.items()))
+    experiment = dm.load("pendulum")
+    backwards = dict(reversed(list(experiment.blocks.items())))
     assert next(iter(backwards)) == "arm"
     found = order(Diagram.build(backwards, robot=experiment.robot))
     assert found == ["path", "task", "model", "dynamics", "inverse", "servo", "arm"]
@@ -294,7 +294,7 @@ def test_the_summary_is_plain_data() -> None:
     assert (data["verdict"], data["command"]) == ("proved", "dmframe verify ur10_fast")
 
 
-def test_the_printed_truth_of_an_estimate_is_held_to_the_one_that_is_proved() -> None:
+def test_the_printed_truth_of_an_estimate_is_the_one_that_is_proved() -> None:
     from dmframe.formula.law import PrintedLaw
 
     laws = {block.name: block.law for block in explained("ur10_fast").blocks}

@@ -18,8 +18,8 @@ from PIL import Image
 import dmframe as dm
 from dmframe.catalogue import graphs
 from dmframe.errors import DmframeError, OutputError, UnknownNameError, ValueFault
-from dmframe.report import Verification
 from dmframe.report.linear import LinearView
+from dmframe.report.verification import Verification
 from dmframe.simulate import simulate
 
 TEXT = graphs()["pendulum"].read_text(encoding="utf-8")
@@ -37,7 +37,7 @@ def found(pendulum: dm.Graph) -> Verification:
 
 def test_a_graph_comes_from_its_name_a_path_a_text_and_data() -> None:
     named = dm.load("pendulum")
-    data = named.experiment.document.data
+    data = named.document.data
     others = [dm.load(graphs()["pendulum"]), dm.load(str(graphs()["pendulum"])), dm.load(TEXT), dm.load(data)]
     assert {other.diagram.fingerprint for other in others} == {named.diagram.fingerprint}
     assert dm.load(named) is named
@@ -45,7 +45,7 @@ def test_a_graph_comes_from_its_name_a_path_a_text_and_data() -> None:
 
 
 def test_data_may_hold_arrays_tuples_and_numbers_of_numpy() -> None:
-    data = dict(dm.load("arm2_joint").experiment.document.data)
+    data = dict(dm.load("arm2_joint").document.data)
     servo = next(name for name, block in data["blocks"].items() if block["type"] == "pi_servo")
     data["blocks"] = data["blocks"] | {servo: data["blocks"][servo] | {"K_P": np.array([60.0, 60.0])}}
     data["duration"] = np.float64(0.5)
@@ -66,10 +66,10 @@ def test_data_may_hold_arrays_tuples_and_numbers_of_numpy() -> None:
         (7, "load: expected a graph's name, its path, its text or a dictionary, found int"),
     ],
 )
-def test_what_is_no_graph_is_told_with_its_place(source: Any, text: str) -> None:
-    with pytest.raises(DmframeError) as told:
+def test_text_that_is_no_graph_is_refused_with_its_place(source: Any, text: str) -> None:
+    with pytest.raises(DmframeError) as caught:
         dm.load(source)
-    assert text in str(told.value)
+    assert text in str(caught.value)
 
 
 def test_a_value_that_is_set_gives_another_graph_and_leaves_this_one(pendulum: dm.Graph) -> None:
@@ -77,14 +77,26 @@ def test_a_value_that_is_set_gives_another_graph_and_leaves_this_one(pendulum: d
     assert (other.clock, pendulum.clock) == (0.002, None)
     assert other.blocks["dynamics"].Gamma == 3.0  # type: ignore[attr-defined]
     assert pendulum.blocks["dynamics"].Gamma != 3.0  # type: ignore[attr-defined]
-    assert other.experiment.overrides == ('duration="0.5 s"', "dynamics.Gamma=3", 'clock="2 ms"')
+    assert other.overrides == ('duration="0.5 s"', "dynamics.Gamma=3", 'clock="2 ms"')
 
 
 def test_what_is_set_is_what_the_command_line_would_set(pendulum: dm.Graph) -> None:
-    from dmframe.config import load_experiment
-
     set_here = pendulum.set({"dynamics.Gamma": 3, "start": {"q": [0.2]}, "inverse.w_box": [0, 2]})
-    assert load_experiment("pendulum", set_here.experiment.overrides).data == set_here.experiment.data
+    assert dm.Graph.read("pendulum", set_here.overrides).data == set_here.data
+
+
+def test_former_names_of_a_graph_give_it_with_a_notice(pendulum: dm.Graph) -> None:
+    run = dm.Run(pendulum, pendulum.simulate())
+    with pytest.warns(DeprecationWarning, match=r"graph\.experiment is now the graph itself"):
+        assert pendulum.experiment is pendulum
+    with pytest.warns(DeprecationWarning, match=r"run\.experiment is now run\.graph"):
+        assert run.experiment is pendulum
+
+
+def test_each_changed_copy_is_a_graph_with_the_same_methods(pendulum: dm.Graph) -> None:
+    copies = [pendulum.set({"dynamics.Gamma": 3}), pendulum.until(1), pickle.loads(pickle.dumps(pendulum))]
+    copies.append(dm.load("theorem_3").baseline())
+    assert {type(copy) for copy in copies} == {dm.Graph}
 
 
 @pytest.mark.parametrize(
@@ -98,37 +110,35 @@ def test_what_is_set_is_what_the_command_line_would_set(pendulum: dm.Graph) -> N
         ({"dynamics": 1}, "expected a parameter of a block, dynamics.parameter=value"),
     ],
 )
-def test_a_value_that_cannot_be_set_is_told_with_its_name(pendulum: dm.Graph, values: Any, text: str) -> None:
-    with pytest.raises(DmframeError) as told:
+def test_a_value_that_cannot_be_set_is_refused_with_its_name(pendulum: dm.Graph, values: Any, text: str) -> None:
+    with pytest.raises(DmframeError) as caught:
         pendulum.set(values)
-    assert text in str(told.value)
+    assert text in str(caught.value)
 
 
-def test_all_faults_of_several_values_are_told_at_once(pendulum: dm.Graph) -> None:
-    with pytest.raises(DmframeError) as told:
+def test_all_faults_of_several_values_are_reported_at_once(pendulum: dm.Graph) -> None:
+    with pytest.raises(DmframeError) as caught:
         pendulum.set({"dynamics.Gamma": -1, "inverse.K_c": 0})
-    assert "dynamics.Gamma" in str(told.value)
-    assert "inverse.K_c" in str(told.value)
+    assert "dynamics.Gamma" in str(caught.value)
+    assert "inverse.K_c" in str(caught.value)
 
 
 def test_a_run_keeps_the_graphs_clock_solver_start_and_log() -> None:
     graph = dm.load("arm2_joint").set(
         {"clock": "2 ms", "solver.step": 0.0005, "start": {"q": [0.7, 1.0]}, "log.signals": ["arm.q"], "duration": 0.02}
     )
-    run, file = graph.run(), graph.experiment.file
+    run, file = graph.run(), graph.file
     assert (run.recording.clock, run.recording.solver.step) == (0.002, 0.0005)
     assert run["arm.q"].values[0].tolist() == [0.7, 1.0]
     assert "arm.dq" not in run
-    by_hand = simulate(
-        graph.diagram, file.duration, clock=file.clock, solver=graph.experiment.solver, start={"q": [0.7, 1.0]}
-    )
+    by_hand = simulate(graph.diagram, file.duration, clock=file.clock, solver=graph.solver, start={"q": [0.7, 1.0]})
     assert np.array_equal(run["arm.q"].values, by_hand["arm.q"])
 
 
 @pytest.mark.parametrize("until", [0.2, "0.2 s", "200 ms", np.float64(0.2)])
-def test_a_run_lasts_as_long_as_it_is_asked_to(pendulum: dm.Graph, until: Any) -> None:
+def test_a_run_lasts_as_long_as_requested(pendulum: dm.Graph, until: Any) -> None:
     run = pendulum.run(until)
-    assert (run.time[-1], run.experiment.file.duration) == (0.2, 0.2)
+    assert (run.time[-1], run.graph.file.duration) == (0.2, 0.2)
 
 
 @pytest.mark.parametrize("until", [0, "-1 s", "soon", np.inf, True])
@@ -252,11 +262,21 @@ def test_every_public_name_has_a_docstring_and_typed_arguments() -> None:
 
 def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="has no attribute 'simulate_all'"):
-        dm.simulate_all  # noqa: B018 - asking is the test
+        dm.simulate_all  # noqa: B018 - the attribute is the test
 
 
 def test_importing_it_imports_nothing_heavy() -> None:
     code = "import sys, dmframe; print(sorted({'casadi', 'numpy', 'pydantic', 'xarray'} & sys.modules.keys()))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
+def test_a_proof_imports_no_run_report_or_plotting_module() -> None:
+    code = (
+        "import sys, dmframe as dm; dm.load('pendulum').verify()\n"
+        "heavy = 'dmframe.batch', 'dmframe.results', 'dmframe.regressor', 'dmframe.report.content', 'scipy'\n"
+        "print([name for name in heavy if name in sys.modules])"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
 
@@ -272,14 +292,14 @@ def test_functions_stay_functions_when_the_rooms_are_imported() -> None:
     assert done.stdout == "[]\n"
 
 
-def test_an_unknown_engine_is_told(pendulum: dm.Graph) -> None:
+def test_an_unknown_engine_is_refused(pendulum: dm.Graph) -> None:
     with pytest.raises(ValueFault, match="engine: expected auto, compiled, interpreted, found 'fast'"):
         pendulum.run("0.1 s", engine="fast")  # type: ignore[arg-type]
 
 
 def test_a_run_says_that_its_loop_is_unstable_on_its_clock_though_it_stayed_bounded() -> None:
-    told = dm.load("ur10_slow").run("12 s").notices
-    assert any("unstable near its set-point on a clock of 90 ms, spectral radius" in notice for notice in told)
+    notices = dm.load("ur10_slow").run("12 s").notices
+    assert any("unstable near its set-point on a clock of 90 ms, spectral radius" in notice for notice in notices)
     assert dm.load("ur10_slow").run("5 s").notices == ()  # too short to be worth the look
     assert dm.load("ur10_fast").run("12 s").notices == ()
 
@@ -289,7 +309,7 @@ def test_a_graph_and_a_run_survive_pickling_and_a_graph_equals_one_of_the_same_t
     assert again == pendulum
     assert hash(again) == hash(pendulum)
     assert again != pendulum.set({"dynamics.Gamma": 3})
-    assert again.experiment.overrides == pendulum.experiment.overrides
+    assert again.overrides == pendulum.overrides
     run = pendulum.run()
     read = pickle.loads(pickle.dumps(run))
     assert read.data.identical(run.data)
@@ -324,15 +344,15 @@ def test_blocks_cannot_be_exchanged_behind_a_graphs_back(pendulum: dm.Graph) -> 
         (lambda g: g.run(0.1).plot("arm.q").save("x.png"), "expected a folder, found the name of a file"),
     ],
 )
-def test_what_one_tries_first_and_does_not_work_is_told(pendulum: dm.Graph, call: Any, text: str) -> None:
-    with pytest.raises(DmframeError) as told:
+def test_common_first_mistakes_are_refused_with_a_remedy(pendulum: dm.Graph, call: Any, text: str) -> None:
+    with pytest.raises(DmframeError) as caught:
         call(pendulum)
-    assert text in str(told.value)
+    assert text in str(caught.value)
 
 
-def test_a_run_that_is_not_as_long_as_asked_says_so(pendulum: dm.Graph) -> None:
-    told = dm.load("ur10_fast").run("12 ms").notices
-    assert told == ("16 ms are simulated, not 12 ms: whole ticks of 8 ms",)
+def test_a_run_that_is_not_as_long_as_requested_gives_a_notice(pendulum: dm.Graph) -> None:
+    notices = dm.load("ur10_fast").run("12 ms").notices
+    assert notices == ("16 ms are simulated, not 12 ms: whole ticks of 8 ms",)
     assert pendulum.run("0.3 s").notices == ()
     few = pendulum.set({"log.every": 0.5}).run("0.5 s")
     assert few.notices == ("log.every keeps fewer than three instants of this run",)

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from in_node import WEB, asked, content_of_graph
+from in_node import WEB, answered, content_of_graph
 
 import dmframe as dm
 from dmframe.analysis.period import sampled_radius
-from dmframe.certify.climb import climb_of
 from dmframe.page.periods import Periods, stable_periods
+from dmframe.results.climb import climb_of
 
 FILE, MOVED = {"p": False, "run": False}, {"p": True, "run": False, "at": []}
 
@@ -27,7 +27,7 @@ def clocked() -> dict[str, Any]:
 
 def said(data: dict[str, Any], *ticks: float, moved: dict[str, Any] = FILE, web: Path = WEB) -> list[dict[str, Any]]:
     questions = [{"p": data["p"], "moved": moved, "run": {"tick": tick, "every": 1}} for tick in ticks]
-    answers: list[dict[str, Any]] = asked(data, judged=questions, web=web)["answers"]
+    answers: list[dict[str, Any]] = answered(data, judged=questions, web=web)["answers"]
     return answers
 
 
@@ -70,7 +70,7 @@ def test_at_other_numbers_the_bounds_are_not_known() -> None:
     ("periods", "says"),
     [(None, "was not computed"), (Periods(reason="no goal").data, "is not known: no goal")],
 )
-def test_bounds_that_were_not_found_are_said_to_be_unknown(periods: Any, says: str) -> None:
+def test_bounds_that_were_not_found_are_reported_as_unknown(periods: Any, says: str) -> None:
     (found,) = said({**clocked(), "periods": periods}, 1.0)
     assert says in found["says"][0]
 
@@ -82,7 +82,7 @@ def test_without_a_clock_and_over_samples_no_bound_is_looked_for() -> None:
 
 def test_a_run_that_diverges_is_not_green() -> None:
     question = {"p": clocked()["p"], "moved": FILE, "run": {"tick": 0.002, "every": 1, "divergence": {"time": 1}}}
-    (found,) = asked(clocked(), judged=[question])["answers"]
+    (found,) = answered(clocked(), judged=[question])["answers"]
     assert found["state"] == "clock"
 
 
@@ -91,7 +91,7 @@ def test_where_v_rose_is_counted_as_a_run_counts_it() -> None:
     V = [np.cumsum(draw.normal(-0.1, 1.0, 50)) + 100 for _ in range(4)] + [np.array([3.0, 2.0, 2.0 + 1e-15])]
     wrong = [np.zeros(50)] * 2 + [np.full(50, 0.4)] * 2 + [np.full(3, 1e-14)]
     pairs = [{"V": values.tolist(), "wrong": off.tolist()} for values, off in zip(V, wrong, strict=True)]
-    answers = asked({}, climbs=pairs)["answers"]
+    answers = answered({}, climbs=pairs)["answers"]
     for found, values, off in zip(answers, V, wrong, strict=True):
         expected = climb_of(np.arange(float(values.size)), values, off)
         assert (found["rises"], found["steps"]) == (expected.rises, expected.steps)

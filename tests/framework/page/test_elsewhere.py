@@ -1,4 +1,4 @@
-"""What a page says at numbers that its sliders moved, held to what `verify` says of a graph with these numbers."""
+"""What a page says at numbers moved by its sliders, checked against `verify` of a graph with these numbers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 import pytest
-from in_node import asked, content, content_of_graph
+from in_node import answered, content, content_of_graph
 from pydantic import model_validator
 
 import dmframe as dm
@@ -49,7 +49,7 @@ def judged(data: Mapping[str, Any], moved: Mapping[str, float], shift: list[floa
     at += [len(p) + row for row in data["starts"]["rows"]] * start
     said = {"p": bool(moved), "at": at, "start": start, "run": bool(shift)}
     question = {"p": p, "shift": shift, "moved": said}
-    (answer,) = asked(dict(data), judged=[question])["answers"]
+    (answer,) = answered(dict(data), judged=[question])["answers"]
     found: dict[str, Any] = answer
     return found
 
@@ -109,7 +109,7 @@ class Path(AbstractBlock):
 
 @final
 class Toy(AbstractBlock):
-    """V holds x - r alone; the rest is what `verify` looks at beside its conditions."""
+    """V holds x - r alone; the rest is what `verify` checks besides its conditions."""
 
     inputs = (Input("r"), Input("dr", "", "1/s", derivative_of="r"))
     outputs = ()
@@ -123,7 +123,7 @@ class Toy(AbstractBlock):
 
     def certificate(self, u: Any, x: Any, p: Any, truth: Any) -> Certificate:
         e = x.x - u.r
-        more = (Inequality("a < 3/2", 1.5 - p.a, "nobody"),)
+        more = (Inequality("a < 3/2", 1.5 - p.a, "no source"),)
         driven = (Driven((x.y,), ((p.a - p.b,),), (x.y,), more),)
         return Certificate((Square(e),), (Square(e),), driven=driven)
 
@@ -253,7 +253,7 @@ def _filled(places: Any, p: np.ndarray) -> Any:
     return 0.0 if places is None else float(p[places])
 
 
-def test_gravity_is_said_to_be_known_only_where_it_is() -> None:
+def test_gravity_is_listed_as_known_only_where_it_is() -> None:
     nothing = Verdict("not_applicable", Text())
 
     def says(name: str) -> dict[str, str]:
@@ -307,7 +307,7 @@ def test_a_load_beyond_the_box_of_its_estimate_is_not_green() -> None:
     masses = next(slider for slider in data["sliders"] if slider["label"] == "load.mass")
     p = [4 * value if 0 <= k - masses["at"] < masses["size"] else value for k, value in enumerate(data["p"])]
     at = list(range(masses["at"], masses["at"] + masses["size"]))
-    (answer,) = asked(dict(data), judged=[{"p": p, "moved": {"p": True, "at": at, "run": False}}])["answers"]
+    (answer,) = answered(dict(data), judged=[{"p": p, "moved": {"p": True, "at": at, "run": False}}])["answers"]
     assert answer["state"] in ("fails", "undecided")
     assert not dm.load("ur10_payload").set({"load.mass": [1.2, 17.2, 1.2]}).verify().proved
 
@@ -318,7 +318,7 @@ def test_what_the_files_start_decided_is_open_where_the_start_has_moved() -> Non
     verdict = {"outcome": "proved", "headline": "proved", "reason": "the identity", "kappa": None, "conclusions": []}
     data = {"verdict": {**verdict, "conditions": [row]}, "clock": None}
     moves = [{"p": False, "start": True, "at": at, "run": True} for at in ([2], [3])]
-    (moved, other) = asked(data, judged=[{"margins": [], "moved": move} for move in moves])["answers"]
+    (moved, other) = answered(data, judged=[{"margins": [], "moved": move} for move in moves])["answers"]
     assert (moved["state"], other["state"]) == ("undecided", "proved")
 
 

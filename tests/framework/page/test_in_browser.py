@@ -19,7 +19,7 @@ import dmframe as dm
 from dmframe import notebook
 from dmframe.cli.graphs import graphs_of
 from dmframe.page.page import assembled, policy
-from dmframe.results import Run
+from dmframe.results.run import Run
 from dmframe.simulate.start import start_state
 
 HEADLINE = "document.getElementById('headline').textContent"
@@ -47,7 +47,7 @@ BROWSERS = {"chromium": chromium, "firefox": firefox}
 
 
 IN_ONE = pytest.mark.parametrize("tab", ["chromium"], indirect=True)
-"""For what asks no more of a browser than JavaScript; what touches an interface of its own runs in both."""
+"""For what requires no more of a browser than JavaScript; what touches an interface of its own runs in both."""
 
 
 @pytest.fixture(scope="module", params=BROWSERS)
@@ -154,7 +154,7 @@ def test_the_command_that_a_page_shows_gives_the_same_numbers(tab: Browser, tmp_
     assert words[3::2] == ["--set"] * 6
     (graph,) = graphs_of(["arm2_joint"], words[4::2], trust=False)
     place = content("arm2_joint")["pose"]["at"]
-    start = start_state(graph.diagram, graph.experiment.start)[place : place + 2]
+    start = start_state(graph.diagram, graph.start)[place : place + 2]
     expected = np.array(content("arm2_joint")["state"])[place : place + 2] + np.array([0.2, -0.1])
     np.testing.assert_allclose(start, expected, atol=1e-5)
     assert (graph.clock, graph.duration) == (0.001, 20.0)
@@ -263,10 +263,10 @@ def test_the_command_on_a_baselines_page_runs_the_baseline(tab: Browser, tmp_pat
 
 
 def test_a_page_runs_inside_a_notebook_which_it_cannot_reach(tab: Browser, tmp_path: Path) -> None:
-    told = "<script>addEventListener('message', (event) => (document.title = event.data))</script>"
+    listener = "<script>addEventListener('message', (event) => (document.title = event.data))</script>"
     says = f"setInterval(() => parent.postMessage({HEADLINE}, '*'), 50)"
     inside = resealed(assembled(content("arm2_joint")).replace(END, f"\n{says}{END}"))
-    tab.opened(saved(tmp_path, f"<!doctype html>{told}{notebook.framed(inside, 'live', 800)}"))
+    tab.opened(saved(tmp_path, f"<!doctype html>{listener}{notebook.framed(inside, 'live', 800)}"))
     tab.until(f"document.title === '{PROVED}'")
     assert tab.said == []
 
@@ -305,14 +305,14 @@ def test_a_page_fits_a_phone_and_its_controls_have_names(tab: Browser, tmp_path:
 
 
 @pytest.mark.parametrize("name", ["ur10_fast", "arm2_joint"])
-def test_a_page_is_small_and_asks_for_nothing(name: str) -> None:
+def test_a_page_is_small_and_requests_nothing(name: str) -> None:
     html = assembled(content(name))
     assert len(html.encode()) < 200_000
     assert not re.search(r"(src|href)=[\"'](?!data:)|@import|url\(|fetch\(|importScripts|https?:", html)
 
 
 @IN_ONE
-def test_what_an_address_says_and_a_page_cannot_set_is_told(tab: Browser, tmp_path: Path) -> None:
+def test_values_in_an_address_that_a_page_cannot_set_are_reported(tab: Browser, tmp_path: Path) -> None:
     page, notice = saved(tmp_path, assembled(content("arm2_joint"))), "document.getElementById('notice').textContent"
     tab.opened(page, "#task.alpha_bar=1.5&other.K=5&clock=1e9&%ZZ&at=2")
     assert tab.until(notice) == "What the address says cannot be set here: other.K=5, clock=1e9."

@@ -24,18 +24,18 @@ def test_a_page_states_where_its_robot_comes_from_and_under_which_licence() -> N
     assert "BSD-3-Clause, as dmframe" in content("arm2_joint")["origin"]["text"]
 
 
-def test_a_licence_beside_a_urdf_is_carried_and_a_robot_without_one_is_said_to_have_none(tmp_path: Path) -> None:
+def test_a_licence_next_to_a_urdf_is_carried_and_a_robot_without_one_is_reported_to_have_none(tmp_path: Path) -> None:
     urdf = next((Path(dm.__file__).parents[1] / "plants/dmframe_plants/pendulum").glob("*.urdf"))
     own = tmp_path / "deep/robot/urdf/own.urdf"
     own.parent.mkdir(parents=True)
     shutil.copyfile(urdf, own)
     graph = dm.load("pendulum").set({"robot.model": str(own)})
-    found = origin_of(graph.experiment)
+    found = origin_of(graph)
     assert found is not None
     assert found["licences"] == []
     assert "are unknown: no SOURCE.md and no licence file found" in found["text"]
     (own.parents[1] / "LICENSE").write_text("Do as you like.\n")
-    again = origin_of(graph.experiment)
+    again = origin_of(graph)
     assert again is not None
     assert again["licences"] == [{"name": "robot/LICENSE", "text": "Do as you like.\n"}]
 

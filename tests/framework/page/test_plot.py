@@ -22,13 +22,13 @@ def marks(*ranges: tuple[float, float], fault: tuple[str, str] = ("", "")) -> li
     text = "".join((WEB / name).read_text("utf-8") for name in ("solver.js", "verdict.js", "plot.js"))
     assert fault[0] in text
     text = text.replace(*fault) if fault[0] else text
-    asked = "([low, high]) => levels(...widened(low, high), 1, 138).map(({ text }) => text)"
-    text += f"console.log(JSON.stringify({json.dumps(ranges)}.map({asked})));"
+    call = "([low, high]) => levels(...widened(low, high), 1, 138).map(({ text }) => text)"
+    text += f"console.log(JSON.stringify({json.dumps(ranges)}.map({call})));"
     words = [node, "--max-old-space-size=64", "--input-type=module", "-e", text]
     found = subprocess.run(words, capture_output=True, text=True, check=False)
     assert found.returncode == 0, "no end of marks"
-    told: list[list[str]] = json.loads(found.stdout)
-    return told
+    labels: list[list[str]] = json.loads(found.stdout)
+    return labels
 
 
 def test_an_axis_has_a_few_marks_that_all_read_differently() -> None:

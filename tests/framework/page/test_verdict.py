@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from in_node import WEB, asked, content
+from in_node import WEB, answered, content
 
 FILE, MOVED, CLOCK = ({"p": p, "run": run} for p, run in ((False, False), (True, False), (False, True)))
 
 
 def said(data: dict[str, Any], *questions: dict[str, Any], web: Path = WEB) -> list[dict[str, Any]]:
-    answers: list[dict[str, Any]] = asked(data, judged=list(questions), web=web)["answers"]
+    answers: list[dict[str, Any]] = answered(data, judged=list(questions), web=web)["answers"]
     return answers
 
 
@@ -101,8 +101,8 @@ def test_what_is_tacit_is_named_where_it_does_not_hold_and_nowhere_else() -> Non
     assert (len(holds["rows"]), len(zero["rows"])) == (1, 2)
     assert "All 1 conditions" in " ".join(holds["says"])
     assert "k - 3 is not zero" in zero["says"][0]
-    (asked_otherwise,) = said(opening, margins(1.0, 0.0))
-    assert asked_otherwise["state"] == "undecided"
+    (answered_otherwise,) = said(opening, margins(1.0, 0.0))
+    assert answered_otherwise["state"] == "undecided"
 
 
 def test_that_a_loop_stays_bounded_is_of_the_files_numbers_too() -> None:

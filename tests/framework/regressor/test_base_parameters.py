@@ -13,11 +13,13 @@ import pytest
 
 from dmframe.errors import RobotError, UnknownNameError
 from dmframe.exact import Trial, random_prime
-from dmframe.regressor import BaseParameters, DynamicParameters, base_parameters, listing
+from dmframe.regressor.base_parameters import BaseParameters, base_parameters
 from dmframe.regressor.export import polarised_regressor
 from dmframe.regressor.full import Sampler, full_regressor
+from dmframe.regressor.listing import listing
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.library import load
+from dmframe.robot.parameters import DynamicParameters
 
 if TYPE_CHECKING:
     import sympy

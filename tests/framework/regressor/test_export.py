@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from dmframe.errors import OutputError, ShapeError, UnknownNameError
-from dmframe.regressor import base_parameters, export_c, regressor_function, self_test, write_c
-from dmframe.regressor.export import polarised_regressor
+from dmframe.regressor.base_parameters import base_parameters
+from dmframe.regressor.export import export_c, polarised_regressor, regressor_function, self_test, write_c
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.library import load
 

@@ -12,8 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from dmframe.regressor import Proof, prove
-from dmframe.regressor.proofs import proof_page
+from dmframe.regressor.proofs import Proof, proof_page, prove
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.library import load
 from dmframe.robot.symbolic import SymbolicRobot

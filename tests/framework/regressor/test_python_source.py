@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from dmframe.errors import OutputError
-from dmframe.regressor import base_parameters, kinematic_function, kinematic_values, python_source, write_python
-from dmframe.regressor.export import export_c, polarised_regressor, tool_velocity
-from dmframe.regressor.python_source import python_difference
+from dmframe.regressor.base_parameters import base_parameters
+from dmframe.regressor.export import export_c, kinematic_function, kinematic_values, polarised_regressor, tool_velocity
+from dmframe.regressor.python_source import python_difference, python_source, write_python
 from dmframe.robot.library import load
 
 

@@ -16,11 +16,19 @@ import pytest
 from latex2mathml.converter import convert
 
 from dmframe.errors import ValueFault
-from dmframe.regressor import base_parameters, latex, plain_text, write_out
+from dmframe.regressor.base_parameters import base_parameters
 from dmframe.regressor.export import polarised_regressor, tool_velocity
 from dmframe.regressor.polynomial import Polynomial, expand, wave
 from dmframe.regressor.readable import Groups, Style, terms_of
-from dmframe.regressor.typeset import Matrix, evaluate, largest_difference, parallel_groups
+from dmframe.regressor.typeset import (
+    Matrix,
+    evaluate,
+    largest_difference,
+    latex,
+    parallel_groups,
+    plain_text,
+    write_out,
+)
 from dmframe.robot.library import find_robot, load
 
 UR10 = {"free": ["shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"], "hold": {"wrist_2_joint": -np.pi / 2}}
@@ -131,7 +139,7 @@ def test_what_is_printed_is_what_pinocchio_computes(name: str, options: dict[str
     q, dq, dq_ref, ddq_ref = rng.uniform(-2, 2, (4, chain.n))
     signals = {"dq": dq, "dq_ref": dq_ref, "ddq_ref": ddq_ref, "psi": dq}
     numbers = written.numbers | {f"{k}_{i + 1}": v for k, x in signals.items() for i, v in enumerate(x)}
-    from dmframe.regressor import DynamicParameters
+    from dmframe.robot.parameters import DynamicParameters
 
     columns = [DynamicParameters(chain).names.index(column) for column in written.Y_d.columns]
     expected = polarised_regressor(chain, q, dq, dq_ref, ddq_ref)

@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 
 from dmframe.catalogue import graphs
-from dmframe.config import load_experiment
-from dmframe.report import Verification
+from dmframe.graph.graph import Graph
 from dmframe.report.content import Content, gather
 from dmframe.report.linear import LinearView
+from dmframe.report.verification import Verification
 
 LIAR = '''
 from __future__ import annotations
@@ -45,9 +45,9 @@ class Liar(AbstractBlock):
 
 
 def case(source: str | Path, *overrides: str) -> Verification:
-    graph = load_experiment(source, overrides)
-    diagram = graph.diagram()
-    return Verification(graph, diagram, graph.verify(diagram))
+    graph = Graph.read(source, overrides)
+    diagram = graph.diagram
+    return Verification(graph, diagram, graph.verdict(diagram))
 
 
 def content(found: Verification) -> Content:

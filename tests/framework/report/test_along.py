@@ -3,14 +3,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dmframe.certify.along import Along, TermAlong, along
 from dmframe.errors import ValueFault
+from dmframe.results.along import Along, TermAlong, along
 from dmframe.text import Text
 from dmframe_plants.arm2.closed_form import mass_matrix
 
 
 def run_of(case, duration):
-    return case.experiment.with_duration(duration).simulate(case.diagram)
+    return case.experiment.until(duration).simulate(case.diagram)
 
 
 def test_v_along_a_run_is_the_v_of_the_textbook(proved):
@@ -60,7 +60,7 @@ def test_in_continuous_time_v_never_rises_beyond_the_integrators_error(continuou
     assert found.largest_increase < 1e-9 * found.V[0]
 
 
-def test_the_largest_increase_is_told_with_its_time():
+def test_the_largest_increase_is_reported_with_its_time():
     found = Along(np.array([0.0, 1.0, 2.0, 3.0]), 1.0, np.array([5.0, 5.5, 3.0, 4.5]), ())
     assert (found.largest_increase, found.increase_at, found.rises) == (1.5, 2.0, 2)
 
@@ -72,7 +72,7 @@ def test_a_v_that_never_rises_has_no_increase(V):
 
 
 def test_a_run_of_other_blocks_is_refused(proved, failing):
-    with pytest.raises(ValueFault) as told:
+    with pytest.raises(ValueFault) as caught:
         along(proved.verdict.claim, run_of(failing, 0.1))
     expected = "V along a run: expected a run of the claim's own blocks, with 22 of dynamics.a_d_hat, found 11 of"
-    assert told.value.text == expected
+    assert caught.value.text == expected

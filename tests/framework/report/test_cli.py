@@ -20,7 +20,7 @@ def status_of(monkeypatch, *words):
     return stopped.value.code
 
 
-def test_schema_prints_that_of_verdicts_when_asked(monkeypatch, capsys):
+def test_schema_prints_that_of_verdicts_when_requested(monkeypatch, capsys):
     assert status_of(monkeypatch, "schema", "--verdict") == 0
     assert json.loads(capsys.readouterr().out) == verdict_schema()
 
@@ -29,8 +29,8 @@ def test_verify_refuses_a_report_of_another_kind_before_it_proves_anything(monke
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("dmframe.certify.verify", lambda *_, **__: pytest.fail("verified first"))
     assert status_of(monkeypatch, "verify", "pendulum", "--report", "r.docx") == 2
-    told = capsys.readouterr().err
-    assert told == "dmframe: r.docx: expected a name that ends in .html, .md, .json, found .docx\n"
+    error = capsys.readouterr().err
+    assert error == "dmframe: r.docx: expected a name that ends in .html, .md, .json, found .docx\n"
 
 
 def test_verify_writes_the_report_and_says_so(monkeypatch, capsys, tmp_path, contents):
@@ -41,14 +41,14 @@ def test_verify_writes_the_report_and_says_so(monkeypatch, capsys, tmp_path, con
     assert Path("r.md").read_text(encoding="utf-8").startswith("# arm2_joint: proved")
 
 
-def test_a_source_is_told_as_a_paper_tells_it():
+def test_a_source_is_cited_as_in_a_paper():
     assert reference("WangTAC2020") == (
         "H. Wang, W. Ren, C. C. Cheah, Y. Xie, S. Lyu, “Dynamic Modularity Approach to Adaptive Control of Robotic "
         "Systems With Closed Architecture”, IEEE Transactions on Automatic Control 65(6), 2020, pp. 2760–2767."
     )
 
 
-def test_every_source_that_a_packaged_block_cites_is_told_in_full():
+def test_every_source_that_a_packaged_block_cites_is_printed_in_full():
     folders = (REPOSITORY / "blocks" / "dmframe_blocks", REPOSITORY / "plants" / "dmframe_plants")
     texts = [file.read_text(encoding="utf-8") for folder in folders for file in folder.rglob("*.py")]
     cited = {key for text in texts for key in re.findall(r"\[([A-Z]\w+\d{4}[a-z]?)\]_", text)}
@@ -56,5 +56,5 @@ def test_every_source_that_a_packaged_block_cites_is_told_in_full():
     assert [key for key in cited if reference(key).startswith("see the documentation")] == []
 
 
-def test_a_source_of_somebody_elses_block_is_told_where_to_find():
-    assert reference("Nobody1900") == "see the documentation of the block that cites it"
+def test_for_an_unknown_source_the_reader_is_sent_to_the_blocks_documentation():
+    assert reference("Unknown1900") == "see the documentation of the block that cites it"

@@ -10,9 +10,9 @@ from dmframe.catalogue import graphs
 from dmframe.report.command import command
 
 
-def test_a_packaged_graph_is_called_by_its_name_and_what_was_set_is_said():
+def test_a_packaged_graph_is_called_by_its_name_and_overrides_are_printed():
     graph = dm.load("arm2_joint").set({"path.center": [0.5, 1]})
-    words = shlex.split(command(graph.experiment, "run").text)
+    words = shlex.split(command(graph, "run").text)
     assert words[:4] == ["dmframe", "run", "arm2_joint", "--set"]
     assert words[4].startswith("path.center=")
 
@@ -20,22 +20,22 @@ def test_a_packaged_graph_is_called_by_its_name_and_what_was_set_is_said():
 def test_a_file_of_any_name_is_one_word_of_a_shell(tmp_path):
     file = tmp_path / 'it\'s; echo $HOME "x" <b>.yaml'
     shutil.copy(graphs()["arm2_joint"], file)
-    assert shlex.split(command(dm.load(file).experiment, "run").text) == ["dmframe", "run", str(file)]
+    assert shlex.split(command(dm.load(file), "run").text) == ["dmframe", "run", str(file)]
 
 
-def test_of_a_graph_that_is_no_file_it_is_told_where_its_text_goes():
+def test_the_text_of_a_graph_without_a_file_is_given_a_file_name():
     graph = dm.load(dm.load("arm2_joint").text, name="mine").set({"task.alpha_bar": 3})
-    assert command(graph.experiment, "run")[:2] == ("dmframe run mine.yaml", "the graph's text in mine.yaml")
+    assert command(graph, "run")[:2] == ("dmframe run mine.yaml", "the graph's text in mine.yaml")
 
 
 def test_a_file_without_an_ending_is_called_by_its_own_name(tmp_path):
     file = tmp_path / "mine"
     shutil.copy(graphs()["arm2_joint"], file)
-    assert command(dm.load(file).experiment, "verify")[:2] == (f"dmframe verify {file}", "")
+    assert command(dm.load(file), "verify")[:2] == (f"dmframe verify {file}", "")
 
 
-def test_a_baseline_is_run_beside_its_graph_and_verified_as_a_file_of_its_own():
-    graph = dm.load("theorem_3").set({"servo.K_P": 50}).baseline().experiment
+def test_a_baseline_is_run_together_with_its_graph_and_verified_as_a_file_of_its_own():
+    graph = dm.load("theorem_3").set({"servo.K_P": 50}).baseline()
     found = command(graph, "run")
     assert found == ("dmframe run theorem_3 --baseline --set servo.K_P=50", "", ("inverse",))
     verified = ("dmframe verify theorem_3_baseline.yaml", "the graph's text in theorem_3_baseline.yaml", ())

@@ -1,4 +1,4 @@
-"""Whatever stands in a graph, its robot or its blocks arrives on a page as text."""
+"""Whatever is in a graph, its robot or its blocks arrives on a page as text."""
 
 from __future__ import annotations
 

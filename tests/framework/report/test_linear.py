@@ -34,7 +34,7 @@ def test_poles_margins_and_periods_are_those_of_the_analysis(proved, analysed):
         (0.0038971, 0.0038972, "3.897 ms"),
     ],
 )
-def test_a_bracket_is_told_as_a_reader_takes_it(stable, unstable, text):
+def test_a_bracket_is_parsed_as_a_reader_parses_it(stable, unstable, text):
     assert _bracket(Bracket(stable, unstable, "")) == text
 
 

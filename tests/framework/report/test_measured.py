@@ -15,18 +15,18 @@ def test_a_graph_that_cannot_be_simulated_says_why(proved, monkeypatch):
     def refuse(*_, **__):
         raise StartError("start: out of reach")
 
-    monkeypatch.setattr("dmframe.config.experiment.simulate", refuse)
+    monkeypatch.setattr("dmframe.config.graph.simulate", refuse)
     found = measure(proved.experiment, proved.diagram, proved.verdict)
     assert found.sentence.endswith("The graph could not be simulated: start: out of reach.")
     assert (found.facts, found.figure) == ((), "")
 
 
-def test_a_run_that_diverged_is_told_with_its_state(proved, monkeypatch):
-    run = proved.experiment.with_duration(0.1).simulate(proved.diagram)
+def test_a_run_that_diverged_is_reported_with_its_state(proved, monkeypatch):
+    run = proved.experiment.until(0.1).simulate(proved.diagram)
     states = {label: rows.copy() for label, rows in run.states.items()}
     states["arm.dq"][-1] = 1e200
     blown = replace(run, states=states, divergence=Divergence("arm", "dq", 0, 0.1))
-    monkeypatch.setattr("dmframe.config.experiment.simulate", lambda *_, **__: blown)
+    monkeypatch.setattr("dmframe.config.graph.simulate", lambda *_, **__: blown)
     with np.errstate(all="ignore"):
         found = measure(proved.experiment, proved.diagram, proved.verdict)
     assert found.facts[0][1].endswith("the run diverged: `arm.dq` is no longer finite")
@@ -35,7 +35,7 @@ def test_a_run_that_diverged_is_told_with_its_state(proved, monkeypatch):
 
 
 def test_in_continuous_time_the_report_blames_no_sampling(continuous):
-    graph = continuous.experiment.with_duration(0.3)
+    graph = continuous.experiment.until(0.3)
     found = measure(graph, continuous.diagram, continuous.verdict)
     assert "the simulation differs from the theorem's loop by the integration error only" in found.sentence
     assert "sampling" not in found.sentence

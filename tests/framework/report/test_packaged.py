@@ -1,4 +1,4 @@
-"""Packaged graphs that hold every packaged block, verified once: what is told of them, and what is printed."""
+"""Packaged graphs that hold every packaged block, verified once: their summaries and their reports."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dmframe.report.terms import terms_of
 
 VALIDATOR = Draft202012Validator(verdict_schema())
 LETTER = re.compile(r"\\(?:hat|bar|tilde|dot|ddot)\{[^{}]+\}|\\mathrm\{(?:[^{}\\]|\\_)+\}|\\[A-Za-z]+|[A-Za-z]")
-SIGNS = {"M", "I"}  # the inertia, printed beside the arm's equation, and the identity
+SIGNS = {"M", "I"}  # the inertia, printed next to the arm's equation, and the identity
 SYMBOL = re.compile(rf"((?:{LETTER.pattern})(?:_\{{(?:[^{{}}]|\{{[^{{}}]*\}})*\}})?)")
 MARKS = re.compile(
     r"\\operatorname\{(?:[^{}\\]|\\.)*\}|\\(?:begin|end)\{matrix\}|\\(?:left|right|tfrac|frac|cdot|top)\b|\\[,;]"
@@ -25,7 +25,7 @@ MARKS = re.compile(
 
 
 @pytest.mark.parametrize("name", every_block())
-def test_what_is_told_and_printed_of_a_packaged_graph_is_valid_and_whole(name):
+def test_the_summary_and_the_report_of_a_packaged_graph_are_valid_and_complete(name):
     found = dm.verify(name)
     VALIDATOR.validate(json.loads(json.dumps(found.summary, allow_nan=False)))
     if util.find_spec("wasmtime") is not None:
@@ -57,13 +57,13 @@ def check_laws(laws):
 
 
 def check_symbols(terms, least):
-    """Every symbol of a printed weight stands in the table, or is defined on the page."""
-    told = {item.symbol for item in terms.legend} | {row.left for row in terms.definitions} | SIGNS
+    """Every symbol of a printed weight is in the table, or is defined on the page."""
+    defined = {item.symbol for item in terms.legend} | {row.left for row in terms.definitions} | SIGNS
     weights = [row.weight for row in (*terms.storage, *terms.dissipation, *terms.excess)]
     weights += [row.right for row in terms.definitions]
     found = {symbol for weight in weights for symbol in SYMBOL.findall(MARKS.sub(" ", weight))}
     assert len(found) >= least
-    assert found - told == set()
+    assert found - defined == set()
 
 
 def check_written_out(terms, claim):

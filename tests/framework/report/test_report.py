@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 
 from dmframe.errors import OutputError
-from dmframe.report import check_place, write_report
 from dmframe.report.page import as_html, as_markdown
-from dmframe.report.write import as_data
+from dmframe.report.write import as_data, check_place, write_report
 
 NAMES = ("proved", "refuted", "failing", "silent")
 SECTIONS = (
@@ -72,7 +71,7 @@ def test_every_link_of_a_page_leads_to_its_one_target(pages, name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_section_stands_in_page_and_markdown(pages, texts, name):
+def test_every_section_is_in_page_and_markdown(pages, texts, name):
     headings = ["".join(element.itertext()) for element in parsed(pages[name]).iter("h2")]
     assert [heading for heading in headings if heading in SECTIONS] == list(SECTIONS)
     lines = texts[name].splitlines()
@@ -117,7 +116,7 @@ def test_the_numbers_of_a_page_are_those_of_the_json(contents, pages, texts, nam
             assert item["value"] in text
 
 
-def test_v_along_the_run_is_told_in_words_numbers_and_picture(contents, pages):
+def test_v_along_the_run_is_given_in_words_numbers_and_picture(contents, pages):
     numbers = contents["proved"].measured.numbers
     assert numbers["V_start"] > 0
     assert numbers["steps"] == 100
@@ -161,7 +160,7 @@ def test_the_command_that_replays_a_report_is_one_that_a_shell_takes(pages):
     assert "dmframe verify 'it'\"'\"'s'" in words(pages["proved"])
 
 
-def test_the_robots_equations_stand_in_reports_of_planar_arms(pages, texts):
+def test_the_robots_equations_are_in_reports_of_planar_arms(pages, texts):
     assert "The robot's equations" in words(pages["proved"])
     assert r"C_{12} = - p_{x2} \mathrm{mc}_{x2} s_{2} (\dot q_{1} + \dot q_{2})" in texts["proved"]
 
@@ -189,15 +188,15 @@ def test_the_json_holds_verdict_laws_formulas_run_and_provenance(contents):
 
 @pytest.fixture
 def gathered(contents, monkeypatch):
-    """Nothing is simulated again; what was asked of `gather` is kept."""
-    asked = list[dict[str, object]]()
+    """Nothing is simulated again; the arguments of `gather` are kept."""
+    calls = list[dict[str, object]]()
 
     def gather(*_, tell, **named):
-        asked.append(named)
+        calls.append(named)
         return contents["silent"]
 
     monkeypatch.setattr("dmframe.report.write.gather", gather)
-    return asked
+    return calls
 
 
 @pytest.mark.parametrize("ending", ["html", "md", "json", "HTML"])
@@ -225,12 +224,12 @@ def test_a_report_says_how_it_came_about(proved, silent, tmp_path, gathered):
         ("no/r.md", "no/r.md: the folder no does not exist; create it first, or choose another"),
     ],
 )
-def test_a_place_where_no_report_can_be_is_told_before_anything_is_computed(tmp_path, monkeypatch, name, text):
+def test_a_path_where_no_report_can_be_written_is_refused_before_any_computation(tmp_path, monkeypatch, name, text):
     monkeypatch.chdir(tmp_path)
     Path("folder.md").mkdir()
-    with pytest.raises(OutputError) as told:
+    with pytest.raises(OutputError) as caught:
         check_place(Path(name))
-    assert told.value.text == text
+    assert caught.value.text == text
 
 
 def test_a_report_that_cannot_be_written_leaves_the_old_one(silent, tmp_path, gathered, monkeypatch):

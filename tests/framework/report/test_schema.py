@@ -10,14 +10,14 @@ from dmframe.certify import verify
 from dmframe.certify.schema import verdict_schema
 from dmframe.certify.summary import summary
 from dmframe.certify.uncertain import intervals
-from dmframe.config import load_experiment
+from dmframe.graph.graph import Graph
 
 VALIDATOR = Draft202012Validator(verdict_schema())
 
 
-def told(name):
-    graph = load_experiment(name)
-    diagram = graph.diagram()
+def summary_of(name):
+    graph = Graph.read(name)
+    diagram = graph.diagram
     return summary(graph.name, verify(diagram, uncertain=intervals(diagram, graph.file.uncertain)))
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dmframe.certify.claim import claim_of
-from dmframe.config import load_experiment
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Spec
 from dmframe.report.terms import parameter_text, shown, terms_of
 
@@ -60,8 +60,8 @@ GAIN = "[[2, 1, 0], [1, 2, 0], [0, 0, 1]]"
 
 
 def test_a_gain_that_is_a_matrix_is_written_out_and_so_is_its_inverse_in_v():
-    graph = load_experiment("observed_regulation_pi", ["geometry.adapt=tool", f"geometry.Gamma_k={GAIN}"])
-    terms = terms_of(claim_of(graph.diagram()))
+    graph = Graph.read("observed_regulation_pi", ["geometry.adapt=tool", f"geometry.Gamma_k={GAIN}"])
+    terms = terms_of(claim_of(graph.diagram))
     assert [item.value for item in terms.legend if item.label == "geometry.Gamma_k"] == [GAIN]
     (weight,) = [row.value for row in terms.storage if row.block == "geometry"]
     found = np.array([[float(number) for number in row.split(",")] for row in weight[2:-2].split("], [")])
@@ -79,7 +79,7 @@ def test_a_gain_that_is_a_matrix_is_written_out_and_so_is_its_inverse_in_v():
         (np.array([[7.0]]), "7"),
     ],
 )
-def test_a_large_matrix_is_told_by_its_size_and_what_stands_on_and_off_its_diagonal(values, expected):
+def test_a_large_matrix_is_printed_by_its_size_and_its_entries_on_and_off_the_diagonal(values, expected):
     assert shown(values) == expected
 
 
@@ -92,7 +92,7 @@ def test_a_large_matrix_is_told_by_its_size_and_what_stands_on_and_off_its_diago
         ("diagonal", [1.0, 2], "1, 2"),
     ],
 )
-def test_a_box_and_a_ball_are_told_by_both_parts_and_brackets_hold_lists_alone(form, value, expected):
+def test_a_box_and_a_ball_are_printed_by_both_parts_and_brackets_hold_lists_alone(form, value, expected):
     assert parameter_text(np.array(value), Spec("n", "", "", form)) == expected
 
 
@@ -104,4 +104,4 @@ def test_a_symbol_that_another_block_states_has_its_row():
 
 
 def theorem(name):
-    return claim_of(load_experiment(name).diagram())
+    return claim_of(Graph.read(name).diagram)

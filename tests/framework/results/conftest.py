@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dmframe.config.experiment import load_experiment
-from dmframe.results import Run
+from dmframe.graph.graph import Graph
+from dmframe.results.run import Run
 from dmframe.simulate import Divergence, Recording, simulate
 
 
 def result(name, duration, *overrides):
-    graph = load_experiment(name, overrides).with_duration(duration)
+    graph = Graph.read(name, overrides).until(duration)
     file = graph.file
-    run = simulate(graph.diagram(), duration, clock=file.clock, solver=graph.solver, start=graph.start)
+    run = simulate(graph.diagram, duration, clock=file.clock, solver=graph.solver, start=graph.start)
     return Run(graph, run)
 
 

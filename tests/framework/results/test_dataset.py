@@ -6,9 +6,9 @@ import pytest
 
 from dmframe.block import AbstractBlock, Equations
 from dmframe.catalogue import block_types
-from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import BlockError
+from dmframe.graph.graph import Graph
 from dmframe.port import Element, Output
 from dmframe.results.dataset import dataset, element_labels, elements
 from dmframe.robot.library import load
@@ -17,7 +17,7 @@ from dmframe.units import sliding
 
 def test_every_variable_and_the_time_have_units_and_a_long_name(ur10, pendulum, arm2):
     for result in (ur10, pendulum, arm2):
-        data = dataset(result.recording, result.experiment)
+        data = dataset(result.recording, result.graph)
         assert set(data.data_vars) == {*result.recording.states, *result.recording.outputs}
         for variable in (*data.data_vars.values(), *data.coords.values()):
             assert variable.attrs["units"]
@@ -42,10 +42,10 @@ def test_dimensions_bear_the_names_of_joints_axes_and_parameters(ur10):
      ("tool", 3, "tool x", "tool z")],
 )  # fmt: skip
 def test_adapted_translations_bear_the_names_of_what_they_place(adapt, count, first, last):
-    diagram = load_experiment("theorem_3", [f"geometry.adapt={adapt}"]).diagram()
+    diagram = Graph.read("theorem_3", [f"geometry.adapt={adapt}"]).diagram
     labels = element_labels(diagram, "h", count)
     assert (len(labels), labels[0], labels[-1]) == (count, first, last)
-    assert element_labels(load_experiment("ur10_fast").diagram(), "h", 2) == ("1", "2")
+    assert element_labels(Graph.read("ur10_fast").diagram, "h", 2) == ("1", "2")
 
 
 def test_a_link_of_a_robot_of_one_joint_is_not_taken_for_its_tool():
@@ -64,7 +64,7 @@ def test_a_link_of_a_robot_of_one_joint_is_not_taken_for_its_tool():
     ],
 )
 def test_dynamic_parameters_bear_names_and_units_whatever_the_regressor_holds(graph, overrides, count, named):
-    found = elements(load_experiment(graph, overrides).diagram(), "p", count)
+    found = elements(Graph.read(graph, overrides).diagram, "p", count)
     assert len({element.name for element in found}) == count
     assert named.items() <= {element.name: element.unit for element in found}.items()
 
@@ -95,7 +95,7 @@ def test_a_block_of_a_users_own_names_what_it_binds():
     assert element_labels(diagram, "p", 3) == ("1", "2", "3")
 
 
-def test_an_element_that_cannot_be_named_is_told_by_the_blocks_name(monkeypatch):
+def test_an_element_that_cannot_be_named_is_labelled_by_the_blocks_name(monkeypatch):
     diagram = Diagram.build({"mine": Reduced(names=("beta_1", "beta_2"))}, {}, load("pendulum"))
     monkeypatch.setattr(Reduced, "elements", lambda self, robot: {"p": ("beta_1", "beta_2")})
     with pytest.raises(BlockError, match=r"mine: elements\(\), .*'str' object has no attribute 'name'"):
@@ -109,9 +109,9 @@ def test_values_are_those_of_the_run(ur10):
 
 
 def test_attributes_say_where_the_data_come_from(ur10):
-    attributes = dataset(ur10.recording, ur10.experiment, seed=3).attrs
+    attributes = dataset(ur10.recording, ur10.graph, seed=3).attrs
     assert attributes["graph"] == "ur10_fast"
-    assert attributes["title"] == ur10.experiment.file.title
+    assert attributes["title"] == ur10.graph.file.title
     assert attributes["clock"] == "0.008 s"
     assert attributes["solver"].startswith("rk4, step 0.001 s")
     assert attributes["source"].startswith("dmframe ")

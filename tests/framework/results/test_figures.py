@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from dmframe.certify.along import along
 from dmframe.errors import UnknownNameError
 from dmframe.plotting import FORMATS, files_of, look, styled, thin
-from dmframe.results import write_run
+from dmframe.results.along import along
 from dmframe.results.command_figure import command_figure
 from dmframe.results.effort_figure import effort_figure
 from dmframe.results.error_figure import error_figure
 from dmframe.results.estimate_figure import estimate_figure
+from dmframe.results.folder import write_run
 from dmframe.results.path_figure import last_lap, magnification, path_figure
 from dmframe.results.signal_figure import signal_figure
 from dmframe.results.storage_figure import storage_figure
@@ -32,7 +32,7 @@ def drawn(name, run):
                 figure.draw_without_rendering()
 
 
-def test_figures_lie_beside_the_data_as_small_well_formed_svg(tmp_path, ur10, kinematic):
+def test_figures_are_written_next_to_the_data_as_small_well_formed_svg(tmp_path, ur10, kinematic):
     write_run(tmp_path / "out", [kinematic, ur10])
     files = {item.name for item in (tmp_path / "out").iterdir() if item.is_file()} - {"seal.json"}
     assert files == {f"{name}.svg" for name in NAMES}
@@ -219,10 +219,10 @@ def test_a_figure_names_the_runs_that_it_leaves_out_and_the_stretch_that_it_show
     assert note(effort_figure({"big": longer})) == "from 38 s to 50 s of 50 s; controller every 8 ms"
 
 
-def test_true_values_stand_beside_the_names_of_their_estimates(ur10):
+def test_true_values_are_written_next_to_the_names_of_their_estimates(ur10):
     figure = estimate_figure("ur10", ur10.recording)
     texts = [text.get_text() for text in figure.axes[1].get_legend().get_texts()]
-    K_D = ur10.experiment.blocks["servo"].K_D
+    K_D = ur10.graph.blocks["servo"].K_D
     assert texts == [
         f"{name}  (true {1 / gain:.3g})"
         for name, gain in zip(("shoulder pan", "shoulder lift", "elbow"), K_D, strict=True)
@@ -253,7 +253,7 @@ def test_a_run_of_two_instants_is_seen(ur10):
 
 
 def test_v_is_drawn_as_the_proof_states_it_with_its_largest_terms(arm2):
-    verdict = arm2.experiment.verify(arm2.recording.diagram)
+    verdict = arm2.graph.verdict(arm2.recording.diagram)
     proved = along(verdict.claim, arm2.recording, float(verdict.kappa.chosen))
     above, below = storage_figure("arm2", arm2).axes
     (V,) = above.get_lines()
@@ -274,13 +274,13 @@ def test_a_figure_of_v_says_how_many_of_its_terms_it_leaves_out(arm2, monkeypatc
 def test_a_graph_of_which_nothing_would_be_proved_has_no_figure_of_v(kinematic, make_result, pendulum, monkeypatch):
     assert storage_figure("no certificate", kinematic) is None
     unpaid = make_result("pendulum", 0.1, "inverse.K_c=0.1", "inverse.tie=position")
-    assert unpaid.experiment.verify(unpaid.recording.diagram).outcome == "not_applicable"
+    assert unpaid.graph.verdict(unpaid.recording.diagram).outcome == "not_applicable"
     assert storage_figure("a condition fails", unpaid) is None
     states = {label: rows for label, rows in pendulum.recording.states.items() if label != "servo.q_c"}
     partly = replace(pendulum, recording=replace(pendulum.recording, states=states))
     assert storage_figure("a state was not kept", partly) is None
     assert storage_figure("all is well", pendulum) is not None
-    monkeypatch.setattr("dmframe.certify.unproved.MOST", 3)
+    monkeypatch.setattr("dmframe.results.claimed.MOST", 3)
     assert storage_figure("too large to be decided on the way", replace(pendulum)) is None
 
 

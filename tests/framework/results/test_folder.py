@@ -12,12 +12,13 @@ import pytest
 
 import dmframe.results.folder as folder_module
 import dmframe.results.run as run_module
-from dmframe.config.experiment import load_experiment
+from dmframe.config.resolved import resolved_text
 from dmframe.errors import OutputError
 from dmframe.files import hidden_name, write_bytes
-from dmframe.results import Run, reserved, write_run
-from dmframe.results.folder import safe_name, write_data
-from dmframe.results.resolved import resolved_text
+from dmframe.graph.graph import Graph
+from dmframe.results.folder import safe_name, write_data, write_run
+from dmframe.results.place import reserved
+from dmframe.results.run import Run
 from dmframe.seal import seal_of
 from dmframe.simulate import simulate
 
@@ -29,11 +30,11 @@ def reserve(path):
 
 
 def test_one_graph_leaves_data_summary_graph_and_provenance(tmp_path, ur10):
-    (told,) = write_run(tmp_path / "out", [ur10], plots=False)
+    (data,) = write_run(tmp_path / "out", [ur10], plots=False)
     names = {item.name for item in (tmp_path / "out").iterdir()}
     assert names == {"signals.nc", "summary.json", "graph.yaml", "provenance.json", "seal.json"}
-    assert json.loads((tmp_path / "out" / "summary.json").read_text()) == told
-    assert told["out"] == str(tmp_path / "out")
+    assert json.loads((tmp_path / "out" / "summary.json").read_text()) == data
+    assert data["out"] == str(tmp_path / "out")
 
 
 def test_signals_come_back_with_their_units(tmp_path, ur10):
@@ -51,16 +52,16 @@ def test_signals_come_back_with_their_units(tmp_path, ur10):
 def test_the_resolved_graph_loads_again_and_gives_the_same_run(tmp_path, make_result, name):
     result = make_result(name, 0.2, "clock=10 ms")
     write_run(tmp_path / "out", [result], plots=False)
-    again = load_experiment(tmp_path / "out" / "graph.yaml")
-    run = simulate(again.diagram(), again.file.duration, clock=again.file.clock, solver=again.solver, start=again.start)
-    assert resolved_text(again) == resolved_text(result.experiment)
+    again = Graph.read(tmp_path / "out" / "graph.yaml")
+    run = simulate(again.diagram, again.file.duration, clock=again.file.clock, solver=again.solver, start=again.start)
+    assert resolved_text(again) == resolved_text(result.graph)
     assert run.clock == 0.01
     for label in (*run.states, *run.outputs):
         assert np.array_equal(run[label], result.recording[label])
 
 
-def test_overrides_and_defaults_stand_in_the_resolved_graph(make_result):
-    text = resolved_text(make_result("ur10_fast", 0.05, "dynamics.Gamma=7", "inverse.w_box=[0, 0.004]").experiment)
+def test_overrides_and_defaults_are_in_the_resolved_graph(make_result):
+    text = resolved_text(make_result("ur10_fast", 0.05, "dynamics.Gamma=7", "inverse.w_box=[0, 0.004]").graph)
     assert "Gamma: 7.0" in text
     assert "w_box: [0.0, 0.004]" in text
     assert "method: rk4" in text  # a default
@@ -68,7 +69,7 @@ def test_overrides_and_defaults_stand_in_the_resolved_graph(make_result):
 
 
 def test_a_graph_with_a_users_block_and_urdf_takes_them_along(tmp_path, make_result):
-    source = load_experiment("pendulum")
+    source = Graph.read("pendulum")
     block = "from dmframe_blocks.joint_tracking import JointTracking\n\n\nclass MyTracking(JointTracking):\n    pass\n"
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "mine.py").write_text(block, encoding="utf-8")
@@ -81,28 +82,28 @@ def test_a_graph_with_a_users_block_and_urdf_takes_them_along(tmp_path, make_res
     result = make_result(tmp_path / "own.yaml", 0.1)
     write_run(tmp_path / "out", [result], plots=False)
     assert {"mine.py", "arm.urdf"} < {item.name for item in (tmp_path / "out").iterdir()}
-    again = load_experiment(tmp_path / "out" / "graph.yaml")
+    again = Graph.read(tmp_path / "out" / "graph.yaml")
     assert type(again.blocks["task"]).__name__ == "MyTracking"
-    assert resolved_text(again) == resolved_text(result.experiment)
+    assert resolved_text(again) == resolved_text(result.graph)
 
 
 def test_several_graphs_have_a_folder_each_with_distinct_names(tmp_path, kinematic, pendulum):
-    told = write_run(tmp_path / "out", [kinematic, pendulum, kinematic], plots=False)
+    summaries = write_run(tmp_path / "out", [kinematic, pendulum, kinematic], plots=False)
     names = ["ur10_fast_kinematic", "pendulum", "ur10_fast_kinematic_2"]
-    assert [item["out"] for item in told] == [str(tmp_path / "out" / name) for name in names]
+    assert [item["out"] for item in summaries] == [str(tmp_path / "out" / name) for name in names]
     assert all((tmp_path / "out" / name / "signals.nc").is_file() for name in names)
 
 
 def test_provenance_has_versions_digests_command_and_time(tmp_path, ur10):
     now = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
     write_run(tmp_path / "out", [ur10], plots=False, seed=5, command=["dmframe", "run", "ur10_fast"], now=now)
-    told = json.loads((tmp_path / "out" / "provenance.json").read_text())
+    provenance = json.loads((tmp_path / "out" / "provenance.json").read_text())
     text = (tmp_path / "out" / "graph.yaml").read_bytes()
-    assert told["graph_sha256"] == hashlib.sha256(text).hexdigest()
-    assert (told["time"], told["seed"]) == ("2026-01-02T03:04:05+00:00", 5)
-    assert told["command"] == ["dmframe", "run", "ur10_fast"]
-    assert told["versions"]["numpy"] == np.__version__
-    assert len(told["urdf_sha256"]) == 64
+    assert provenance["graph_sha256"] == hashlib.sha256(text).hexdigest()
+    assert (provenance["time"], provenance["seed"]) == ("2026-01-02T03:04:05+00:00", 5)
+    assert provenance["command"] == ["dmframe", "run", "ur10_fast"]
+    assert provenance["versions"]["numpy"] == np.__version__
+    assert len(provenance["urdf_sha256"]) == 64
 
 
 def test_a_folder_with_files_is_refused_and_left_alone(tmp_path, ur10):
@@ -146,7 +147,7 @@ def test_a_fault_in_the_middle_leaves_nothing(tmp_path, ur10, monkeypatch, fault
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_full_disk_is_told_with_the_folder_and_a_remedy_and_leaves_nothing(tmp_path, ur10, monkeypatch):
+def test_a_full_disk_is_reported_with_the_folder_and_a_remedy_and_leaves_nothing(tmp_path, ur10, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -167,9 +168,9 @@ def test_figures_that_cannot_be_drawn_lose_no_data(tmp_path, ur10, monkeypatch):
 
         place = tmp_path / type(fault).__name__
         monkeypatch.setattr("dmframe.results.figures.files_of", fail)
-        with pytest.raises(OutputError, match="signals and summary are written") as told:
+        with pytest.raises(OutputError, match="signals and summary are written") as caught:
             write_run(place, [ur10])
-        assert text in told.value.text
+        assert text in caught.value.text
         assert {item.name for item in place.iterdir()} == {
             "signals.nc",
             "summary.json",
@@ -182,8 +183,8 @@ def test_figures_that_cannot_be_drawn_lose_no_data(tmp_path, ur10, monkeypatch):
 def test_v_is_computed_once_for_notices_data_and_its_figure(tmp_path, make_result, monkeypatch):
     computed, storage_of = [], run_module.storage_of
     monkeypatch.setattr(run_module, "storage_of", lambda *given: computed.append(given) or storage_of(*given))
-    (told,) = write_run(tmp_path / "out", [make_result("pendulum", 0.2)])
-    assert told["storage"]["start"] > 0
+    (data,) = write_run(tmp_path / "out", [make_result("pendulum", 0.2)])
+    assert data["storage"]["start"] > 0
     assert (tmp_path / "out" / "storage.svg").is_file()
     assert len(computed) == 1
 
@@ -201,13 +202,13 @@ def test_hdf5_never_meets_the_disk_itself(tmp_path, ur10, monkeypatch):
 
 
 def test_results_of_a_diverged_run_are_written(tmp_path, ur10, blow_up):
-    write_run(tmp_path / "out", [Run(ur10.experiment, blow_up(ur10.recording, 0.4))], plots=False)
-    told = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert told["diverged"]
-    assert told["error"]["rms_by_eighth"][4:] == [None] * 4
+    write_run(tmp_path / "out", [Run(ur10.graph, blow_up(ur10.recording, 0.4))], plots=False)
+    data = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert data["diverged"]
+    assert data["error"]["rms_by_eighth"][4:] == [None] * 4
 
 
-def test_a_folder_that_is_held_is_nobody_elses(tmp_path, kinematic):
+def test_a_locked_folder_cannot_be_written_by_another_run(tmp_path, kinematic):
     with reserved(tmp_path / "out") as place:
         with pytest.raises(OutputError, match="out: another process writes there; name another folder"):
             reserve(tmp_path / "out")

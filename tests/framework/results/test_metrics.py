@@ -8,8 +8,8 @@ import pinocchio as pin
 import pytest
 
 import dmframe as dm
-from dmframe.results import summary, tracking_error, turn_error
-from dmframe.results.metrics import eighth_of, euclidean, rms_by_eighth
+from dmframe.results.metrics import eighth_of, euclidean, rms_by_eighth, tracking_error, turn_error
+from dmframe.results.summary import summary
 
 
 def test_rms_of_a_staircase_is_each_of_its_steps():
@@ -64,17 +64,17 @@ def test_a_synthetic_constant_error_has_its_length_as_rms(arm2):
 
 
 def test_the_summary_is_valid_json_with_null_for_what_is_not_there(ur10, blow_up):
-    told = json.loads(json.dumps(summary("a", blow_up(ur10.recording, 0.4), "out"), allow_nan=False))
-    assert list(told) == [
+    data = json.loads(json.dumps(summary("a", blow_up(ur10.recording, 0.4), "out"), allow_nan=False))
+    assert list(data) == [
         "graph", "duration", "clock", "diverged", "divergence", "interrupted", "error", "turn", "rank", "shown",
         "engine", "wall_time", "real_time_factor", "notices", "out",
     ]  # fmt: skip
-    assert list(told["error"]) == ["signal", "unit", "rms_by_eighth", "rms_final"]
-    assert (told["diverged"], told["clock"], told["error"]["rms_final"]) == (True, 0.008, None)
-    assert "arm.q[0] is no longer finite" in told["divergence"]
+    assert list(data["error"]) == ["signal", "unit", "rms_by_eighth", "rms_final"]
+    assert (data["diverged"], data["clock"], data["error"]["rms_final"]) == (True, 0.008, None)
+    assert "arm.q[0] is no longer finite" in data["divergence"]
 
 
-def test_a_tools_turn_is_told_in_degrees_beside_its_error(ur10):
+def test_a_tools_rotation_error_is_given_in_degrees_next_to_its_position_error(ur10):
     count = len(ur10.recording.time)
     angle = np.linspace(0, np.pi, count)  # to half a turn
     turns = np.array([pin.exp3(a * np.array([0.6, 0, 0.8])) for a in angle])
@@ -90,5 +90,5 @@ def test_a_tools_turn_is_told_in_degrees_beside_its_error(ur10):
 
 
 def test_a_summary_of_a_run_that_took_no_time_has_no_factor(pendulum):
-    told = summary("a", replace(pendulum.recording, wall_time=0.0))
-    assert (told["real_time_factor"], told["clock"], told["out"]) == (None, "continuous", None)
+    data = summary("a", replace(pendulum.recording, wall_time=0.0))
+    assert (data["real_time_factor"], data["clock"], data["out"]) == (None, "continuous", None)

@@ -59,6 +59,6 @@ def test_graphs_in_continuous_time_are_those_of_which_v_never_rises() -> None:
 
 def test_a_faster_clock_takes_the_rise_of_the_tuned_graph_away() -> None:
     run = dm.load("ur10_fast_tuned").set(clock="1 ms").run(judge=False)
-    found = re.search(r"clock of 1 ms the\s+rise is ([\d.]+) %", PAGE.read_text("utf-8"))
+    found = re.search(r"clock of 1 ms the\s+rise\s+is\s+([\d.]+) %", PAGE.read_text("utf-8"))
     assert found is not None
     assert 100 * run.storage.along.climb.share == pytest.approx(float(found[1]), rel=0.06)  # type: ignore[operator]

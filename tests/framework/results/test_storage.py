@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import dmframe as dm
-from dmframe.certify.along import along
-from dmframe.certify.climb import climb_of
 from dmframe.errors import DmframeError
+from dmframe.results.along import along
+from dmframe.results.climb import climb_of
 from dmframe_plants.arm2.closed_form import jacobian
 
 LOADED = """
@@ -65,7 +65,7 @@ def test_dv_dt_as_it_is_claimed_is_the_slope_of_v_in_continuous_time(continuous:
     assert np.abs(slope - 0.99 * rate[1:-1]).max() > 1e-3 * size  # a hundredth more of it would be seen
 
 
-def test_where_v_falls_all_the_time_nothing_is_said(continuous: dm.Run) -> None:
+def test_where_v_falls_all_the_time_there_is_no_notice(continuous: dm.Run) -> None:
     assert np.all(np.diff(continuous["V"]) <= 0)
     assert continuous.storage.notice == ""
     assert continuous.notices == continuous.recording.notices
@@ -73,15 +73,15 @@ def test_where_v_falls_all_the_time_nothing_is_said(continuous: dm.Run) -> None:
     assert continuous.summary["storage"]["cause"] == []
 
 
-def test_a_rise_at_samples_is_told_with_its_size_its_time_and_what_differs_from_the_claim(sampled: dm.Run) -> None:
+def test_a_rise_at_samples_is_reported_with_its_size_its_time_and_what_differs_from_the_claim(sampled: dm.Run) -> None:
     V = np.asarray(sampled["V"])
     rise, fall = max(V[k:].max() - V[k] for k in range(len(V))), V[0] - V.min()
-    told = sampled.summary["storage"]
-    assert told["rise"] == pytest.approx(rise, rel=1e-9)
-    assert told["share"] == pytest.approx(rise / fall, rel=1e-9)
-    assert V[sampled.time == told["until"]] - V[sampled.time == told["at"]] == pytest.approx(rise, rel=1e-9)
-    assert told["rises"] == np.count_nonzero(np.diff(V) > 1e-11 * V[0])
-    assert (told["cause"], told["cause_computed"]) == (["sampling"], False)
+    data = sampled.summary["storage"]
+    assert data["rise"] == pytest.approx(rise, rel=1e-9)
+    assert data["share"] == pytest.approx(rise / fall, rel=1e-9)
+    assert V[sampled.time == data["until"]] - V[sampled.time == data["at"]] == pytest.approx(rise, rel=1e-9)
+    assert data["rises"] == np.count_nonzero(np.diff(V) > 1e-11 * V[0])
+    assert (data["cause"], data["cause_computed"]) == (["sampling"], False)
     (notice,) = [text for text in sampled.notices if text.startswith("V rose")]
     assert f"V rose by {rise:.3g} " in notice
     assert f"{100 * rise / fall:.3g} % of its fall" in notice
@@ -91,9 +91,9 @@ def test_a_rise_at_samples_is_told_with_its_size_its_time_and_what_differs_from_
 
 def test_v_is_in_the_files_of_a_run(sampled: dm.Run, tmp_path: Path) -> None:
     sampled.save(tmp_path / "mine", plots=False)
-    told = json.loads((tmp_path / "mine" / "summary.json").read_text())
-    assert told["storage"] == sampled.summary["storage"]
-    assert told["notices"] == list(sampled.notices)
+    data = json.loads((tmp_path / "mine" / "summary.json").read_text())
+    assert data["storage"] == sampled.summary["storage"]
+    assert data["notices"] == list(sampled.notices)
     import xarray
 
     with xarray.open_dataset(tmp_path / "mine" / "signals.nc", engine="h5netcdf") as signals:
@@ -106,9 +106,9 @@ def test_a_graph_without_v_says_why() -> None:
     run, reason = dm.load("ur10_fast_kinematic").run("1 s"), "a kinematic_command has no certificate"
     with pytest.raises(DmframeError, match=r"run\['V'\]: expected a graph with a certificate, found none: .*" + reason):
         run["V"]
-    told = run.summary["storage"]
-    assert reason in told["reason"]
-    assert {told[key] for key in ("start", "rise", "share")} == {None}
+    data = run.summary["storage"]
+    assert reason in data["reason"]
+    assert {data[key] for key in ("start", "rise", "share")} == {None}
     assert "V" not in run.data
 
 
@@ -118,7 +118,7 @@ def test_a_condition_that_fails_takes_v_away() -> None:
         run["V"]
 
 
-def test_another_name_below_v_is_told_with_those_that_there_are(sampled: dm.Run) -> None:
+def test_an_unknown_name_below_v_is_refused_with_the_known_ones(sampled: dm.Run) -> None:
     with pytest.raises(DmframeError, match=r"run\['V.amr'\]: .*did you mean V.arm"):
         sampled["V.amr"]
 
@@ -148,7 +148,7 @@ def test_rounding_of_the_states_moves_v_by_less_than_its_bound(sampled: dm.Run) 
         for label, rows in sampled.recording.states.items()
     }
     assert (bound < 1e-9 * V).all()  # it hides nothing that would be seen
-    moved = dm.Run(sampled.experiment, replace(sampled.recording, states=states))
+    moved = dm.Run(sampled.graph, replace(sampled.recording, states=states))
     assert np.all(np.abs(np.asarray(moved["V"]) - V) <= bound)
     assert np.any(np.asarray(moved["V"]) != V)
 

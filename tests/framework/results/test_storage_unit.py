@@ -6,7 +6,7 @@ import pytest
 
 import dmframe as dm
 from dmframe.certify.claim import claim_of
-from dmframe.certify.storage_unit import storage_unit
+from dmframe.results.storage_unit import storage_unit
 from dmframe.units import base_units
 
 

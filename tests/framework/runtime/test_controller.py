@@ -12,9 +12,9 @@ import pytest
 import dmframe as dm
 from dmframe.build import compiler as compilers
 from dmframe.catalogue import graphs
-from dmframe.config.experiment import Experiment, load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import EngineError, ValueFault
+from dmframe.graph.graph import Graph
 from dmframe.runtime import Controller
 from dmframe.simulate import Recording, simulate
 
@@ -22,9 +22,9 @@ SAMPLED = [name for name in graphs() if name.startswith(("ur10_fast", "arm2", "o
 
 
 @cache
-def loaded(name: str) -> tuple[Experiment, Diagram]:
-    graph = load_experiment(name)
-    return graph, graph.diagram()
+def loaded(name: str) -> tuple[Graph, Diagram]:
+    graph = Graph.read(name)
+    return graph, graph.diagram
 
 
 @cache

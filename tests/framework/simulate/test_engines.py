@@ -18,18 +18,18 @@ from dmframe.build.library import address
 from dmframe.codegen import loop_source
 from dmframe.codegen.function import written
 from dmframe.codegen.source import shipped
-from dmframe.config.experiment import load_experiment
 from dmframe.diagram.parts import Parts
 from dmframe.errors import DmframeError, EngineError, UnknownNameError, ValueFault
+from dmframe.graph.graph import Graph
 from dmframe.results.metrics import tracking_error
 from dmframe.simulate import Log, Recording, Solver, simulate
 from dmframe.simulate.run import prepare
 
 
 def ran(name: str, engine: Any, duration: float, **options: Any) -> Recording:
-    graph = load_experiment(name)
+    graph = Graph.read(name)
     return simulate(
-        graph.diagram(),
+        graph.diagram,
         duration,
         clock=graph.file.clock,
         solver=graph.solver,
@@ -67,16 +67,18 @@ def test_auto_compiles_a_long_run_and_interprets_a_short_one() -> None:
     assert ran("arm2_joint", "auto", 200).engine == "compiled"
 
 
-def test_an_adaptive_solver_is_interpreted_and_says_so_where_it_was_asked_to_be_compiled() -> None:
-    graph = load_experiment("pendulum")
-    diagram, solver = graph.diagram(), Solver("cvodes", tolerance=1e-6)
-    asked, chosen = (simulate(diagram, 0.1, solver=solver, start=graph.start, engine=e) for e in ("compiled", "auto"))
-    assert (asked.engine, chosen.engine) == ("interpreted", "interpreted")
-    assert any("cvodes runs interpreted" in notice for notice in asked.notices)
+def test_an_adaptive_solver_is_interpreted_and_gives_a_notice_where_compiled_was_requested() -> None:
+    graph = Graph.read("pendulum")
+    diagram, solver = graph.diagram, Solver("cvodes", tolerance=1e-6)
+    requested, chosen = (
+        simulate(diagram, 0.1, solver=solver, start=graph.start, engine=e) for e in ("compiled", "auto")
+    )
+    assert (requested.engine, chosen.engine) == ("interpreted", "interpreted")
+    assert any("cvodes runs interpreted" in notice for notice in requested.notices)
     assert not any("interpreted" in notice for notice in chosen.notices)
 
 
-def test_an_unknown_engine_is_told() -> None:
+def test_an_unknown_engine_is_refused() -> None:
     with pytest.raises(ValueFault, match="engine: expected auto, compiled, interpreted, found 'fast'"):
         ran("pendulum", "fast", 0.1)
 
@@ -102,8 +104,8 @@ def test_the_error_by_eighths_hardly_changes_with_what_is_kept() -> None:
 
 @pytest.mark.parametrize("engine", ["compiled", "interpreted"])
 def test_a_divergence_between_kept_instants_is_found_at_its_tick(engine: Any) -> None:
-    graph = load_experiment("arm2_joint", ["inverse.w_box=null", "dynamics.Gamma=1e9"])
-    diagram = graph.diagram()
+    graph = Graph.read("arm2_joint", ["inverse.w_box=null", "dynamics.Gamma=1e9"])
+    diagram = graph.diagram
     runs = [
         simulate(diagram, 50, clock=graph.file.clock, start=graph.start, engine=engine, log=Log(every))
         for every in (None, 1.0)
@@ -115,8 +117,8 @@ def test_a_divergence_between_kept_instants_is_found_at_its_tick(engine: Any) ->
 
 
 def test_an_hour_at_8_ms_keeps_at_most_160_megabytes() -> None:
-    graph = load_experiment("ur10_fast")
-    prepared = prepare(graph.diagram(), 3600, clock=0.008, solver=Solver(), log=Log())
+    graph = Graph.read("ur10_fast")
+    prepared = prepare(graph.diagram, 3600, clock=0.008, solver=Solver(), log=Log())
     assert prepared.ticks == 450_000
     numbers = prepared.keeping.rows(prepared.ticks) * prepared.keeping.kept.size
     assert numbers * 8 < 165e6
@@ -132,7 +134,7 @@ def test_an_hour_at_8_ms_keeps_at_most_160_megabytes() -> None:
         ({"signals": ("arm.qq",)}, UnknownNameError, "log.signals: unknown signal; did you mean arm.q?"),
     ],
 )
-def test_a_log_that_cannot_be_is_told(log: dict[str, Any], kind: type[DmframeError], text: str) -> None:
+def test_an_impossible_log_is_refused(log: dict[str, Any], kind: type[DmframeError], text: str) -> None:
     with pytest.raises(kind, match=re.escape(text)):
         ran("arm2_joint", "interpreted", 0.1, log=Log(**log))
 
@@ -143,8 +145,8 @@ def test_more_than_memory_holds_is_refused_with_what_would_do() -> None:
 
 
 def test_no_name_but_the_entry_is_seen_outside_and_all_begin_alike() -> None:
-    graph = load_experiment("ur10_fast")
-    source = loop_source(prepare(graph.diagram(), 1, clock=0.008, solver=Solver(), log=Log()).step.parts)
+    graph = Graph.read("ur10_fast")
+    source = loop_source(prepare(graph.diagram, 1, clock=0.008, solver=Solver(), log=Log()).step.parts)
     found = re.findall(r"^(static inline |static |DM_EXPORT )\w+ (\w+)\(", source, re.MULTILINE)
     assert {name for _, name in found} >= {"dm_run", "dm_rate", "dm_sample", "dm_tanh"}
     assert all(name.startswith("dm_") for _, name in found)

@@ -13,7 +13,7 @@ import pytest
 import scipy
 from numpy.typing import NDArray
 
-from dmframe.config.experiment import load_experiment
+from dmframe.graph.graph import Graph
 from dmframe.robot.library import find_robot
 from dmframe.simulate import Recording, Solver, simulate
 
@@ -186,9 +186,9 @@ TICKS = 200
 
 
 def run(name: str, method: str) -> Recording:
-    graph = load_experiment(name)
+    graph = Graph.read(name)
     solver = Solver(method=method, step=0.00025, tolerance=1e-11)  # type: ignore[arg-type]
-    return simulate(graph.diagram(), TICKS * FAST.T, clock=graph.file.clock, solver=solver, start=graph.start)
+    return simulate(graph.diagram, TICKS * FAST.T, clock=graph.file.clock, solver=solver, start=graph.start)
 
 
 @pytest.mark.parametrize(("form", "name"), [("velocity", "ur10_fast"), ("position", "ur10_fast_tied_position")])
@@ -227,8 +227,8 @@ def test_the_experiment_has_the_figure_of_the_loop_by_hand(
 ) -> None:
     """Over the first tenth, the fast one also whole; the figures that are quoted are those of 200 s."""
     ticks = round(seconds / case.T)
-    mine, graph = sampled(case, form, ticks, runge_kutta), load_experiment(name)
-    theirs = simulate(graph.diagram(), 200.0, clock=graph.file.clock, solver=graph.solver, start=graph.start)
+    mine, graph = sampled(case, form, ticks, runge_kutta), Graph.read(name)
+    theirs = simulate(graph.diagram, 200.0, clock=graph.file.clock, solver=graph.solver, start=graph.start)
     error = theirs["arm.x"] - theirs["path.x_d"]
     assert rms(error) == pytest.approx(quoted, rel=0.01)
     assert rms(error[: ticks + 1]) == pytest.approx(rms(mine["x"] - mine["x_d"]), rel=0.01)
@@ -289,8 +289,8 @@ def continuous(times: Array) -> Array:
 def test_the_continuous_loop_on_a_planar_arm_is_one_differential_equation_of_scipy(tmp_path: Any) -> None:
     file = tmp_path / "joint.yaml"
     file.write_text(GRAPH)
-    graph = load_experiment(file)
-    theirs = simulate(graph.diagram(), 2.0, solver=graph.solver, start=graph.start)
+    graph = Graph.read(file)
+    theirs = simulate(graph.diagram, 2.0, solver=graph.solver, start=graph.start)
     mine = continuous(theirs.time)
     np.testing.assert_allclose(theirs["arm.q"], mine[:, 0:2], atol=1e-8)
     np.testing.assert_allclose(theirs["servo.q_c"], mine[:, 4:6], atol=1e-8)

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
 from dmframe.errors import DmframeError, UnknownNameError, ValueFault
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Diagonal, Gain, Positive, PositiveDefinite, Real, Scalar
 from dmframe.port import Output, Side, State
 from dmframe.results.metrics import tracking_error
@@ -38,11 +38,11 @@ def test_a_batch_gives_what_single_runs_of_changed_graphs_give(engine: Any) -> N
         ["start={q: [0.8, 1.1]}"],
         ["inverse.w_I=3", "path.amplitude=[10 deg, 15 deg]"],
     ]
-    graph = load_experiment("arm2_joint")
-    batch = simulate_many(graph.diagram(), VARIANTS, 0.5, clock=graph.file.clock, start=graph.start, engine=engine)
+    graph = Graph.read("arm2_joint")
+    batch = simulate_many(graph.diagram, VARIANTS, 0.5, clock=graph.file.clock, start=graph.start, engine=engine)
     for run, changes in zip(batch, overrides, strict=True):
-        other = load_experiment("arm2_joint", changes)
-        single = simulate(other.diagram(), 0.5, clock=other.file.clock, start=other.start, engine=engine)
+        other = Graph.read("arm2_joint", changes)
+        single = simulate(other.diagram, 0.5, clock=other.file.clock, start=other.start, engine=engine)
         assert isinstance(run, Recording)
         assert run.engine == engine
         for label, values in {**single.states, **single.outputs}.items():
@@ -51,7 +51,7 @@ def test_a_batch_gives_what_single_runs_of_changed_graphs_give(engine: Any) -> N
 
 @pytest.mark.parametrize("engine", ["compiled", "interpreted"])
 def test_a_run_of_a_batch_takes_the_steps_that_it_would_take_alone(engine: Any) -> None:
-    diagram = load_experiment("arm2_joint").diagram()
+    diagram = Graph.read("arm2_joint").diagram
     variants = [{}, {"arm.viscous": [1.0, 800.0]}, {"arm.viscous": [1.0, 1e7]}]
     batch = simulate_many(diagram, variants, 0.1, clock=0.002, engine=engine)
     for run, values in zip(batch, variants, strict=True):
@@ -65,8 +65,8 @@ def test_a_run_of_a_batch_takes_the_steps_that_it_would_take_alone(engine: Any) 
 
 
 def test_order_and_numbers_do_not_depend_on_the_number_of_threads() -> None:
-    graph = load_experiment("arm2_joint")
-    diagram = graph.diagram()
+    graph = Graph.read("arm2_joint")
+    diagram = graph.diagram
     variants = [{"dynamics.Gamma": float(gamma)} for gamma in range(1, 13)]
 
     def last(run: Recording) -> float:
@@ -82,10 +82,10 @@ def test_order_and_numbers_do_not_depend_on_the_number_of_threads() -> None:
 
 
 def test_one_that_diverges_and_one_that_cannot_start_leave_the_others_alone() -> None:
-    graph = load_experiment("arm2_joint", ["inverse.w_box=null"])
+    graph = Graph.read("arm2_joint", ["inverse.w_box=null"])
     variants = [{}, {"dynamics.Gamma": 1e9}, {"dynamics.Gamma": -1.0}, {"start": {"qq": 1.0}}, {}]
     first, wild, wrong, lost, last = simulate_many(
-        graph.diagram(), variants, 20.0, clock=graph.file.clock, start=graph.start, engine="compiled"
+        graph.diagram, variants, 20.0, clock=graph.file.clock, start=graph.start, engine="compiled"
     )
     assert isinstance(first, Recording)
     assert isinstance(last, Recording)
@@ -98,13 +98,13 @@ def test_one_that_diverges_and_one_that_cannot_start_leave_the_others_alone() ->
 
 
 def test_a_batch_compiles_once(cache: Path) -> None:
-    graph = load_experiment("arm2_joint")
-    simulate_many(graph.diagram(), VARIANTS, 0.1, clock=graph.file.clock, start=graph.start, engine="compiled")
+    graph = Graph.read("arm2_joint")
+    simulate_many(graph.diagram, VARIANTS, 0.1, clock=graph.file.clock, start=graph.start, engine="compiled")
     assert len(list(cache.iterdir())) == 1
 
 
 def test_other_numbers_do_not_change_the_diagram() -> None:
-    diagram = load_experiment("arm2_joint").diagram()
+    diagram = Graph.read("arm2_joint").diagram
     before = diagram.loop.p_values.copy()
     changed = with_values(diagram, {"dynamics.Gamma": 7.0})
     np.testing.assert_array_equal(diagram.loop.p_values, before)
@@ -127,13 +127,13 @@ def test_other_numbers_do_not_change_the_diagram() -> None:
 )
 def test_numbers_that_are_not_allowed_are_errors(values: dict[str, Any], text: str) -> None:
     with pytest.raises(DmframeError) as fault:
-        with_values(load_experiment("arm2_joint").diagram(), values)
+        with_values(Graph.read("arm2_joint").diagram, values)
     assert text in str(fault.value)
 
 
 def test_no_threads_are_too_few() -> None:
     with pytest.raises(ValueFault, match="threads: expected at least 1, found 0"):
-        simulate_many(load_experiment("arm2_joint").diagram(), [{}], 0.1, threads=0)
+        simulate_many(Graph.read("arm2_joint").diagram, [{}], 0.1, threads=0)
 
 
 class Plain(AbstractBlock):
@@ -167,10 +167,10 @@ def test_a_number_that_a_block_reads_as_such_is_refused_and_a_symbol_serves_all_
 
 
 def test_a_leak_pulls_back_to_the_start_that_the_variant_has() -> None:
-    leaking = load_experiment("joint_tracking_pi", ["inverse.leak=0.5"])
-    (run,) = simulate_many(leaking.diagram(), [{"inverse.w": 0.003}], 5.0, clock=leaking.file.clock)
-    other = load_experiment("joint_tracking_pi", ["inverse.leak=0.5", "inverse.w=0.003"])
-    single = simulate(other.diagram(), 5.0, clock=other.file.clock)
+    leaking = Graph.read("joint_tracking_pi", ["inverse.leak=0.5"])
+    (run,) = simulate_many(leaking.diagram, [{"inverse.w": 0.003}], 5.0, clock=leaking.file.clock)
+    other = Graph.read("joint_tracking_pi", ["inverse.leak=0.5", "inverse.w=0.003"])
+    single = simulate(other.diagram, 5.0, clock=other.file.clock)
     np.testing.assert_array_equal(run["inverse.w"], single["inverse.w"])  # type: ignore[index, unused-ignore]
 
 

@@ -1,4 +1,4 @@
-"""A run tells how close a Jacobian came to losing its rank."""
+"""A run reports how close a Jacobian came to losing its rank."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from dmframe.config.experiment import load_experiment
 from dmframe.diagram.closed_loop import Signal
+from dmframe.graph.graph import Graph
 from dmframe.results.summary import summary
 from dmframe.simulate import Recording, simulate
 from dmframe.simulate.rank import NEAR, Rank, ranks
@@ -29,15 +29,15 @@ def graph(folder: Path, goal: str, start: str) -> Path:
 
 
 def run(file: Path | str, duration: float) -> Recording:
-    loaded = load_experiment(str(file))
-    return simulate(loaded.diagram(), duration, clock=loaded.file.clock, solver=loaded.solver, start=loaded.start)
+    loaded = Graph.read(str(file))
+    return simulate(loaded.diagram, duration, clock=loaded.file.clock, solver=loaded.solver, start=loaded.start)
 
 
 def matrix(rows: int, columns: int) -> Signal:
     return Signal("geometry", "J_hat", "m n", "m/rad", ca.SX.sym("J", rows, columns))
 
 
-def told(values: list[np.ndarray]) -> Rank:
+def rank_of(values: list[np.ndarray]) -> Rank:
     signal = matrix(*values[0].shape)
     stacked = np.array([value.ravel(order="F") for value in values])
     (rank,) = ranks([signal], {signal.label: stacked}, np.arange(len(values)) * 0.5)
@@ -46,19 +46,19 @@ def told(values: list[np.ndarray]) -> Rank:
 
 def test_the_smallest_singular_value_is_found_with_its_time() -> None:
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
-    rank = told([turn @ np.diag(pair) for pair in ([3, 2], [2, 0.5], [4, 2])])
+    rank = rank_of([turn @ np.diag(pair) for pair in ([3, 2], [2, 0.5], [4, 2])])
     assert (rank.smallest, rank.time, rank.share) == pytest.approx((0.5, 0.5, 0.25))
     assert rank.since is None
     assert rank.notice is None
 
 
 def test_of_a_wide_matrix_only_the_rows_count_and_a_tall_one_has_no_full_row_rank() -> None:
-    assert told([np.array([[3.0, 0, 0], [0, 0, 2]])]).smallest == pytest.approx(2)
-    assert told([np.array([[3.0], [2]])]).share == 0
+    assert rank_of([np.array([[3.0, 0, 0], [0, 0, 2]])]).smallest == pytest.approx(2)
+    assert rank_of([np.array([[3.0], [2]])]).share == 0
 
 
-def test_near_rank_loss_is_told_from_its_first_moment_with_value_and_time() -> None:
-    rank = told([np.diag([2.0, value]) for value in (1, 0.03, 0.001, 0.5)])
+def test_near_rank_loss_is_reported_from_its_first_moment_with_value_and_time() -> None:
+    rank = rank_of([np.diag([2.0, value]) for value in (1, 0.03, 0.001, 0.5)])
     assert rank.since == 0.5
     assert rank.notice == (
         "geometry.J_hat is near rank loss from t = 0.5 s: its smallest singular value falls to 0.001 m/rad at t = 1 s, "
@@ -67,7 +67,7 @@ def test_near_rank_loss_is_told_from_its_first_moment_with_value_and_time() -> N
 
 
 def test_numbers_that_are_not_finite_are_passed_over() -> None:
-    rank = told([np.eye(2), np.full((2, 2), np.nan), 0.5 * np.eye(2)])
+    rank = rank_of([np.eye(2), np.full((2, 2), np.nan), 0.5 * np.eye(2)])
     assert rank.share == pytest.approx(1)
     signal = matrix(2, 2)
     assert ranks([signal], {signal.label: np.full((2, 4), np.nan)}, np.arange(2.0)) == ()
@@ -80,7 +80,7 @@ def test_a_run_ranks_the_jacobian_as_the_textbooks_arm_has_it() -> None:
     assert done.notices == ()
 
 
-def test_an_arm_that_swings_through_its_stretched_pose_is_told_as_its_closed_form_has_it(tmp_path: Path) -> None:
+def test_an_arm_that_swings_through_its_stretched_pose_is_reported_as_its_closed_form_has_it(tmp_path: Path) -> None:
     swing = "{type: sinusoid, center: [0.3, 0], amplitude: [0.1, 0.5], rate: 2, phase: 1}"
     file = graph(tmp_path, swing, "[0.3, 0.4]")
     text = file.read_text(encoding="utf-8").replace(

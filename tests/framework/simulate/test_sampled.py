@@ -11,12 +11,12 @@ from dmframe.analysis import linearise
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import Certificate
 from dmframe.certify import verify
-from dmframe.certify.unproved import unproved_along
-from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Box, Interval, Real, Scalar
 from dmframe.port import PERIOD, Access, Input, Output, Side, State
+from dmframe.results.claimed import unproved_along
 from dmframe.runtime import Controller
 from dmframe.simulate import Solver, simulate, simulate_many
 from dmframe.simulate.instants import DRAWN, LENGTH, TIME, Instants
@@ -205,16 +205,16 @@ class Drawing(Emulated):
 
 
 class Restless(AbstractBlock):
-    """Moves with no memory, differently whenever it is asked."""
+    """Moves with no memory, differently at each evaluation."""
 
     inputs = (Input("y_m"),)
     outputs = (Output("v", access=Access.COMMANDED),)
     states = (State("z", sampled=True),)
-    asked: ClassVar[list[int]] = []
+    calls: ClassVar[list[int]] = []
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        self.asked.append(1)
-        return Equations(outputs={"v": x.z}, next={"z": u.y_m * len(self.asked)})
+        self.calls.append(1)
+        return Equations(outputs={"v": x.z}, next={"z": u.y_m * len(self.calls)})
 
 
 class Differentiating(AbstractBlock):
@@ -237,7 +237,7 @@ class Differentiating(AbstractBlock):
         (Restless, "law: equations() state another next value of z when evaluated again"),
     ],
 )
-def test_what_a_block_states_of_time_is_held_to_what_it_declares(law: Any, text: str) -> None:
+def test_a_blocks_source_of_time_is_checked_against_its_declaration(law: Any, text: str) -> None:
     with pytest.raises(DmframeError) as caught:
         loop(law())
     assert text in str(caught.value)
@@ -267,7 +267,7 @@ def test_what_cannot_be_sampled_is_refused(options: dict[str, Any], text: str) -
     assert text in str(caught.value)
 
 
-def test_jitter_asks_for_a_clock() -> None:
+def test_jitter_requires_a_clock() -> None:
     plant = Diagram.build({"law": Emulated(), "delay": Straight(), "cart": Cart(), "sensor": Exact()})
     assert simulate(plant, 1.0).divergence is None
     with pytest.raises(DmframeError, match="found continuous; samples have a jitter"):
@@ -320,12 +320,12 @@ class LateCommand(AbstractBlock):
 
 
 def test_a_proved_loop_with_a_delay_in_it_is_neither_proved_nor_drawn_with_v() -> None:
-    graph = load_experiment("arm2_joint")
+    graph = Graph.read("arm2_joint")
     late = Diagram.build({**graph.blocks, "line": LateCommand()}, {"servo.dq_c": "line.dq_late"}, graph.robot)
     run = simulate(late, 0.1, clock=0.002)
     assert unproved_along(run, {}, {}) is None
     assert verify(late).reason.startswith("line.held is a sampled state")
-    straight = graph.diagram()
+    straight = graph.diagram
     assert unproved_along(simulate(straight, 0.1, clock=0.002), {}, {}) is not None
     assert not np.allclose(run["arm.q"], simulate(straight, 0.1, clock=0.002)["arm.q"], atol=1e-9)
 

@@ -10,9 +10,9 @@ import pytest
 import scipy
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, EngineError, ValueFault
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Box, Interval, Real, Scalar
 from dmframe.port import TIME, Access, Input, Output, Side, State
 from dmframe.simulate import Recording, Solver, simulate
@@ -250,11 +250,11 @@ def test_ctrl_c_keeps_what_was_computed() -> None:
     np.testing.assert_array_equal(run["cart.y"], whole["cart.y"][: run.time.size])
 
 
-def test_progress_is_told_in_simulated_seconds_up_to_the_end() -> None:
-    told = list[float]()
-    simulate(toy(), 60.0, clock=0.1, progress=told.append)
-    assert told == sorted(told)
-    assert told[-1] == pytest.approx(60)
+def test_progress_is_reported_in_simulated_seconds_up_to_the_end() -> None:
+    reported = list[float]()
+    simulate(toy(), 60.0, clock=0.1, progress=reported.append)
+    assert reported == sorted(reported)
+    assert reported[-1] == pytest.approx(60)
 
 
 def test_a_stiff_plant_is_noticed_for_rk4_alone() -> None:
@@ -266,7 +266,7 @@ def test_a_stiff_plant_is_noticed_for_rk4_alone() -> None:
     assert run_alone(Stiff(), 0.01, [1, 1], clock=0.01, solver=Solver(step=0.0004)).notices == ()
 
 
-def test_where_nobody_chooses_rk4s_step_it_is_one_that_the_plant_takes() -> None:
+def test_the_default_step_of_rk4_is_stable_for_the_plant() -> None:
     run = run_alone(Stiff(), 0.1, [1, 1], clock=0.01)
     assert run.notices == ("the plant is stiff: rk4 takes steps of 450 µs",)
     assert run.solver == Solver(step=0.00045)
@@ -283,11 +283,11 @@ def test_a_plant_too_stiff_for_any_step_of_rk4_is_run_by_ros34pw2() -> None:
 
 
 def test_a_joint_beyond_a_hundred_times_its_limit_has_diverged() -> None:
-    graph = load_experiment("pendulum", ["start.dq=[400]", "clock=2 ms", "duration=2 ms"])
+    graph = Graph.read("pendulum", ["start.dq=[400]", "clock=2 ms", "duration=2 ms"])
     limit = graph.robot.joints[0].velocity
     assert np.isfinite(limit)
     for speed, diverged in ((50 * limit, False), (400 * limit, True)):
-        run = load_experiment("pendulum", [f"start.dq=[{speed}]", "clock=2 ms", "duration=2 ms"]).simulate()
+        run = Graph.read("pendulum", [f"start.dq=[{speed}]", "clock=2 ms", "duration=2 ms"]).simulate()
         assert (run.divergence is not None) is diverged
     assert run.divergence is not None
     assert "100 times the joint's limit" in str(run.divergence)
@@ -312,7 +312,7 @@ def test_a_run_records_states_and_outputs_once_each() -> None:
         ({"start": {"z": float("inf")}}, "law.z: expected a finite start, found [inf]"),
     ],
 )
-def test_a_bad_call_is_told_what_is_wrong(options: dict[str, Any], text: str) -> None:
+def test_a_bad_call_is_refused_with_the_reason(options: dict[str, Any], text: str) -> None:
     with pytest.raises(DmframeError) as caught:
         simulate(toy(), **{"duration": 1.0, "clock": 0.1, **options})
     assert str(caught.value) == text
@@ -326,14 +326,14 @@ def test_a_solver_is_one_of_three_with_positive_numbers() -> None:
 
 
 def test_a_log_that_keeps_less_often_than_the_run_is_long_keeps_its_begin() -> None:
-    graph = load_experiment("pendulum", ["log.every=1e300"])
-    run = simulate(graph.diagram(), 0.1, solver=graph.solver, start=graph.start, log=graph.log)
+    graph = Graph.read("pendulum", ["log.every=1e300"])
+    run = simulate(graph.diagram, 0.1, solver=graph.solver, start=graph.start, log=graph.log)
     np.testing.assert_array_equal(run.time, [0.0])
 
 
 @pytest.mark.parametrize("value", ["1e160", "1e308"])
-def test_a_plant_too_steep_to_compute_with_is_said_to_be_so_without_its_digits(value: str) -> None:
-    graph = load_experiment("pendulum", [f"servo.K_D={value}"])
-    run = simulate(graph.diagram(), 0.02, solver=graph.solver, start=graph.start)
+def test_a_plant_too_steep_to_compute_with_is_reported_without_its_digits(value: str) -> None:
+    graph = Graph.read("pendulum", [f"servo.K_D={value}"])
+    run = simulate(graph.diagram, 0.02, solver=graph.solver, start=graph.start)
     assert run.notices == ("at the start the plant's rates are too steep to compute with; take parameters nearer to 1",)
     assert run.divergence is not None

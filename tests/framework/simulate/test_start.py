@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.config.experiment import Experiment, load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import StartError, ValueFault
+from dmframe.graph.graph import Graph
 from dmframe.port import Input, Output, Side, State
 from dmframe.simulate import simulate, start_state
 from dmframe.simulate.start import goal_and_place, joint_goal, on_path
@@ -41,17 +41,17 @@ TASK = (
 )
 
 
-def graph(folder: Path, *changes: tuple[str, str]) -> Experiment:
+def graph(folder: Path, *changes: tuple[str, str]) -> Graph:
     text = GRAPH
     for old, new in changes:
         assert old in text
         text = text.replace(old, new)
     (folder / "g.yaml").write_text(text)
-    return load_experiment(folder / "g.yaml")
+    return Graph.read(folder / "g.yaml")
 
 
 def begin(folder: Path, *changes: tuple[str, str], **given: Any) -> dict[str, np.ndarray]:
-    loop = (diagram := graph(folder, *changes).diagram()).loop
+    loop = (diagram := graph(folder, *changes).diagram).loop
     state, found = start_state(diagram, given), dict[str, np.ndarray]()
     for variable in loop.variables:
         found[variable.label], state = state[: variable.symbol.numel()], state[variable.symbol.numel() :]
@@ -61,7 +61,7 @@ def begin(folder: Path, *changes: tuple[str, str], **given: Any) -> dict[str, np
 @pytest.mark.parametrize("servo", [PID[0], PID[1]], ids=["pi", "pid"])
 def test_a_robot_whose_reference_stands_still_does_not_move(servo: str, tmp_path: Path) -> None:
     made = graph(tmp_path, (PID[0], servo))
-    run = simulate(made.diagram(), 2.0, clock=0.004)
+    run = simulate(made.diagram, 2.0, clock=0.004)
     np.testing.assert_allclose(run["arm.q"], np.tile([0.6, 0.9], (run.time.size, 1)), atol=1e-12)
     np.testing.assert_allclose(run["servo.u"], run["arm.g"] / [2, 3], rtol=1e-12)
 
@@ -74,8 +74,8 @@ def test_the_integrator_holds_gravity_and_the_command_starts_where_the_robot_is(
 
 @pytest.mark.parametrize("name", ["arm2_joint", "ur10_fast"])
 def test_a_run_begins_at_rest_with_both_references_at_the_measured_pose(name: str) -> None:
-    made = load_experiment(name)
-    run = simulate(made.diagram(), 0.1, clock=made.file.clock, solver=made.solver, start=made.start)
+    made = Graph.read(name)
+    run = simulate(made.diagram, 0.1, clock=made.file.clock, solver=made.solver, start=made.start)
     assert np.all(run["arm.dq"][0] == 0)
     np.testing.assert_array_equal(run["servo.q_c"][0], run["arm.q"][0])
     np.testing.assert_array_equal(run["inverse.q_r"][0], run["arm.q"][0])
@@ -97,8 +97,8 @@ def test_given_values_win_over_the_path_and_over_the_blocks_own(tmp_path: Path) 
 
 
 def test_a_matrix_starts_at_one_number_or_at_its_rows() -> None:
-    graph = load_experiment("observed_tracking_forgetting_pi", ["geometry.adapt=tool"])
-    diagram = graph.diagram()
+    graph = Graph.read("observed_tracking_forgetting_pi", ["geometry.adapt=tool"])
+    diagram = graph.diagram
 
     def begun(G_k: Any) -> np.ndarray:
         run = simulate(diagram, 0.008, clock=0.008, start={**graph.start, "G_k": G_k})
@@ -157,7 +157,7 @@ def test_starts_are_found_in_the_order_in_which_they_need_one_another_whatever_t
     np.testing.assert_array_equal(start_state(diagram, {}), [15, 7, 3])
 
 
-def test_starts_that_wait_for_one_another_are_told() -> None:
+def test_starts_that_depend_on_one_another_are_reported() -> None:
     diagram = Diagram.build({"one": Follower(), "two": Follower()}, {"one.a": "two.b", "two.a": "one.b"})
     with pytest.raises(StartError) as caught:
         start_state(diagram, {})
@@ -169,7 +169,7 @@ def test_a_goal_of_the_joints_needs_no_search_and_is_what_scipy_finds(tmp_path: 
     """A search in which SciPy's least squares look for the pose, as they do for a goal of a task."""
     from scipy.optimize import least_squares
 
-    diagram, made = graph(tmp_path).diagram(), dict[Any, Any]()
+    diagram, made = graph(tmp_path).diagram, dict[Any, Any]()
     ((followed, unknown),) = on_path(diagram, [], made)
     goal_now, residual = goal_and_place(diagram.loop, followed, unknown, made)
     p, goal = diagram.loop.p_values, np.array([0.6, 0.9])
@@ -186,7 +186,7 @@ def test_a_goal_of_the_joints_needs_no_search_and_is_what_scipy_finds(tmp_path: 
     [lambda q: ca.cos(q), lambda q: q[0] + q[1], lambda q: ca.vertcat(q[0] + q[1], 2 * q[0] + 2 * q[1])],
     ids=["not affine", "fewer than joints", "singular"],
 )
-def test_of_a_goal_with_no_or_with_several_poses_none_is_said(place: Any) -> None:
+def test_a_goal_with_no_or_with_several_poses_gives_no_pose(place: Any) -> None:
     q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 1)
     residual = ca.Function("residual", [q, p], [place(q)])
     goal = np.zeros(residual.numel_out(0))
@@ -200,5 +200,5 @@ def test_a_pose_of_the_joints_beyond_their_limits_is_refused(tmp_path: Path) -> 
 
 def test_a_run_to_a_goal_of_the_joints_does_not_import_the_search() -> None:
     code = "import sys, dmframe as dm; dm.load('pendulum').run(1); print('scipy' in sys.modules)"
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert told.stdout.strip() == "False"
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert process.stdout.strip() == "False"

@@ -11,9 +11,9 @@ import pytest
 import scipy
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import ValueFault
+from dmframe.graph.graph import Graph
 from dmframe.parameter import Real, Scalar
 from dmframe.port import TIME, Access, Output, Side, State
 from dmframe.simulate import Log, Recording, Solver, simulate, simulate_many
@@ -76,7 +76,7 @@ class Singular(Plant):
 
 
 class Square(AbstractBlock):
-    """dx = -k |x|^2 x, of which a Jacobian is dear: it is left out of what ros34pw2 solves for."""
+    """dx = -k |x|^2 x, of which a Jacobian is slow: it is left out of what ros34pw2 solves for."""
 
     side = Side.PLANT
     outputs = (Output("x", "40", "", Access.MEASURED),)
@@ -88,7 +88,7 @@ class Square(AbstractBlock):
 
 
 class Spring(AbstractBlock):
-    """x'' = -k |x|^2 x: steep in the positions alone, by a product, with a Jacobian that is dear."""
+    """x'' = -k |x|^2 x: steep in the positions alone, by a product, with a slow Jacobian."""
 
     side = Side.PLANT
     outputs = (Output("y", "40", "", Access.MEASURED),)
@@ -172,8 +172,8 @@ def test_van_der_pols_oscillator_is_that_of_scipys_radau_at_thousands_of_times_r
 
 @pytest.mark.parametrize(("name", "bound"), [("arm2_joint", 2e-7), ("theorem_1", 1e-8), ("computed_torque", 1e-8)])
 def test_a_packaged_graph_is_that_of_cvodes_and_nearer_at_half_the_step(name: str, bound: float) -> None:
-    graph = load_experiment(name)
-    diagram = graph.diagram()
+    graph = Graph.read(name)
+    diagram = graph.diagram
 
     def q(solver: Solver) -> np.ndarray:
         run = simulate(diagram, 0.4, clock=graph.file.clock, solver=solver, start=graph.start, engine="interpreted")
@@ -190,8 +190,8 @@ def test_a_packaged_graph_is_that_of_cvodes_and_nearer_at_half_the_step(name: st
     [("arm2_joint", []), ("ur10_fast", []), ("theorem_1", [])],
 )
 def test_both_engines_compute_it_alike(name: str, changes: list[str]) -> None:
-    graph = load_experiment(name, changes)
-    diagram, solver = graph.diagram(), Solver("ros34pw2", 1e-3)
+    graph = Graph.read(name, changes)
+    diagram, solver = graph.diagram, Solver("ros34pw2", 1e-3)
     compiled, interpreted = (
         simulate(diagram, 0.2, clock=graph.file.clock, solver=solver, start=graph.start, engine=engine)
         for engine in ("compiled", "interpreted")
@@ -214,8 +214,8 @@ def test_a_library_that_computes_it_wrongly_is_not_loaded(
 
 
 def test_a_panda_of_h_lambda_46_is_run_compiled_where_rk4_cannot_and_cvodes_is_interpreted() -> None:
-    graph = load_experiment("panda_full", PANDA)
-    diagram = graph.diagram()
+    graph = Graph.read("panda_full", PANDA)
+    diagram = graph.diagram
 
     def run(solver: Solver) -> Recording:
         return simulate(diagram, 0.4, clock=graph.file.clock, solver=solver, start=graph.start, engine="compiled")
@@ -233,8 +233,8 @@ def test_a_panda_of_h_lambda_46_is_run_compiled_where_rk4_cannot_and_cvodes_is_i
 
 def test_one_of_its_steps_costs_at_most_twice_and_a_quarter_of_rk4s() -> None:
     for name in ("arm2_joint", "ur10_full"):
-        graph = load_experiment(name)
-        prepared = prepare(graph.diagram(), 1, clock=graph.file.clock, solver=graph.solver, log=Log())
+        graph = Graph.read(name)
+        prepared = prepare(graph.diagram, 1, clock=graph.file.clock, solver=graph.solver, log=Log())
 
         def of_a_step(method: Any, prepared: Prepared = prepared, period: float = graph.file.clock or 0.0) -> int:
             whole, halves = (prepared.solved_by(Solver(method, period / k)).step for k in (1, 2))
@@ -253,8 +253,8 @@ def test_a_step_whose_system_has_lost_its_digits_ends_the_run_instead_of_passing
 
 
 def test_a_smaller_share_of_the_stable_step_is_a_smaller_error() -> None:
-    graph = load_experiment("ur10_fast", ["servo.K_D=[2400, 2400, 1200]", "arm.viscous=0", "arm.coulomb=0"])
-    diagram = graph.diagram()
+    graph = Graph.read("ur10_fast", ["servo.K_D=[2400, 2400, 1200]", "arm.viscous=0", "arm.coulomb=0"])
+    diagram = graph.diagram
 
     def run(solver: Solver) -> Recording:
         return simulate(diagram, 0.4, clock=0.002, solver=solver, start=graph.start)
@@ -268,7 +268,7 @@ def test_a_smaller_share_of_the_stable_step_is_a_smaller_error() -> None:
             Solver(share=share)
 
 
-def test_a_plant_of_which_too_much_is_left_out_is_told_and_not_chosen() -> None:
+def test_a_plant_of_which_too_much_is_left_out_is_reported_and_not_chosen() -> None:
     start = {"x": [1.0] * 40}
     given: dict[str, Any] = {"clock": 0.01, "start": start}
     chosen = simulate(alone(Square(k=20.0)), 0.05, **given)
@@ -276,17 +276,17 @@ def test_a_plant_of_which_too_much_is_left_out_is_told_and_not_chosen() -> None:
     assert chosen.divergence is None
     (notice,) = chosen.notices
     assert notice.startswith("the plant is stiff: rk4 takes steps of ")
-    asked = simulate(alone(Square(k=20.0)), 0.05, solver=Solver("ros34pw2", 1e-3), **given)
-    assert "the plant is stiff in products of what moves, which ros34pw2 integrates explicitly" in asked.notices[0]
+    requested = simulate(alone(Square(k=20.0)), 0.05, solver=Solver("ros34pw2", 1e-3), **given)
+    assert "the plant is stiff in products of what moves, which ros34pw2 integrates explicitly" in requested.notices[0]
     easy = simulate(alone(Square(k=1e-3)), 0.05, solver=Solver("ros34pw2", 1e-3), **given)
     assert easy.notices == ()
 
 
-@pytest.mark.parametrize(("k", "told"), [(1e-2, False), (1e5, True)])
-def test_what_is_left_out_is_seen_where_it_acts_through_another_state(k: float, told: bool) -> None:
+@pytest.mark.parametrize(("k", "reported"), [(1e-2, False), (1e5, True)])
+def test_what_is_left_out_is_seen_where_it_acts_through_another_state(k: float, reported: bool) -> None:
     start = {"x": [1.0] * 40, "y": [0.0] * 40}
     run = simulate(alone(Spring(k=k)), 0.002, clock=0.001, solver=Solver("ros34pw2", 1e-3), start=start)
-    assert any("products of what moves" in notice for notice in run.notices) is told
+    assert any("products of what moves" in notice for notice in run.notices) is reported
 
 
 def test_a_run_of_rk4_that_becomes_stiff_later_is_done_again_at_shorter_steps() -> None:
@@ -296,9 +296,9 @@ def test_a_run_of_rk4_that_becomes_stiff_later_is_done_again_at_shorter_steps() 
 
 
 def test_a_batch_shares_one_library_of_each_method(cache: Path) -> None:
-    graph = load_experiment("arm2_joint")
+    graph = Graph.read("arm2_joint")
     variants = [{}, *({"arm.viscous": [1.0, viscous]} for viscous in (800.0, 1e5, 1e6))]
-    runs = simulate_many(graph.diagram(), variants, 0.1, clock=graph.file.clock, start=graph.start, engine="compiled")
+    runs = simulate_many(graph.diagram, variants, 0.1, clock=graph.file.clock, start=graph.start, engine="compiled")
     methods = [run.solver.method for run in runs if isinstance(run, Recording)]
     assert methods == ["rk4", "rk4", "ros34pw2", "ros34pw2"]
     assert len(list(cache.iterdir())) == 2

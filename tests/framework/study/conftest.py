@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, final
+from typing import Any
 
 import pytest
 
 from dmframe import plotting
 from dmframe.study import execute, report, tune_page
-from dmframe.study.chunks import Chunk
 from dmframe.study.execute import State, run_study
-from dmframe.study.executor import Computed, Failed, compute
+from dmframe.study.executor import InProcess
 from dmframe.study.plan import Study, load_study
 
 ARM = """\
@@ -43,43 +42,18 @@ def arm(tmp_path: Path) -> Path:
     return path
 
 
-@final
-class Here:
-    """In place of worker processes, where it is not them that is tested: this one computes each chunk at once."""
-
-    count = 1
-
-    def __init__(self, study: Any, workers: int | None) -> None:
-        self._study = study
-        self._ended = list[tuple[Chunk, Computed | Failed]]()
-
-    def submit(self, chunk: Chunk) -> None:
-        self._ended.append((chunk, compute(self._study, chunk)))
-
-    def ended(self, timeout: float) -> tuple[Chunk, Computed | Failed] | None:
-        return self._ended.pop(0) if self._ended else None
-
-    def __enter__(self) -> Here:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-
 @pytest.fixture
 def here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Studies run in this process."""
-    monkeypatch.setattr(execute, "Pool", Here)
+    monkeypatch.setattr(execute, "Pool", lambda study, workers: InProcess(study))
 
 
 @pytest.fixture
-def finish(monkeypatch: pytest.MonkeyPatch) -> Callable[..., State]:
+def finish() -> Callable[..., State]:
     """Go on with a study in this process, whichever processes it began in."""
 
     def finished(study: Any, out: Path) -> State:
-        with monkeypatch.context() as patch:
-            patch.setattr(execute, "Pool", Here)
-            return run_study(study, out)
+        return run_study(study, out, executor=InProcess(study))
 
     return finished
 

@@ -19,7 +19,7 @@ import pytest
 from study_processes import PATIENCE, environment
 
 from dmframe.cli import main
-from dmframe.graph import load
+from dmframe.graph.load import load
 from dmframe.results.metrics import tracking_error
 from dmframe.study.execute import State
 from dmframe.study.packing import packed, unpacked

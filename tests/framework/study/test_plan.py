@@ -13,7 +13,7 @@ from ruamel.yaml import YAML
 
 from dmframe.batch.columns import joined
 from dmframe.errors import DmframeError
-from dmframe.graph import load
+from dmframe.graph.load import load
 from dmframe.results.metrics import tracking_error
 from dmframe.study.grammar import study_schema
 from dmframe.study.plan import Study
@@ -74,7 +74,7 @@ def test_the_numbers_of_a_row_are_those_of_its_graph_to_the_last_bit(study: Make
     graph = found.graph_of(2 * 4 + 3)
 
     for each in (graph, load(graph.text)):
-        blocks = each.experiment.blocks
+        blocks = each.blocks
         assert tuple(values["servo.K_I"][0]) == blocks["servo"].K_I  # type: ignore[attr-defined]
         assert (60 * drawn["servo.K_P"][0], 30 * drawn["servo.K_P"][0]) == blocks["servo"].K_P  # type: ignore[attr-defined]
         assert blocks["arm"].viscous == drawn["arm.viscous"][0]  # type: ignore[attr-defined]
@@ -153,7 +153,7 @@ sample:
     for run in range(2):
         graph = found.graph_of(run)
         assert graph.clock == rows["clock"][run]
-        assert graph.experiment.start["q"] == [0.5 + rows["start.q[0]"][run], 0.5 + rows["start.q[1]"][run]]
+        assert graph.start["q"] == [0.5 + rows["start.q[0]"][run], 0.5 + rows["start.q[1]"][run]]
         alone = graph.run(engine="compiled").error
         assert alone is not None
         assert rows["rms_final"][run] == pytest.approx(alone.rms_final, rel=1e-12)

@@ -268,7 +268,7 @@ def test_the_first_line_of_a_study_is_the_verdict(
 def test_whatever_a_box_and_a_count_say_single_proofs_say(graph: str, sample: str) -> None:
     found = study(sample, graph, runs=6)
     (proof,) = proofs_of(found, [""])
-    proved = [found.graph_of(sample).experiment.verify().outcome == "proved" for sample in range(3)]
+    proved = [found.graph_of(sample).verdict().outcome == "proved" for sample in range(3)]
     if proof.drawn is None:
         assert proof.proved
         assert all(proved)

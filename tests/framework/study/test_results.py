@@ -162,7 +162,7 @@ def test_the_worst_runs_are_those_that_diverged_first(folder: Callable[..., Path
     assert found.worst_runs("rms_final", 3) == [2 * k + 1 for k in soft[:3]]
     assert found.worst_runs("rms_final", 2, points=[0]) == [2 * k for k in np.argsort(-draws)[:2]]
     (graph,) = found.worst("rms_final")
-    assert 20 * draws[soft[0]] == graph.experiment.blocks["servo"].K_D  # type: ignore[attr-defined]
+    assert 20 * draws[soft[0]] == graph.blocks["servo"].K_D  # type: ignore[attr-defined]
 
 
 def test_of_a_least_the_smallest_is_the_worst(folder: Callable[..., Path]) -> None:
@@ -252,9 +252,9 @@ def test_the_page_names_what_diverged_and_what_decides_it(page: Callable[..., tu
     assert f"The worst run is number {worst} at Gamma = 10 : diverged after" in said
     found = Results(place)
     saved = [dm.load(place / f"worst_{k}.yaml") for k in (1, 2, 3, 4)]
-    assert [each.experiment.blocks["dynamics"].Gamma for each in saved] == [10, 10, 10, 1]  # type: ignore[attr-defined]
+    assert [each.blocks["dynamics"].Gamma for each in saved] == [10, 10, 10, 1]  # type: ignore[attr-defined]
     (own,) = found.worst_runs("rms_final", 1, points=[0])  # the worst at the setting that one would take
-    assert saved[3].experiment.blocks == found.study.graph_of(own).experiment.blocks
+    assert saved[3].blocks == found.study.graph_of(own).blocks
     assert not (place / "worst_5.yaml").exists()
     names = {path.name for path in (place / "figures").iterdir()}
     assert names == {f"{name}.svg" for name in ("divergence", "distribution", "eighths", "influence", "map_1")}

@@ -20,8 +20,8 @@ from dmframe.analysis.linear import linearise
 from dmframe.analysis.period import linearised_period
 from dmframe.cli.tune import tune_study
 from dmframe.errors import DmframeError, OutputError
-from dmframe.graph import load
-from dmframe.report import Verification
+from dmframe.graph.load import load
+from dmframe.report.verification import Verification
 from dmframe.study import candidate as candidates
 from dmframe.study import tune as tuning_module
 from dmframe.study.cautions import near_end
@@ -181,7 +181,7 @@ def test_a_constraint_separates_the_trials_as_their_graphs_do(study: Make, tmp_p
 
 def test_a_clock_is_refused_from_the_largest_stable_period_on() -> None:
     graph = load("pendulum")
-    largest = linearised_period(linearise(graph.diagram, start=graph.experiment.start)).stable
+    largest = linearised_period(linearise(graph.diagram, start=graph.start)).stable
     plants = load_study({"dmframe-study": 1, "graph": "pendulum", "set": {"duration": "1 s"}})
     below, above = (candidates.unstable(plants, 0, share * largest) for share in (0.97, 1.03))
     assert below is not None

@@ -22,7 +22,7 @@ def driven(held: VirtualRobot, ticks: int) -> tuple[np.ndarray, list[int]]:
     """The graph's controller over RTDE; where the joints were, and how many samples old the answered commands were."""
     own = graph("ur10_fast")
     assert own.clock == held.dt
-    controller = Controller(own.diagram, held.dt, start=own.experiment.start)
+    controller = Controller(own.diagram, held.dt, start=own.start)
     client = Client(held)
     client.begin(OUTPUTS, INPUTS)
     held.load_script(FOLLOW)

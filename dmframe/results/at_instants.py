@@ -1,9 +1,10 @@
-"""Expressions of a claim over samples at each sample of a run, also those of states that the run did not keep."""
+"""Expressions of a claim at the instants of a run, also those of sampled states that the run did not keep."""
 
 from __future__ import annotations
 
-from functools import cached_property
-from typing import final
+from collections.abc import Sequence
+from functools import cache, cached_property
+from typing import Final, final
 
 import casadi as ca
 import numpy as np
@@ -17,13 +18,16 @@ from dmframe.errors import ValueFault, listed
 from dmframe.simulate import Recording
 from dmframe.simulate.instants import DRAWN
 
+CHUNK: Final = 2048
+"""Instants evaluated in one call."""
+
 
 @final
-class AtSamples:
-    """A run of a claim over samples.
+class AtInstants:
+    """A run of a claim, with the run's own parameters and the trajectories as the functions of time that they are.
 
-    A sampled state that the run did not keep, such as stored rows, is recomputed by its map from its start and from
-    what was kept: 0.08 ms a sample of a UR10.
+    Over samples, a sampled state that the run did not keep, such as stored rows, is recomputed by its map from its
+    start and from what was kept: 0.08 ms a sample of a UR10.
     """
 
     def __init__(self, claim: Claim, run: Recording) -> None:
@@ -35,8 +39,12 @@ class AtSamples:
         instants, time = self.run.instants, self.run.time
         return instants is not None and bool(np.array_equal(time, instants.times(np.arange(time.size))))
 
-    def of(self, column: SX) -> np.ndarray:
-        """A column of expressions at every sample, (rows, N).
+    def of(
+        self, column: SX, places: np.ndarray | None = None, more: Sequence[tuple[SX, np.ndarray]] = ()
+    ) -> np.ndarray:
+        """A column of expressions, (rows, N): at every kept instant, or at those of these places.
+
+        `more` are further symbols, with their values at these instants.
 
         Raises
         ------
@@ -50,11 +58,13 @@ class AtSamples:
         becomes = loop.on_path(stack(self._next(variable) for variable in lost))
         both = stack([becomes, column])
         read = [v for v in loop.variables if v not in lost and symbols_in([both]) & symbols_in([v.symbol])]
-        given = stack([*(v.symbol for v in read), loop.time, loop.period, loop.drawn])
+        given = stack([*(v.symbol for v in read), loop.time, loop.period, loop.drawn, *(x for x, _ in more)])
         moving = stack(variable.symbol for variable in lost)
         becomes, column = ca.substitute([becomes, column], [loop.p], [ca.SX(ca.DM(self.run.diagram.loop.p_values))])
-        function = ca.Function("sample", [moving, given], ca.cse([becomes, ca.densify(column)]))
-        return self._computed(function, self._given(read, both), self._start(lost))
+        function = ca.Function("instants", [moving, given], ca.cse([becomes, ca.densify(column)]))
+        rows = np.hstack([self._given(read, both, places), *(np.transpose(values) for _, values in more)])
+        rows = np.ascontiguousarray(rows, dtype=float)
+        return self._in_turn(function, rows, self._start(lost)) if lost else _at_once(function, rows)
 
     def _lost(self, column: SX) -> list[Variable]:
         """The states that the run did not keep, of the column and of what becomes of such states."""
@@ -85,7 +95,7 @@ class AtSamples:
             first += size
         return np.concatenate(parts)
 
-    def _given(self, read: list[Variable], both: SX) -> np.ndarray:
+    def _given(self, read: list[Variable], both: SX, places: np.ndarray | None) -> np.ndarray:
         """(N, columns) kept states, time, period and what was drawn."""
         run, drawn = self.run, self.claim.loop.drawn
         count, numbers = run.time.size, np.zeros((run.time.size, drawn.numel()))
@@ -95,18 +105,16 @@ class AtSamples:
             numbers = run.instants.rows(0, count)[:, DRAWN:]
         period = np.full(count, run.clock or 0.0)
         columns = [*(run.states[variable.label] for variable in read), run.time[:, None], period[:, None], numbers]
-        return np.ascontiguousarray(np.hstack(columns), dtype=float)
+        found = np.hstack(columns)
+        return found if places is None else found[places]
 
-    def _computed(self, function: ca.Function, given: np.ndarray, start: np.ndarray) -> np.ndarray:
+    @staticmethod
+    def _in_turn(function: ca.Function, given: np.ndarray, start: np.ndarray) -> np.ndarray:
         """The second output of a function of the moving states and what is given; the first is where they move."""
-        count = len(given)
-        if not start.size:
-            found: np.ndarray = function.map(count)(np.zeros((0, count)), given.T)[1].full()
-            return found
-        values = np.empty((count, function.numel_out(1)))
+        values = np.empty((len(given), function.numel_out(1)))
         now, then = start.copy(), np.empty_like(start)
         buffer, evaluate = function.buffer()
-        for k in range(count):
+        for k in range(len(given)):
             buffer.set_arg(0, now.data)
             buffer.set_arg(1, given[k].data)
             buffer.set_res(0, then.data)
@@ -116,4 +124,16 @@ class AtSamples:
         return np.ascontiguousarray(values.T)
 
 
-__all__ = ["AtSamples"]
+def _at_once(function: ca.Function, given: np.ndarray) -> np.ndarray:
+    """The same of a function of no moving states. A buffer converts no array, which takes as long as evaluation."""
+    values, mapped = np.empty((len(given), function.numel_out(1))), cache(function.map)
+    for first in range(0, len(given), CHUNK):
+        part = slice(first, min(first + CHUNK, len(given)))
+        buffer, evaluate = mapped(part.stop - first).buffer()
+        buffer.set_arg(1, given[part].data)
+        buffer.set_res(1, values[part].data)
+        evaluate()
+    return np.ascontiguousarray(values.T)
+
+
+__all__ = ["AtInstants"]

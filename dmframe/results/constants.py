@@ -20,10 +20,10 @@ import numpy as np
 
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
-from dmframe.certify.at_samples import AtSamples
 from dmframe.certify.claim import Claim, NotApplicableError, total
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import listed
+from dmframe.results.at_instants import AtInstants
 
 SINGULAR: Final = 1e-9
 """Eigenvalues of the scaled sum of r'' up to this say nothing of their direction."""
@@ -73,7 +73,7 @@ def excess_of(claim: Claim) -> SX:
     return total([part.excess for part in claim.parts])
 
 
-def determined(claim: Claim, stored: SX, samples: AtSamples) -> Constants:
+def determined(claim: Claim, stored: SX, samples: AtInstants) -> Constants:
     """The unknown constants of what V stores, as a run determines them.
 
     Raises
@@ -117,7 +117,7 @@ def _least(slope: np.ndarray, bend: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return -(inverse @ (slope / scale)) / scale, np.any(np.abs(vectors[:, ~seen]) > np.sqrt(SINGULAR), axis=1)
 
 
-def notes_on(claim: Claim, constants: Constants, samples: AtSamples) -> Iterator[str]:
+def notes_on(claim: Claim, constants: Constants, samples: AtInstants) -> Iterator[str]:
     """Constants that the run does not determine, and those outside the box of the estimate that has them."""
     if constants.loose:
         yield f"no sample of the run determines {listed(list(constants.loose))}: V is evaluated with 0 for it"

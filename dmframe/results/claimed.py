@@ -6,9 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from dmframe.block.model import SYMBOLIC
-from dmframe.certify.along import Along, along
-from dmframe.certify.along_steps import sampled_along
-from dmframe.certify.checked import Checked, Numbers
+from dmframe.certify.checked import Checked, Numbers, sorted_out
 from dmframe.certify.claim import Claim, NotApplicableError, claim_of
 from dmframe.certify.conditions import conditions_of
 from dmframe.certify.discrete import discrete_conditions
@@ -20,6 +18,7 @@ from dmframe.certify.symbols import symbols_of
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
 from dmframe.exact.rational import Interval, as_float
+from dmframe.results.along import Along, along
 from dmframe.simulate import Recording
 
 MOST = 300
@@ -54,10 +53,10 @@ def claimed_along(
     with SYMBOLIC:
         if diagram.loop.clocked:
             sampled = claim_of(diagram)
-            decided, _ = discrete_conditions(sampled, Numbers(sampled, uncertain), start)
+            decided, _ = sorted_out(discrete_conditions(sampled, Numbers(sampled, uncertain), start))
             for failing in _failing(decided):
                 raise NotApplicableError(failing)
-            return sampled, sampled_along(sampled, run)
+            return sampled, along(sampled, run)
         if size := _large(diagram):
             raise NotApplicableError(
                 f"V is not computed along the run of a loop of that size, {size} numbers in one column or gain; "

@@ -1,4 +1,4 @@
-"""Stability of z'' + a z' + b z = 0 with a and b anywhere in their boxes: one Lyapunov matrix, found and checked."""
+"""Stability of matrices of numbers, and of z'' + a z' + b z = 0 with a and b anywhere in their boxes."""
 
 from __future__ import annotations
 
@@ -9,12 +9,32 @@ from functools import cache
 from itertools import product
 
 from dmframe.exact.rational import as_float
+from dmframe.prove.definite import Number, lower, upper
 
 Corners = Sequence[tuple[Fraction, Fraction]]
 Range = tuple[Fraction, Fraction]
 
 STEPS = 50
 """Of the searches: each narrows its interval by a third or a half."""
+
+
+def is_stable_matrix(A: Sequence[Sequence[Number]]) -> bool:
+    """Stability of a matrix of one or two rows, of numbers or intervals.
+
+    One row: A < 0 at its upper end. Two of numbers: trace A < 0 and det A > 0; of intervals, a companion form
+    [[0, 1], [-b, -a]] with one Lyapunov matrix for all corners of the box.
+    """
+    if len(A) == 1:
+        return upper(A[0][0]) < 0
+    if len(A) != 2:
+        return False
+    ends = [[(lower(x), upper(x)) for x in row] for row in A]
+    if all(low == high for row in ends for low, high in row):
+        (a, b), (c, d) = [[low for low, _ in row] for row in ends]
+        return a + d < 0 and a * d - b * c > 0
+    companion = [low for low, _ in ends[0]] == [high for _, high in ends[0]] == [0, 1]
+    (b_low, b_high), (a_low, a_high) = ends[1]
+    return companion and common_margin((-a_high, -a_low), (-b_high, -b_low)) > 0
 
 
 @cache

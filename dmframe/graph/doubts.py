@@ -1,0 +1,35 @@
+"""Notices that cannot be derived from a run: a path out of reach, and a sampled loop that is unstable."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from dmframe.block.model import SYMBOLIC
+from dmframe.config import BaseGraph
+from dmframe.simulate import Recording
+from dmframe.units import plain
+
+LONG: Final = 10.0
+"""From this duration [s] on a run also checks the stability near the set-point, half a second for a UR10."""
+
+
+def doubts(graph: BaseGraph, recording: Recording) -> tuple[str, ...]:
+    """The notices about a run of the graph."""
+    from dmframe.certify.reach import out_of_reach
+
+    with SYMBOLIC:
+        left = tuple(
+            f"{text}: no controller can follow it there" for text in out_of_reach(graph.diagram, recording.duration)
+        )
+    if graph.clock is None or recording.divergence is not None or recording.duration < LONG:
+        return left
+    from dmframe.analysis.period import TOLERANCE, sampled_radius
+
+    radius = sampled_radius(recording.diagram, graph.clock, graph.start)
+    if radius is None or radius <= 1 + TOLERANCE:
+        return left
+    said = (
+        f"with its estimates at their true values this loop is unstable near its set-point on a clock of "
+        f"{plain(graph.clock, 's')}, spectral radius {radius:.4g}: a longer run may diverge; `analyse` gives details"
+    )
+    return (*left, said)
