@@ -50,13 +50,10 @@ class PPiInverse(AdaptingBlock):
         \dot w_z &= \Lambda_z\, z \sigma                                  \tag{7}
 
     The law is that of `pid_inverse` with two more scales, since a share f of the velocity command reaches the servo's
-    velocity controller: :math:`\dot q_{ref}` has a scale of its own, and the scales of :math:`q_r` and :math:`q_c` differ.
-    True values, with :math:`K_f = K K_v f`:
-
-    .. math::
-
-        w_f = \frac{1}{f}, \quad w = \frac{1}{K_f}, \quad w_r = \frac{K_v k_p + K_i}{K_v f}, \quad
-        w_c = \frac{K_v k_p + K_i f}{K_v f}, \quad w_z = \frac{K_i k_p}{K_v f}              \tag{8}
+    velocity controller: :math:`\dot q_{ref}` has its own scale, and the scales of :math:`q_r` and :math:`q_c` differ.
+    True values, with :math:`K_f = K K_v f`: :math:`1/f` for w_f, :math:`1/K_f` for w,
+    :math:`(K_v k_p + K_i)/(K_v f)` for w_r, :math:`(K_v k_p + K_i f)/(K_v f)` for w_c, and
+    :math:`K_i k_p/(K_v f)` for w_z.
 
     With these values the servo's voltage is that of a PID servo with :math:`K_D = K_v`,
     :math:`K_P = K_v k_p + K_i` and :math:`K_I = K_i k_p`, whose integrator is :math:`i = (f q_c - q - \xi)/k_p`. With
@@ -66,9 +63,9 @@ class PPiInverse(AdaptingBlock):
     .. math::
 
         S &= \tfrac12 |e + K_c E|^2_{K K_I/K_c} + \tfrac12 |e|^2_{K \bar M + K K_c K_D + K_c B}
-             + \tfrac12 |w_f - 1/f|^2_{K_f/\Lambda_f} + \dots               \tag{9} \\
+             + \tfrac12 |w_f - 1/f|^2_{K_f/\Lambda_f} + \dots               \tag{8} \\
         \dot S &= -s^\top (K K_D + B) s - e^\top K \bar M K_c e
-             - \sigma^\top (K u - \tau_{dc} - B \sigma)                   \tag{10}
+             - \sigma^\top (K u - \tau_{dc} - B \sigma)                   \tag{9}
 
     where the dots stand for the errors of the other four scales, weighed alike.
 
@@ -96,8 +93,8 @@ class PPiInverse(AdaptingBlock):
 
     Notes
     -----
-    Not for: a servo without feed-forward, f = 0, in which the command acts through its integral only; the scales (8) are
-    then infinite.
+    Not for: a servo without feed-forward, f = 0, in which the command acts through its integral only; the true scales
+    are then infinite.
 
     References
     ----------
@@ -173,7 +170,7 @@ class PPiInverse(AdaptingBlock):
         return {"q_r": u.q}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """(8) to (10), and the stable linear subsystem of the command."""
+        """(8) and (9), and the stable linear subsystem of the command."""
         K, k_p, K_v, K_i, f, B = truth.K, truth.k_p, truth.K_v, truth.K_i, truth.f, truth.B
         K_f, K_P, K_I, M_bar = named("K_f", K * K_v * f), K_v * k_p + K_i, K_i * k_p, self._M_bar(p, truth)
         dq_ref = self._reference(u, x, p)
@@ -209,7 +206,7 @@ class PPiInverse(AdaptingBlock):
         """M-bar is non-negative, and the servo has feed-forward."""
         return (
             Inequality("M_bar >= 0", self._M_bar(p, truth), "Theorem 4 and Remark 5", strict=False),
-            Inequality("f > 0", truth.f, "(8)"),
+            Inequality("f > 0", truth.f, "the true value of w_f is 1/f"),
         )
 
     def _reference(self, u: Signals, x: Signals, p: Signals) -> SX:
@@ -218,7 +215,7 @@ class PPiInverse(AdaptingBlock):
     def _angles(self) -> Condition:
         """What bounds the command if f is not 1."""
         f = Written("f", "f", "f")
-        return Assumption(sentence("the joint angles q stay bounded, since {f} is not 1 in all joints", f=f), "(10)")
+        return Assumption(sentence("the joint angles q stay bounded, since {f} is not 1 in all joints", f=f), "(9)")
 
     def _M_bar(self, p: Signals, truth: Signals) -> SX:
         K_P, K_I = truth.K_v * truth.k_p + truth.K_i, truth.K_i * truth.k_p

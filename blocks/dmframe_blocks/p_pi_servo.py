@@ -32,18 +32,19 @@ class PPiServo(AbstractBlock):
 
     .. math::
 
-        e_v       &= f \dot q_c + k_p (q_c + q_{step} - q) - \dot q_f     \tag{1} \\
+        e_v       &= f \dot q_c + k_p (q_c + q_{step} - q) - \dot q       \tag{1} \\
         \dot \xi  &= e_v                                                  \tag{2} \\
-        u_f       &= K_v e_v + K_i \xi                                    \tag{3}
+        u         &= K_v e_v + K_i \xi                                    \tag{3}
 
     The servo integrates the velocity command, :math:`q_c = q(0) + \int \dot q_c`, and reports the result, usually
-    called the target position. :math:`q_{step}` is zero unless positions are commanded: see `position_interface`. By
-    default :math:`\dot q_f = \dot q` and :math:`u = u_f`. With a `velocity_filter` and a `torque_lag`, :math:`u = u_{lag}`:
+    called the target position. :math:`q_{step}` is zero unless positions are commanded: see `position_interface`. With
+    a `velocity_filter`, :math:`\dot q_f` replaces :math:`\dot q` in (1). With a `torque_lag`, (3) is the demanded
+    voltage :math:`u_d`, and :math:`u_a` acts:
 
     .. math::
 
-        \ddot q_f = (\dot q - \dot q_f) / \mathrm{velocity\_filter}, \quad
-        \dot u_{lag} = (u_f - u_{lag}) / \mathrm{torque\_lag}             \tag{4}
+        \ddot q_f    &= (\dot q - \dot q_f) / \mathrm{velocity\_filter}   \tag{4} \\
+        \dot u_a     &= (u_d - u_a) / \mathrm{torque\_lag}            \tag{5}
 
     Initially the integrator holds the robot against gravity: :math:`\xi(0) = g(q)/(K K_i)`.
 
@@ -60,7 +61,7 @@ class PPiServo(AbstractBlock):
     K_i : diagonal (n,), V/rad, > 0
         Integral gain of the velocity controller.
     feed_forward : diagonal (n,), >= 0
-        Share f of the velocity command that the velocity controller receives: 1 is all of it, 0 a servo without feed-forward.
+        Share f of the velocity command that the velocity controller receives: 1 is all of it, 0 none.
     velocity_filter : scalar, s, > 0
         Time constant of the filter of the measured velocity; by default there is none.
     torque_lag : scalar, s, > 0
@@ -68,9 +69,9 @@ class PPiServo(AbstractBlock):
 
     Notes
     -----
-    A proof needs a servo without filter and lag: with either, `verify` does not apply. The cascade is a continuous one: a
-    cycle of 1 ms acts, to first order, like half a millisecond more of `torque_lag`. Not for: a servo with anti-windup, or
-    with acceleration feed-forward.
+    A proof needs a servo without filter and lag: with either, `verify` does not apply. The cascade is continuous; a
+    cycle of 1 ms acts, to first order, like half a millisecond more of `torque_lag`. Not for: a servo with anti-windup,
+    or with acceleration feed-forward.
 
     References
     ----------
@@ -97,7 +98,7 @@ class PPiServo(AbstractBlock):
         State("q_c", "n", "rad"),
         State("xi", "n", "rad"),
         State("dq_f", "n", "rad/s", optional=True),
-        State("u_lag", "n", "V", optional=True),
+        State("u_a", "n", "V", optional=True),
     )
     truth = (Input("g", "n", "N m"), Input("K", "n", "N m/V"))
 
@@ -109,7 +110,7 @@ class PPiServo(AbstractBlock):
     torque_lag: Scalar | None = Positive("", "s", default=None)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1) to (4)."""
+        """(1) to (5)."""
         measured = x.dq_f if "velocity_filter" in p else u.dq
         e_v = p.feed_forward * u.dq_c + p.k_p * (x.q_c + u.q_step - u.q) - measured
         demanded = p.K_v * e_v + p.K_i * x.xi
@@ -117,15 +118,15 @@ class PPiServo(AbstractBlock):
         if "velocity_filter" in p:
             rates["dq_f"] = (u.dq - x.dq_f) / p.velocity_filter
         if "torque_lag" in p:
-            rates["u_lag"] = (demanded - x.u_lag) / p.torque_lag
+            rates["u_a"] = (demanded - x.u_a) / p.torque_lag
         gains = {"k_p": p.k_p, "K_v": p.K_v, "K_i": p.K_i, "f": p.feed_forward}
-        acting = x.u_lag if "torque_lag" in p else demanded
+        acting = x.u_a if "torque_lag" in p else demanded
         return Equations(outputs={"q_c": x.q_c, "u": acting, "xi": x.xi, **gains}, rates=rates)
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """At rest, with the integrator balancing gravity."""
         held = truth.g / truth.K
-        return {"q_c": u.q, "xi": held / p.K_i, "dq_f": 0 * u.q, "u_lag": held}
+        return {"q_c": u.q, "xi": held / p.K_i, "dq_f": 0 * u.q, "u_a": held}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
         """No storage: that of the servo is in the block that inverts it. The truth is the command as it arrives."""
