@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from dmframe.graph.shortcuts import analyse, draw, run, verify
     from dmframe.graph.sweep import sweep
     from dmframe.results.run import Run
-    from dmframe.study.plan import load_study
+    from dmframe.study.read import load_study
     from dmframe.study.tune import tune
 
     __version__: str
@@ -46,7 +46,7 @@ _HOMES: Final = {
     "fitted_delay": "analysis.delay",
     "graphs": "graph.shelf",
     "load": "graph.load",
-    "load_study": "study.plan",
+    "load_study": "study.read",
     "robots": "graph.shelf",
     "run": "graph.shortcuts",
     "sweep": "graph.sweep",

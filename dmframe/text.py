@@ -63,7 +63,12 @@ class Text(str):
 
     def __new__(cls, *pieces: Piece) -> Text:
         """Join the pieces."""
-        flat = [inner for piece in pieces for inner in (piece.pieces if isinstance(piece, Text) else (piece,))]
+        flat = [
+            inner
+            for piece in pieces
+            for inner in (piece.pieces if isinstance(piece, Text) else (piece,))
+            if inner != ""
+        ]
         made = super().__new__(cls, "".join(piece if isinstance(piece, str) else piece.text for piece in flat))
         made.pieces = tuple(flat)
         return made

@@ -155,7 +155,7 @@ def _law(kind: type[AbstractBlock], shown: Example | None) -> Iterator[str]:
     for option, changed in options.items():
         yield f"### With `{option}`\n\n{_aligned(changed)}"
     if signs := where(lines):
-        yield "Signs:\n\n" + _table(("sign", "means"), [(f"`{sign}`", text) for sign, text in signs])
+        yield "Symbols:\n\n" + _table(("symbol", "meaning"), [(f"`{sign}`", text) for sign, text in signs])
 
 
 def _energy(law: PrintedLaw) -> Iterator[str]:
@@ -191,20 +191,20 @@ def _row(line: Line) -> str:
 
 
 def _signals(kind: type[AbstractBlock]) -> Iterator[str]:
-    for title, ports in (("It takes", kind.inputs), ("It hands on", kind.outputs)):
-        heads = ("symbol", "name", "shape", "unit", "meaning", "who may read it" if title == "It hands on" else "")
+    for title, ports in (("Inputs", kind.inputs), ("Outputs", kind.outputs)):
+        heads = ("symbol", "name", "shape", "unit", "meaning", "readers" if title == "Outputs" else "")
         rows = [_port(port, kind) for port in ports]
-        yield f"{title}:\n\n{_table(heads, rows)}" if rows else f"{title} nothing."
+        yield f"{title}:\n\n{_table(heads, rows)}" if rows else f"No {title.lower()}."
     if kind.states:
         rows = [
             (f"${latex_name(s.name)}$", f"`{s.name}`", s.shape or "1", s.unit or "-", _meaning(s.name), _kept(s))
             for s in kind.states
         ]
-        yield f"Its states:\n\n{_table(('symbol', 'name', 'shape', 'unit', 'meaning', ''), rows)}"
+        yield f"States:\n\n{_table(('symbol', 'name', 'shape', 'unit', 'meaning', ''), rows)}"
     if kind.truth:
         rows = [_port(port, kind) for port in kind.truth]
         heads = ("symbol", "name", "shape", "unit", "meaning", "")
-        yield f"True values that its proof alone reads:\n\n{_table(heads, rows)}"
+        yield f"True values, which only its certificate reads:\n\n{_table(heads, rows)}"
 
 
 def _port(port: Signal, kind: type[AbstractBlock]) -> tuple[str, ...]:
@@ -318,6 +318,8 @@ def _said(text: str) -> str:
 
 
 def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Markdown table without columns that have neither a head nor a cell."""
+    heads, *rows = zip(*(column for column in zip(heads, *rows, strict=True) if any(column)), strict=True)
     lines = [heads, ["---"] * len(heads), *rows]
     return "\n".join("| " + " | ".join(_cell(cell) for cell in line) + " |" for line in lines)
 

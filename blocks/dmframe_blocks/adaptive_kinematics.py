@@ -75,9 +75,11 @@ class AdaptiveKinematics(AdaptingBlock):
         Interval onto which the estimate is projected, so that the Jacobian keeps full rank.
     R : diagonal (m,), 1/s, > 0
         Composite adaptation, off by default: weight of the position's prediction error. A larger weight adapts faster.
-        With the sampling period T, Gamma_k R T times the number of adapted translations has to be well below 2.
+        With the sampling period :math:`T`, :math:`\Gamma_k R T` times the number of adapted translations has to be well
+        below 2.
     forgetting : scalar, 1/s, > 0
-        Forgetting rate of least squares, off by default; requires R. Gamma_k is then the upper bound of the gain.
+        Forgetting rate of least squares, off by default; requires `R`. :math:`\Gamma_k` is then the upper bound of the
+        gain.
 
     Notes
     -----

@@ -46,10 +46,11 @@ class Admittance(AbstractBlock):
     M_a : diagonal (m,), kg, > 0
         Mass of the goal. A smaller mass follows the force faster.
     D_a : diagonal (m,), N s/m, > 0
-        Damping. On a clock with period T, contact with a wall of stiffness k requires more than about T k.
+        Damping. On a clock with period :math:`T`, contact with a wall of stiffness :math:`k` requires more than about
+        :math:`T k`.
     K_a : diagonal (m,), N/m, > 0
-        Stiffness. If the goal x_d is at the depth e inside a wall of stiffness k, the contact force settles at
-        e k K_a/(k + K_a).
+        Stiffness. If the goal :math:`x_d` is at the depth :math:`e` inside a wall of stiffness :math:`k`, the contact
+        force settles at :math:`e k K_a / (k + K_a)`.
 
     Notes
     -----

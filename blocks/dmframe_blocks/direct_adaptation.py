@@ -47,7 +47,7 @@ class DirectAdaptation(AdaptingBlock):
     Gamma : (p, p), positive definite, or its diagonal
         Adaptation gain.
     a_d_hat_box : [lower, upper]
-        Interval onto which the estimate is projected, so that M-hat stays invertible.
+        Interval onto which the estimate is projected, so that :math:`\hat M` stays invertible.
 
     Notes
     -----

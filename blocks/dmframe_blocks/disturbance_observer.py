@@ -50,12 +50,13 @@ class DisturbanceObserver(AbstractBlock):
     u_max : diagonal (n,), rad/s, > 0
         Largest command.
     supervised : true or false
-        Another block, such as `sampled_supervisor`, determines the command that is sent, dq_sent, which is then used as
-        the applied command.
+        Another block, such as `sampled_supervisor`, determines the command that is sent, `dq_sent`, which is then used
+        as the applied command.
     echoed : true or false
-        The robot reports the target of its servo: wire q_echo to it. u_applied is then the change of the target over T.
+        The robot reports the target of its servo: wire `q_echo` to it. :math:`u_{applied}` is then the change of the
+        target over :math:`T`.
     time_stamps : true or false
-        The measurement times of the positions are known; their difference replaces T in (1).
+        The measurement times of the positions are known; their difference replaces :math:`T` in (1).
 
     Notes
     -----

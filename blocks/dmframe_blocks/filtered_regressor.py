@@ -76,9 +76,9 @@ class FilteredRegressor(AbstractBlock):
     weight : diagonal (n,), > 0
         Weight of the prediction error relative to the tracking error in composite adaptation.
     friction : list of viscous, coulomb
-        Same as in the `regressor` with which it shares a_d.
+        Same as in the `regressor` with which it shares :math:`a_d`.
     bias : true or false
-        Same as in that regressor: a_d includes the offset of the servo's integrator.
+        Same as in that regressor: :math:`a_d` includes the offset of the servo's integrator.
     Gamma_b : diagonal (n,), 1/s, > 0
         Without `bias`, the gain with which the offset is estimated here.
 

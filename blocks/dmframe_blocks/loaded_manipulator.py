@@ -63,7 +63,7 @@ class LoadedManipulator(AbstractBlock):
     viscous : diagonal (n,), N m s/rad, >= 0
         Viscous friction of the joints.
     coulomb : diagonal (n,), N m, >= 0
-        Coulomb friction, D.
+        Coulomb friction, :math:`D`.
     K : diagonal (n,), N m/V, > 0
         Motor constant: torque per volt.
     maker_gravity : scalar, >= 0

@@ -59,7 +59,7 @@ class ObservedPoseTracking(AbstractBlock):
     Parameters
     ----------
     gamma : scalar, rad^2/(m^2 s), > 0
-        Task gain; the proof requires gamma < 9/4 beta, with beta of the observer.
+        Task gain; the proof requires :math:`\gamma < 9 \beta/4`, with :math:`\beta` of the observer.
 
     Notes
     -----

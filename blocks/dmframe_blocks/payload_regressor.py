@@ -31,7 +31,7 @@ class PayloadRegressor(AbstractBlock):
     ----------
     gravity : known or share
         With known, the controller compensates the complete gravity of the links. With share, the servo compensates an
-        unknown fraction, and the remaining fraction is estimated as one parameter, g_share.
+        unknown fraction, and the remaining fraction is estimated as one parameter, :math:`g_{share}`.
     friction : list of viscous, coulomb
         Friction that is estimated together with the load; it must include each kind that the plant has.
 

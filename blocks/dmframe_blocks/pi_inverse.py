@@ -62,9 +62,9 @@ class PiInverse(AdaptingBlock):
     Parameters
     ----------
     Lambda : diagonal (n,), > 0
-        Adaptation gain of the scale w. A larger gain adapts to the servo faster and passes more velocity noise.
+        Adaptation gain of the scale :math:`w`. A larger gain adapts to the servo faster and passes more velocity noise.
     Lambda_I : diagonal (n,), > 0
-        Adaptation gain of the ratio w_I.
+        Adaptation gain of the ratio :math:`w_I`.
     w, w_I : (n,), rad/(N m s), 1/s
         Initial estimates.
     w_box, w_I_box : [lower, upper]

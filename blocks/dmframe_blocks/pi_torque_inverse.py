@@ -54,11 +54,11 @@ class PiTorqueInverse(AdaptingBlock):
     Parameters
     ----------
     Lambda, Lambda_I : diagonal (n,), > 0
-        Adaptation gains of w and w_I.
+        Adaptation gains of :math:`w` and :math:`w_I`.
     w, w_I : (n,), rad/(N m s), 1/s
         Initial estimates.
     w_box, w_I_box : [lower, upper]
-        Intervals onto which the estimates are projected; a positive lower bound of w_I_box keeps the command stable.
+        Intervals onto which the estimates are projected; a positive lower bound of `w_I_box` keeps the command stable.
 
     Notes
     -----

@@ -77,14 +77,14 @@ class PidInverse(AdaptingBlock):
     Parameters
     ----------
     K_c : diagonal (n,), 1/s, > 0
-        Gain of the position feedback to the reference. M-bar must be positive or zero. A larger gain increases the
-        margin and passes more noise.
+        Gain of the position feedback to the reference. :math:`\bar M` must be positive or zero. A larger gain increases
+        the margin and passes more noise.
     tie : velocity or position
-        Whether K_c acts on the reference velocity, eq. (32), or on the reference position, eq. (34).
+        Whether :math:`K_c` acts on the reference velocity, eq. (32), or on the reference position, eq. (34).
     Lambda : diagonal (n,), > 0
-        Adaptation gain of the scale w. A larger gain adapts to the servo faster and passes more velocity noise.
+        Adaptation gain of the scale :math:`w`. A larger gain adapts to the servo faster and passes more velocity noise.
     Lambda_P, Lambda_I : diagonal (n,), > 0
-        Adaptation gains of the ratios w_P and w_I.
+        Adaptation gains of the ratios :math:`w_P` and :math:`w_I`.
     w, w_P, w_I : (n,), rad/(N m s), 1/s, 1/s^2
         Initial estimates.
 

@@ -59,7 +59,7 @@ class PidTorqueInverse(AdaptingBlock):
     Parameters
     ----------
     Lambda, Lambda_P, Lambda_I : diagonal (n,), > 0
-        Adaptation gains of w, w_P and w_I.
+        Adaptation gains of :math:`w`, :math:`w_P` and :math:`w_I`.
     w, w_P, w_I : (n,), rad/(N m s), 1/s, 1/s^2
         Initial estimates.
 

@@ -63,7 +63,8 @@ class SafeReference(AbstractBlock):
     Parameters
     ----------
     approach : diagonal (n,), 1/s, > 0
-        Approach rate: at the distance h from its limit a joint's velocity towards it is at most approach times h.
+        Approach rate: at the distance :math:`h` from its limit a joint's velocity towards it is at most this rate times
+        :math:`h`.
     margin : diagonal (n,), rad, >= 0
         Distance from each limit at which the reference stops.
     rounding : diagonal (n,), rad/s, > 0

@@ -102,10 +102,10 @@ class SampledInverse(AbstractBlock):
     delay : 0, 1 or 2
         Whole samples from a command to its effect. It must be correct.
     estimator : projection or least_squares
-        Estimator of theta. With a quantising encoder least squares needs `average` 2 or more, otherwise it drifts; it
-        is then less noisy than projections. After a change of load its errors are larger for some seconds.
+        Estimator of :math:`\theta`. With a quantising encoder least squares needs `average` 2 or more, otherwise it
+        drifts; it is then less noisy than projections. After a change of load its errors are larger for some seconds.
     retention : scalar, > 0, <= 1
-        Least squares only: the fraction of G retained per sample. With 0.98 about 50 samples have weight.
+        Least squares only: the fraction of :math:`G` retained per sample. With 0.98 about 50 samples have weight.
     replay : number, > 0
         Number of stored samples that are used again at each sample; least squares stores none.
     average : number, > 0
@@ -113,36 +113,39 @@ class SampledInverse(AbstractBlock):
     stride : number, > 0
         Store every stride-th sample: stored samples should be about 90 ms apart. Projections only.
     filtered : true or false
-        High-pass filter both sides with tau. Without it even a constant error of the target grows in z.
+        High-pass filter both sides with :math:`\tau`. Without it even a constant error of the target grows in
+        :math:`z`.
     tau : scalar, s, > 0
         Time constant of the high-pass filter: slower changes are treated as disturbances and not identified.
     nu : scalar, rad^2/s^2, > 0
-        Normalisation: a row with h' Gamma h well below nu has little effect. A larger nu is less noisy and slower.
+        Normalisation: a row with :math:`h^\top \Gamma h` well below :math:`\nu` has little effect. A larger :math:`\nu`
+        is less noisy and slower.
     w_0 : diagonal (n,), rad/(N m s), > 0
-        Approximate value of 1/(K K_D), within a factor of ten; it scales the elements of theta.
+        Approximate value of :math:`1/(K K_D)`, within a factor of ten; it scales the elements of :math:`\theta`.
     k_P, k_I : (n,), 1/s, 1/s^2, > 0
-        Initial values of these two elements; all others start at zero. For a PI servo k_I, K_I/K_P, is in 1/s.
+        Initial values of these two elements; all others start at zero. For a PI servo :math:`k_I` is :math:`K_I/K_P`,
+        in 1/s.
     k_P_size, k_I_size : scalar, 1/s, 1/s^2, > 0
-        Expected deviations of these elements from their initial values: Gamma contains the squares.
+        Expected deviations of these elements from their initial values: :math:`\Gamma` contains the squares.
     offset_size, inertia_size, friction_size : scalar, N m, kg m^2, N m s/rad, > 0
-        The same for the offset, for w a, and for w B and w D, divided by w_0.
+        The same for the offset, for :math:`w a`, and for :math:`w B` and :math:`w D`, divided by :math:`w_0`.
     k_P_box, k_I_box, offset_box : interval, 1/s, 1/s^2, rad/s
         Known intervals of these elements.
     inertia_box, friction_box : interval, kg m^2, N m s/rad
-        The same for w a and for w B, w D, divided by w_0.
+        The same for :math:`w a` and for :math:`w B`, :math:`w D`, divided by :math:`w_0`.
     u_max : diagonal (n,), rad/s, > 0
         Largest command.
     margin : scalar, >= 0
-        Margin of the slope above 1/2 in the condition on w M/T.
+        Margin of the slope above 1/2 in the condition on :math:`w M/T`.
     supervised : true or false
-        Another block, such as `sampled_supervisor`, determines the command that is sent, dq_sent, which is then used as
-        the applied command.
+        Another block, such as `sampled_supervisor`, determines the command that is sent, `dq_sent`, which is then used
+        as the applied command.
     echoed : true or false
-        The robot reports the target of its servo: wire q_echo to it. The command applied in a sample is then computed
+        The robot reports the target of its servo: wire `q_echo` to it. The command applied in a sample is then computed
         from the change of the target, also if commands were delayed or lost.
     time_stamps : true or false
-        The measurement times of the positions are known, and give the length of past samples; otherwise it is T. The
-        length of the coming sample is T in both cases.
+        The measurement times of the positions are known, and give the length of past samples; otherwise it is
+        :math:`T`. The length of the coming sample is :math:`T` in both cases.
 
     Notes
     -----

@@ -85,10 +85,10 @@ class SampledSupervisor(AbstractBlock):
     u_max : diagonal (n,), rad/s, > 0
         Largest command.
     demand_max : diagonal (n,), rad/s, > 0
-        About ten times the torque limit of the drive, divided by K K_D; a fifth of that and twice as much gave similar
-        results. By default commands are not limited.
+        About ten times the torque limit of the drive, divided by :math:`K K_D`; a fifth of that and twice as much gave
+        similar results. By default commands are not limited.
     k_P, k_I : (n,), 1/s, 1/s^2, > 0
-        Approximate values of K_P/K_D and K_I/K_D, as in `sampled_inverse`.
+        Approximate values of :math:`K_P/K_D` and :math:`K_I/K_D`, as in `sampled_inverse`.
     forget : scalar, s, > 0
         Decay time of the sums; about twenty samples.
 

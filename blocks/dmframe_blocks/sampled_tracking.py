@@ -56,9 +56,11 @@ class SampledTracking(AbstractBlock):
     Parameters
     ----------
     gamma : scalar, rad^2/(m^2 s), > 0
-        Task gain with feedback through J'. T gamma must be below 2 over the largest squared singular value of J.
+        Task gain with feedback through :math:`J^\top`. :math:`T \gamma` must be below 2 over the largest squared
+        singular value of :math:`J`.
     Lambda : scalar, 1/s, > 0
-        Task gain with feedback through the inverse of J, instead of gamma. T Lambda must be below 2.
+        Task gain with feedback through the inverse of :math:`J`, instead of :math:`\gamma`. :math:`T \Lambda` must be
+        below 2.
     damping : scalar, m/rad, >= 0
         Damping of the inverse: near a singular pose it limits the joint velocities, and the tool leaves its path.
     delay : 0, 1 or 2

@@ -20,7 +20,7 @@ class Setpoint(AbstractBlock):
     Parameters
     ----------
     x_d : (m,), m
-        Goal of the tool. Set one of x_d, q_d and chi_d.
+        Goal of the tool. Set one of `x_d`, `q_d` and `chi_d`.
     q_d : (n,), rad
         Goal of the joints.
     orientation : (3,), rad

@@ -36,7 +36,7 @@ class Spiral(AbstractBlock):
     rate : scalar, rad/s
         Angular rate around the vertical axis.
     breath : scalar, rad/s
-        Angular frequency of the motion out and back; one cycle takes 2 pi divided by it.
+        Angular frequency of the motion out and back; one cycle takes :math:`2 \pi` divided by it.
     phase : scalar, rad
         Initial direction.
     orientation : (3,), rad

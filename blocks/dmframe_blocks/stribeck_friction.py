@@ -40,7 +40,7 @@ class StribeckFriction(AbstractBlock):
     sticking : diagonal (n,), N m, >= 0
         Difference between friction at very low and at high speed: the Stribeck effect.
     velocity : scalar, rad/s, > 0
-        Velocity at which 1/e of this difference remains.
+        Velocity at which :math:`1/e` of this difference remains.
     uneven : diagonal (n,), N m
         Difference between friction forwards and the mean of both directions.
 

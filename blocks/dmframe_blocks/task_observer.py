@@ -45,7 +45,8 @@ class TaskObserver(AbstractBlock):
     Parameters
     ----------
     beta : scalar, rad^2/(m^2 s), > 0
-        Observer gain; the proof requires beta > 4/9 gamma, with gamma of the reference generator.
+        Observer gain; the proof requires :math:`\beta > 4 \gamma/9`, with :math:`\gamma` of the reference
+        generator.
 
     References
     ----------

@@ -27,7 +27,7 @@ class ToolOrientation(AbstractBlock):
     ----------
     lever : scalar, m/rad, > 0
         Weight of orientation errors relative to position errors: a small angle is equivalent to a position error of
-        sqrt(2) lever times that angle. A larger value reduces the orientation error faster.
+        :math:`\sqrt 2` lever times that angle. A larger value reduces the orientation error faster.
 
     Notes
     -----

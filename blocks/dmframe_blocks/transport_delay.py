@@ -36,8 +36,8 @@ class TransportDelay(AbstractBlock):
         Whole samples of delay.
     share : scalar, >= 0
         Additional fraction of a sample, below 1. With an exact delay the held command would change within a sample. The
-        output is the mean over the sample instead. Its integral, the servo's q_c, is exact at each sampling instant;
-        between them its error is at most a quarter of a sample times the change of the command.
+        output is the mean over the sample instead. Its integral, the servo's :math:`q_c`, is exact at each sampling
+        instant; between them its error is at most a quarter of a sample times the change of the command.
     late : scalar, >= 0
         Probability, at each sample, that the command is one sample later.
     lost : scalar, >= 0

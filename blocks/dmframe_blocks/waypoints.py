@@ -39,7 +39,7 @@ class Waypoints(AbstractBlock):
     times : list, s
         Increasing times at which the points are reached.
     x_d : one row a time, (m,), m
-        Points of the tool. Set x_d or q_d.
+        Points of the tool. Set `x_d` or `q_d`.
     q_d : one row a time, (n,), rad
         Points of the joints.
     orientations : one row a time, (3,), rad

@@ -22,6 +22,7 @@ from dmframe.block.numberless import without_numbers
 from dmframe.certificate import SX, Certificate, TrueValue
 from dmframe.errors import BlockError, MissingError, ValueFault, nearest, raise_all
 from dmframe.linalg import metric, times
+from dmframe.names import latex_name
 from dmframe.naming import named, reading
 from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Scalar
 from dmframe.port import ANY, Adapted, State
@@ -237,16 +238,17 @@ def _options(block: type[AdaptingBlock]) -> dict[str, tuple[Any, Any]]:
 
 
 def options_said(block: type[AbstractBlock]) -> dict[str, str]:
-    """Description of each of these parameters."""
+    """Description of each of these parameters, as marked text."""
     if not issubclass(block, AdaptingBlock):
         return {}
     sets = {
         "box": "Interval onto which the estimate is projected.",
         "ball": "Instead of the box, the ball onto which it is projected; with a list for the radius, an ellipsoid.",
     }
+    error = f"${latex_name(block.driven_by)}$"
     robust = (
         "Robust adaptation laws, each off by default: decay towards the initial value; the same, proportional to "
-        f"{block.driven_by}; no adaptation while {block.driven_by} is below this width. See `dmframe.adaptation`."
+        f"{error}; no adaptation while {error} is below this width. See `dmframe.adaptation`."
     )
     return {name: sets.get(name.rpartition("_")[2], robust) for name in _options(block)}
 

@@ -34,8 +34,8 @@ from dmframe.certify.claim import Claim, NotApplicableError, Part
 from dmframe.certify.definite import body_pivots, is_mass_matrix, is_matrix, least_body_pivot, least_sampled, load_in
 from dmframe.certify.memories import matrix_start, memory_starts, pivots_at_start
 from dmframe.certify.projections import projection_conditions
+from dmframe.certify.sampler import over_horizon
 from dmframe.certify.small_gain import small_gain_conditions
-from dmframe.certify.smoothness import HORIZON, SAMPLES
 from dmframe.certify.wording import worded
 from dmframe.diagram.view import view
 from dmframe.errors import BlockError
@@ -250,9 +250,8 @@ def _least_of_load(claim: Claim, label: str) -> tuple[float, float]:
     """When a load is furthest from a body, and its least eigenvalue there over the largest; 0 for rounding."""
     loop = claim.loop
     (leaf,) = (leaf for leaf in claim.diagram.resolver.trajectories.values() if leaf.name == label)
-    function = ca.Function("load", [loop.time, loop.p], [loop.on_path(leaf.symbol)])
-    times = np.linspace(0.0, HORIZON, SAMPLES)
-    rows = np.unique(np.column_stack([function(times[None, :], loop.p_values).full().T, times]).round(12), axis=0)
+    times, values = over_horizon(loop, loop.on_path(leaf.symbol))
+    rows = np.unique(np.column_stack([values.T, times]).round(12), axis=0)
     _, first = np.unique(rows[:, :-1], axis=0, return_index=True)  # most loads are the same at most times
     found = list[tuple[float, float]]()
     for *body, time in rows[first]:

@@ -54,9 +54,7 @@ def is_matrix(claim: Claim, weight: SX) -> bool:
 
 def _matched(claim: Claim, weight: SX) -> str | None:
     symbols = symbols_of(claim)
-    for q, robot in _poses(claim):
-        if weight.shape != (robot.n, robot.n):
-            continue
+    for q, robot in _poses(claim, weight):
         used, size = symbols_in([weight]), len(INERTIAL)
         bodies = {"": robot.inertia}
         for leaf in claim.diagram.resolver.trajectories.values():
@@ -79,13 +77,12 @@ def is_mass_matrix_of_bodies(claim: Claim, matrix: SX) -> bool:
     whatever V does. Such a mass matrix is positive definite, uniformly.
     """
     symbols = symbols_of(claim)
-    for bodies in _kept_bodies(claim):
-        for q, robot in _poses(claim):
-            if bodies.numel() != len(INERTIAL) * robot.n or matrix.shape != (robot.n, robot.n):
-                continue
-            if symbols.vanishes("difference", matrix - robot.mass_matrix(q, bodies)):
-                return True
-    return False
+    return any(
+        symbols.vanishes("difference", matrix - robot.mass_matrix(q, bodies))
+        for bodies in _kept_bodies(claim)
+        for q, robot in _poses(claim, matrix)
+        if bodies.numel() == len(INERTIAL) * robot.n
+    )
 
 
 def _kept_bodies(claim: Claim) -> Iterator[SX]:
@@ -102,10 +99,11 @@ def _kept_bodies(claim: Claim) -> Iterator[SX]:
             yield ca.vertcat(*(value for P in rows for value in parameters_of(P)))
 
 
-def _poses(claim: Claim) -> Iterator[tuple[SX, Any]]:
+def _poses(claim: Claim, matrix: SX) -> Iterator[tuple[SX, Any]]:
+    """Positions of robots whose mass matrix has that shape."""
     for variable in claim.loop.plant:
         robot = claim.diagram.models[variable.block].robot
-        if robot is not None and variable.symbol.numel() == robot.n:
+        if robot is not None and variable.symbol.numel() == robot.n and matrix.shape == (robot.n, robot.n):
             yield variable.symbol, robot
 
 

@@ -28,7 +28,7 @@ from dmframe.certify.begun import Begun
 from dmframe.certify.checked import Checked, Finding, Numbers, sorted_out
 from dmframe.certify.claim import Claim
 from dmframe.certify.projection_laws import check_law
-from dmframe.certify.smoothness import HORIZON, SAMPLES
+from dmframe.certify.sampler import over_horizon
 from dmframe.certify.starts import ZERO, begun_at, start_expression, start_of
 from dmframe.certify.symbols import symbols_of
 from dmframe.diagram.closed_loop import ClosedLoop, stack
@@ -121,9 +121,8 @@ def rooms_on_path(claim: Claim, numbers: Numbers) -> Iterator[tuple[Text, SX]]:
 
 def outside(text: Text, room: SX, loop: ClosedLoop) -> Iterator[Checked]:
     """A condition that fails where a source's output, such as a load, is outside the set or NaN."""
-    function = ca.Function("room", [loop.time, loop.p], [room])
-    times = np.linspace(0.0, HORIZON, SAMPLES)
-    found = np.min(function(times[None, :], loop.p_values).full(), axis=0)
+    times, values = over_horizon(loop, room)
+    found = np.min(values, axis=0)
     least = int(np.argmin(found))
     if not found[least] >= -ROUNDING:
         where = Text(text, f" at t = {times[least]:.6g} s")

@@ -18,9 +18,8 @@ from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
 from dmframe.certify.checked import Checked
 from dmframe.certify.claim import Claim
-from dmframe.certify.sampler import Sampler
+from dmframe.certify.sampler import HORIZON, SAMPLES, Sampler
 from dmframe.certify.shell import shell_of
-from dmframe.certify.smoothness import HORIZON, SAMPLES
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import ClosedLoop, stack
 from dmframe.errors import ValueFault

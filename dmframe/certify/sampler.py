@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import Final, final
 
 import casadi as ca
 import numpy as np
+
+from dmframe.certificate import SX
+from dmframe.diagram import ClosedLoop
+
+HORIZON: Final = 100.0
+"""Time over which a function that cannot be followed exactly is looked at [s]."""
+
+SAMPLES: Final = 20001
+"""Instants at which it is looked at."""
 
 
 @final
@@ -38,3 +47,10 @@ class Sampler:
     def over(self, times: np.ndarray) -> np.ndarray:
         """The elements at all times, a row each."""
         return np.array([self(t).copy() for t in times.tolist()]).reshape(len(times), -1).T
+
+
+def over_horizon(loop: ClosedLoop, column: SX) -> tuple[np.ndarray, np.ndarray]:
+    """The instants at which a function of time and parameters is looked at, and its elements there, a row each."""
+    times = np.linspace(0.0, HORIZON, SAMPLES)
+    function = ca.Function("path", [loop.time, loop.p], [column])
+    return times, np.asarray(function(times[None, :], loop.p_values).full())

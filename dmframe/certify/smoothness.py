@@ -20,7 +20,7 @@ from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Assumption
 from dmframe.certify.claim import Claim
 from dmframe.certify.differentiated import Differentiated
-from dmframe.certify.sampler import Sampler
+from dmframe.certify.sampler import HORIZON, SAMPLES, Sampler
 from dmframe.certify.sign import Sign, sign_after
 from dmframe.certify.symbols import exact_values
 from dmframe.diagram import Diagram
@@ -35,12 +35,6 @@ from dmframe.text import Label, Text, sentence
 
 SMOOTH_ABOVE: Final = frozenset((ca.OP_SQRT, ca.OP_LOG, ca.OP_LOG1P, ca.OP_POW, ca.OP_CONSTPOW, ca.OP_HYPOT))
 """Those with an edge that are smooth wherever their operands are above zero; others, such as asin, have edges there."""
-
-HORIZON: Final = 100.0
-"""Time over which a function that cannot be followed exactly is looked at [s]."""
-
-SAMPLES: Final = 20001
-"""Instants at which it is looked at."""
 
 SUSPECTS: Final = 200
 """Steps between two of them, those that stand out most, that are narrowed down."""

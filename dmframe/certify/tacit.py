@@ -28,7 +28,8 @@ from dmframe.certify.positive import Signs
 from dmframe.certify.projections import ROUNDED, begun_in, rooms_on_path
 from dmframe.certify.reach import kept_within
 from dmframe.certify.risky import instructions, risky
-from dmframe.certify.smoothness import HORIZON, SAMPLES, followed_by_numbers
+from dmframe.certify.sampler import over_horizon
+from dmframe.certify.smoothness import followed_by_numbers
 from dmframe.certify.statements import bases_of
 from dmframe.certify.symbols import symbols_of
 from dmframe.diagram.closed_loop import Parameter, stack
@@ -228,9 +229,8 @@ def pieces_of(claim: Claim, numbers: Numbers, expression: SX) -> tuple[list[SX],
     steps = [x for x, _ in instructions([expression]) if x.op() in JUMPS and symbols_in([x]) & time]
     if not steps:
         return [expression], ca.SX(0, 1)
-    function = ca.Function("steps", [loop.time, loop.p], [ca.vertcat(*steps)])
-    times = np.linspace(0.0, HORIZON, SAMPLES)
-    _, first = np.unique(function(times[None, :], loop.p_values).full(), axis=1, return_index=True)
+    times, values = over_horizon(loop, ca.vertcat(*steps))
+    _, first = np.unique(values, axis=1, return_index=True)
     pieces = [ca.substitute([expression], [loop.time], [ca.SX(float(times[k]))])[0] for k in sorted(first)]
     return pieces, numbers.reads(ca.vertcat(*steps))
 

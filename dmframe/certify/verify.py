@@ -302,10 +302,8 @@ def _in_continuous_time(
 
 
 def _in_discrete_time(claim: Claim, symbols: Symbols, numbers: Numbers, start: Mapping[str, Any], seed: int) -> _Found:
-    conditions, assumptions = sorted_out(discrete_conditions(claim, numbers, start))
     rows = [explained(claim, part, item, seed) for part in claim.parts for item in part.certificate.steps]
-    conditions += [item for found in rows for item in found.checked]
-    assumptions += [item for found in rows for item in found.assumed]
+    conditions, assumptions = sorted_out([*discrete_conditions(claim, numbers, start), *rows])
     return _Found(
         (*conditions, *reach_conditions(claim)),
         (*assumptions, *discrete_assumptions(claim, symbols, seed)),

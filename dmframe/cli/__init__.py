@@ -106,7 +106,7 @@ def _say(text: str) -> None:
 
 _REQUIRED = {
     **{name: name for name in "numpy scipy casadi pydantic pydantic_core control typer rich xarray h5netcdf".split()},
-    **{name: name for name in "h5py matplotlib jinja2 latex2mathml platformdirs polars click".split()},
+    **{name: name for name in "h5py matplotlib jinja2 platformdirs polars click".split()},
     "pinocchio": "pin",
     "flint": "python-flint",
     "ruamel": "ruamel.yaml",

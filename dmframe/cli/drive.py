@@ -7,15 +7,16 @@ import signal
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 from dmframe.cli import STOPPED
-from dmframe.cli.run import placed_folder
+from dmframe.cli.run import placed_folder, written
 from dmframe.cli.signals import held_off
 from dmframe.cli.streams import tell
 from dmframe.drive.robots import kind_of
 from dmframe.errors import DmframeError, DriveError, ValueFault
 from dmframe.graph.graph import Graph
-from dmframe.results.folder import drawing, write_data
+from dmframe.results.folder import drawing
 from dmframe.results.place import SAMPLES, complete
 from dmframe.results.run import table_of
 from dmframe.units import seconds as time_of
@@ -47,9 +48,7 @@ def drive_graph(
     """
     graph = graph if seconds is None else graph.until(time_of("--seconds", seconds))
     _ = graph.diagram
-    gathers = None if ramp is None else _not_negative("--ramp", ramp, "s")
-    waits = None if patience is None else time_of("--patience", patience)
-    carries = None if payload is None else _not_negative("--payload", payload, "kg")
+    given = _options(ramp, patience, payload)
     if kind_of(robot)[0].real:
         tell(f"{robot}: notice: its driver is untested on hardware, and the gate is not a safety function", aside=True)
     with ExitStack() as stack:
@@ -59,9 +58,7 @@ def drive_graph(
                 run = graph.drive(
                     robot,
                     limits=limits,
-                    ramp=gathers,
-                    patience=waits,
-                    payload=carries,
+                    **given,
                     shadow=shadow,
                     rehearsed=rehearsed,
                     asked=lambda: _named(came[0]) if came else "",
@@ -73,7 +70,7 @@ def drive_graph(
                 tell(f"dmframe: {error}", aside=True)
                 return STOPPED
             draw = stack.enter_context(drawing([run] if formats else (), formats))
-            summaries = write_data(place, [run])
+            summaries = written(place, [run])
         tell(json.dumps(summaries[0], indent=2) if as_json else f"{table_of([run])}\nresults: {place.path}")
         if formats and not came:
             draw(place, [run])
@@ -87,6 +84,15 @@ def _named(number: int) -> str:
     return "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
 
 
+def _options(ramp: str | None, patience: str | None, payload: str | None) -> dict[str, Any]:
+    """Options that a drive and its rehearsal share."""
+    return {
+        "ramp": None if ramp is None else _not_negative("--ramp", ramp, "s"),
+        "patience": None if patience is None else time_of("--patience", patience),
+        "payload": None if payload is None else _not_negative("--payload", payload, "kg"),
+    }
+
+
 def _not_negative(option: str, text: str, unit: str) -> float:
     try:
         found = to_unit(text, unit)
@@ -98,16 +104,21 @@ def _not_negative(option: str, text: str, unit: str) -> float:
 
 
 def rehearse_graph(
-    graph: Graph, *, seconds: str | None, payload: str | None, limits: Path | None, as_json: bool
+    graph: Graph,
+    *,
+    seconds: str | None,
+    payload: str | None,
+    limits: Path | None,
+    ramp: str | None,
+    patience: str | None,
+    as_json: bool,
 ) -> int:
     """Rehearse a graph and print the result; a passed rehearsal with full runs is kept for `drive`."""
     from dmframe.drive.kept import keep
 
     _ = graph.diagram
     until = None if seconds is None else time_of("--seconds", seconds)
-    found = graph.rehearse(
-        until, payload=None if payload is None else _not_negative("--payload", payload, "kg"), limits=limits
-    )
+    found = graph.rehearse(until, limits=limits, **_options(ramp, patience, payload))
     kept = keep(found)
     if as_json:
         tell(json.dumps({**found.summary, "kept": kept}, indent=2))

@@ -11,6 +11,13 @@ from dmframe.cli.arguments import NOTHING, AsJson, FigureFormats, LimitsFile, On
 from dmframe.cli.streams import tell
 from dmframe.errors import MissingError
 
+Ramp = Annotated[
+    str | None, typer.Option(metavar="S", help="Acceleration time of the first motion; 0 for sim, else 1 s.")
+]
+Patience = Annotated[
+    str | None, typer.Option(metavar="S", help="Waiting time for a sample of a real robot; default: five periods.")
+]
+
 
 def rehearse(
     graph: OneGraph,
@@ -24,6 +31,8 @@ def rehearse(
         ),
     ] = None,
     limits: LimitsFile = None,
+    ramp: Ramp = None,
+    patience: Patience = None,
     overrides: Overrides = NOTHING,
     as_json: AsJson = False,
     trust: Trust = False,
@@ -33,7 +42,9 @@ def rehearse(
     from dmframe.cli.graphs import one_graph
 
     found = one_graph(graph, overrides, trust=trust)
-    return rehearse_graph(found, seconds=seconds, payload=payload, limits=limits, as_json=as_json)
+    return rehearse_graph(
+        found, seconds=seconds, payload=payload, limits=limits, ramp=ramp, patience=patience, as_json=as_json
+    )
 
 
 def drive(
@@ -50,14 +61,8 @@ def drive(
         str | None, typer.Option(metavar="S", help="Reference time; default: the duration of the graph.")
     ] = None,
     limits: LimitsFile = None,
-    ramp: Annotated[
-        str | None,
-        typer.Option(metavar="S", help="Acceleration time of the first motion; 0 for sim, else 1 s."),
-    ] = None,
-    patience: Annotated[
-        str | None,
-        typer.Option(metavar="S", help="Waiting time for a sample of a real robot; default: five periods."),
-    ] = None,
+    ramp: Ramp = None,
+    patience: Patience = None,
     payload: Annotated[
         str | None, typer.Option(metavar="M", help="Payload of the rehearsal, if one was given.")
     ] = None,

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 import sys
+import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from datetime import datetime
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from dmframe.cli import STOPPED
 from dmframe.cli.signals import held_off
@@ -70,7 +74,7 @@ def run_graphs(
                 runs = _judged(runs, graphs)  # takes longer than the run
                 if not as_json and (said := notes_of(runs)):
                     say("\n".join(said))
-                summaries = write_data(place, runs)
+                summaries = written(place, runs)
             data = json.dumps(summaries[0] if len(graphs) == 1 else summaries, indent=2)
             say(data if as_json else f"results: {place.path}")
             if formats and not signals:
@@ -87,10 +91,26 @@ def run_graphs(
     return DIVERGED if any(run.divergence for run in runs) else 0
 
 
+def written(place: Place, runs: Sequence[Run]) -> list[dict[str, Any]]:
+    """Write the data of runs; if that fails, keep them in a temporary folder, which the error names."""
+    try:
+        return write_data(place, runs)
+    except OutputError as error:
+        spare = Path(tempfile.mkdtemp(prefix="dmframe-results-"))
+        other = Place(spare, Path(os.path.realpath(spare)), new=False)
+        try:
+            write_data(other, runs)
+            complete(other)
+        except OutputError:
+            shutil.rmtree(spare, ignore_errors=True)
+            raise error from None
+        raise OutputError(f"{error.text}. The data are in {spare}, without figures") from None
+
+
 def _check_page(graph: Graph) -> None:
     from dmframe.page.content import check_chance
 
-    check_chance(graph, graph.diagram)
+    check_chance(graph)
 
 
 def _write_pages(place: Place, names: Sequence[str], graphs: Sequence[Graph]) -> None:

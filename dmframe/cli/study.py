@@ -16,7 +16,8 @@ from dmframe.graph.progress import counting, progress_line
 from dmframe.study.again import Again, again
 from dmframe.study.execute import Foreseen, State, foreseen, run_study
 from dmframe.study.journal import LOCK
-from dmframe.study.plan import Study, load_study
+from dmframe.study.plan import Study
+from dmframe.study.read import load_study
 from dmframe.study.results import Results, default_folder
 from dmframe.study.store import polars
 from dmframe.trust import remember

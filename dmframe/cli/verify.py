@@ -73,8 +73,12 @@ def verify_graphs(
 
 def _write_claim(path: Path, found: Verification) -> None:
     """Write the claim as data. Raises `ValueFault` where the graph has none."""
+    from dmframe.certify.symbols import exact_values
     from dmframe.prove.export import to_json
 
-    if found.verdict.exact is None:
+    exact, claim = found.verdict.exact, found.verdict.claim
+    if exact is None or claim is None:
         raise ValueFault(f"--claim: {found.label} has no claim: {found.verdict.reason}")
-    write_text(path, to_json(found.verdict.exact) + "\n")
+    own = {symbol.label for symbol in exact.symbols if symbol.kind == "parameter"}
+    numbers = {label: values for label, values in exact_values(claim.diagram).items() if label in own}
+    write_text(path, to_json(exact, numbers) + "\n")

@@ -10,7 +10,6 @@ import numpy as np
 
 from dmframe.block.model import SYMBOLIC
 from dmframe.config import BaseGraph
-from dmframe.diagram import Diagram
 from dmframe.drive.identity import identity
 from dmframe.drive.kept import refusal
 from dmframe.drive.limits import own_limits
@@ -30,14 +29,13 @@ RAMP: Final = 1.0
 """Default time in which a real robot's first motion accelerates to full speed [s]."""
 
 
-def steered_controller(experiment: BaseGraph, diagram: Diagram, engine: Choice = "auto") -> Steered:
+def steered_controller(graph: BaseGraph, engine: Choice = "auto") -> Steered:
     """Controller of a graph on a robot's samples. Raises `DmframeError` if no robot can execute it."""
-    return Steered(diagram, Controller(diagram, clock_of(experiment), start=experiment.start, engine=engine))
+    return Steered(graph.diagram, Controller(graph.diagram, clock_of(graph), start=graph.start, engine=engine))
 
 
 def driven(
-    experiment: BaseGraph,
-    diagram: Diagram,
+    graph: BaseGraph,
     robot: str,
     *,
     until: float | None = None,
@@ -62,7 +60,7 @@ def driven(
     limits
         Limits of the gate; those of the robot's model by default.
     ramp
-        Time in which the first motion accelerates [s]; by default 0 for a simulated robot, else 1 s.
+        Time in which the first motion accelerates [s]; by default 0 for a simulated robot, else `RAMP`.
     patience
         Timeout of a real robot's sample [s]; the driver's default without it.
     payload
@@ -82,23 +80,25 @@ def driven(
     LostError
         The robot does not answer at the beginning, or sends no sample.
     """
+    diagram = graph.diagram
     kind, rest = kind_of(robot)
-    duration = experiment.file.duration if until is None else until
-    limits = limits or own_limits(diagram.robot)
+    duration = graph.file.duration if until is None else until
+    limits, ramp = limits or own_limits(diagram.robot), RAMP * kind.real if ramp is None else ramp
     if kind.real and not shadow:
         _check_acceleration(limits)
-    steered = steered_controller(experiment, diagram, engine)  # compile before the loop
+    steered = steered_controller(graph, engine)  # compile before the loop
     if kind.real and not shadow and rehearsed:  # identity of the loaded controller: files may have changed since
-        parts = identity(experiment, steered, limits, usual_payload(diagram) if payload is None else payload)
-        if why := refusal(experiment.name, parts, duration):
-            raise DriveError(f"{experiment.name}: {why}")
+        load = usual_payload(diagram) if payload is None else payload
+        parts = identity(graph, steered, limits, payload=load, ramp=ramp, patience=patience)
+        if why := refusal(graph.name, parts, duration):
+            raise DriveError(f"{graph.name}: {why}")
     with SYMBOLIC:
-        start = _start(experiment, diagram)
+        start = _start(graph)
     options = Options(duration, engine, max(limits.deceleration, limits.halt), patience)
-    driver = kind.make(rest, experiment, diagram, options)
-    plan = Plan(duration, start, RAMP * kind.real if ramp is None else ramp, shadow)
+    driver = kind.make(rest, graph, options)
+    plan = Plan(duration, start, ramp, shadow)
     gate = Gate(limits, driver.period)
-    about: dict[str, Any] = {"graph": experiment.name, "field_hash": diagram.fingerprint, "command": steered.label}
+    about: dict[str, Any] = {"graph": graph.name, "field_hash": diagram.fingerprint, "command": steered.label}
     about |= {"engine": steered.controller.engine, "drive": drive_data(robot, plan, gate)}
     found = drive(steered, driver, gate, plan, stop_requested, None if record is None else Spool(record, about))
     recording = recording_of(
@@ -108,7 +108,7 @@ def driven(
         robot=robot,
         plan=plan,
         gate=gate,
-        solver=experiment.solver,
+        solver=graph.solver,
         thinned=record is not None,
     )
     if recording is None:
@@ -124,11 +124,11 @@ def _check_acceleration(limits: Limits) -> None:
         )
 
 
-def _start(experiment: BaseGraph, diagram: Diagram) -> np.ndarray | None:
+def _start(graph: BaseGraph) -> np.ndarray | None:
     """Initial joint angles of the graph's plant."""
-    column, first = start_state(diagram, experiment.start), 0
-    own = {variable.label for variable in diagram.loop.plant}
-    for variable in diagram.loop.variables:
+    column, first = start_state(graph.diagram, graph.start), 0
+    own = {variable.label for variable in graph.diagram.loop.plant}
+    for variable in graph.diagram.loop.variables:
         size = variable.symbol.numel()
         if variable.label in own and variable.name == "q":
             return np.asarray(column[first : first + size])

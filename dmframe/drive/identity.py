@@ -1,8 +1,9 @@
 """Identity of a rehearsal: everything that can change a command, in named parts.
 
-The parts are the resolved graph, the sources of its blocks, the robot's model, the limits, the payload, the engine with
-its compiler, dmframe itself, the numeric libraries, and the resulting closed loop. The closed loop is that of the
-loaded diagram and controller, because a file may have changed since it was read.
+The parts are the resolved graph, the sources of its blocks, the robot's model, the limits, the payload, the times of
+the drive, the engine with its compiler, dmframe itself, the numeric libraries, and the resulting closed loop. The
+closed loop is that of the loaded diagram and controller, because a file may have changed since it was read. The address
+is not a part: the arm and its driver receive the command, and do not alter it.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ import sys
 import sysconfig
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
 
@@ -33,6 +33,7 @@ from dmframe.runtime.gate import Limits
 from dmframe.runtime.steered import Steered
 from dmframe.seal import digest
 from dmframe.version import version as own_version
+from dmframe.version import version_of
 
 Identity = Mapping[str, Mapping[str, str]]
 """Part -> item -> value or digest."""
@@ -42,21 +43,34 @@ LOOP: Final = "closed loop"
 _LIBRARIES: Final = ("casadi", "numpy", "scipy")
 
 
-def identity(experiment: BaseGraph, steered: Steered, limits: Limits, payload: float) -> Identity:
+def identity(
+    graph: BaseGraph,
+    steered: Steered,
+    limits: Limits,
+    *,
+    payload: float,
+    ramp: float,
+    patience: float | None,
+) -> Identity:
     """Compute all parts, in about 0.1 s.
 
     Parameters
     ----------
     payload
         Mass at the tool in the rehearsal [kg].
+    ramp
+        Time in which the first motion accelerates [s].
+    patience
+        Timeout of a sample [s]; None for the driver's.
     """
-    files, libraries = _sources(experiment)
+    files, libraries = _sources(graph)
     return {
-        "graph": dict(_flat(resolved(experiment.until(1.0)))),
+        "graph": dict(_flat(resolved(graph.until(1.0)))),
         "block source": files,
-        "robot model": _model(experiment),
+        "robot model": _model(graph),
         "limits": {key: str(value) for key, value in limits.data.items()},
         "payload": {"at the tool [kg]": repr(float(payload))},
+        "drive": {"ramp [s]": repr(float(ramp)), "patience [s]": "default" if patience is None else repr(patience)},
         "engine": _engine(steered.controller.engine),
         "dmframe": {"version": own_version(), "source": _framework()},
         "library": {name: _installed(name) for name in sorted({*_LIBRARIES, *libraries})}
@@ -101,9 +115,9 @@ def _flat(value: Any, path: str = "") -> Iterator[tuple[str, str]]:
         yield path, repr(value)
 
 
-def _model(experiment: BaseGraph) -> dict[str, str]:
+def _model(graph: BaseGraph) -> dict[str, str]:
     """Digest of the robot's URDF; meshes do not change commands."""
-    source = robot_source(experiment)
+    source = robot_source(graph)
     return {} if source is None else {source.urdf.name: digest(source.urdf.read_bytes())}
 
 
@@ -115,10 +129,7 @@ def _engine(engine: str) -> dict[str, str]:
 
 
 def _installed(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return "none"
+    return version_of(name) or "none"
 
 
 @functools.cache
@@ -152,12 +163,12 @@ def _digest(function: Any) -> str:
     return digest(encoded("\n".join(lines)))
 
 
-def _sources(experiment: BaseGraph) -> tuple[dict[str, str], set[str]]:
+def _sources(graph: BaseGraph) -> tuple[dict[str, str], set[str]]:
     """Digests of the blocks' source files and of the local modules that they import; names of imported libraries.
 
     Other data that a block reads, such as a table of numbers, changes the part `LOOP`.
     """
-    classes = {each for block in experiment.blocks.values() for each in type(block).__mro__}
+    classes = {each for block in graph.blocks.values() for each in type(block).__mro__}
     todo = sorted({each.__module__ for each in classes if each.__module__ in sys.modules})
     own, seen, files, libraries = frozenset(todo), set[str](), dict[str, str](), set[str]()
     while todo:

@@ -76,7 +76,7 @@ def recording_of(
     }
     if np.isfinite(age).all():
         extra["robot.age"] = ExtraSignal(age[:, None], "", "s", "age of the last command that the robot received")
-    more = (THINNED.format(every=every, count=len(journal)),) if every > 1 else ()
+    more = (*[journal.notice] * bool(journal.notice), *[THINNED.format(every=every, count=len(journal))] * (every > 1))
     return Recording(
         diagram=diagram,
         clock=steered.controller.clock,

@@ -11,9 +11,8 @@ import numpy as np
 from dmframe.columns import columns
 from dmframe.config import BaseGraph
 from dmframe.config.sections import tolerance_in
-from dmframe.diagram import Diagram
 from dmframe.drive.bar import Bar, Measured, farthest, quarters
-from dmframe.drive.drive import steered_controller
+from dmframe.drive.drive import RAMP, steered_controller
 from dmframe.drive.identity import Identity, identity
 from dmframe.drive.limits import own_limits
 from dmframe.drive.record import recording_of
@@ -50,11 +49,14 @@ class Condition:
         Options of `SimulatedRobot`.
     needed
         True if the controller must pass under this condition.
+    ramp
+        Time in which the first motion accelerates [s].
     """
 
     about: str
     options: dict[str, Any]
     needed: bool = True
+    ramp: float = 0.0
 
 
 @final
@@ -194,7 +196,7 @@ class Rehearsal:
             yield f"tolerance of the graph: {plain(self.bar.tolerance, self.unit)}"
 
 
-def conditions(clock: float, duration: float, payload: float) -> list[Condition]:
+def conditions(clock: float, duration: float, payload: float, ramp: float) -> list[Condition]:
     """Conditions of a rehearsal, the ideal robot first."""
     most = plain(clock / 4, "s")
     found = [Condition(f"nothing, {IDEAL}", {})]
@@ -210,18 +212,21 @@ def conditions(clock: float, duration: float, payload: float) -> list[Condition]
         Condition("a tenth of its speed, second half", {"scaling": 0.1, "slowed_from": duration / 2}),
         Condition("a sample of delay, a jitter, 1 % lost", {"delay": 1, "jitter": clock / 4, "lost": 0.01}),
     ]
+    if ramp:
+        found.insert(-1, Condition(f"a ramp of {plain(ramp, 's')}", {}, ramp=ramp))
     if payload:
         found.insert(-1, Condition(f"an unmodelled payload of {plain(payload, 'kg')}", {"payload": payload}))
     return found
 
 
 def rehearsed(
-    experiment: BaseGraph,
-    diagram: Diagram,
+    graph: BaseGraph,
     *,
     seconds: float | None = None,
     payload: float | None = None,
     limits: Limits | None = None,
+    ramp: float | None = None,
+    patience: float | None = None,
     engine: Choice = "auto",
     report: Callable[[str], None] = lambda _: None,
     tried: Sequence[Condition] | None = None,
@@ -236,6 +241,10 @@ def rehearsed(
         Point mass at the tool [kg]; by default a twentieth of the moving mass.
     limits
         Limits of the gate, as for a drive.
+    ramp
+        Time in which the first motion of the drive accelerates [s], as under one condition; by default `RAMP`.
+    patience
+        Timeout of a sample in the drive [s], which no simulated robot reaches.
     report
         Called with the description of each condition before its run.
     tried
@@ -246,31 +255,33 @@ def rehearsed(
     DmframeError
         The graph cannot drive a robot, or does not follow a path.
     """
-    required = min(experiment.file.duration, LONGEST)
+    required = min(graph.file.duration, LONGEST)
     duration = required if seconds is None else seconds
-    clock, limits = clock_of(experiment), limits or own_limits(diagram.robot)
-    load = usual_payload(diagram) if payload is None else payload
-    given = tried if tried is not None else conditions(clock, duration, load)
+    clock, limits = clock_of(graph), limits or own_limits(graph.diagram.robot)
+    ramp = RAMP if ramp is None else ramp
+    load = usual_payload(graph.diagram) if payload is None else payload
+    given = tried if tried is not None else conditions(clock, duration, load, ramp)
     parts = None
     if tried is None:  # before the runs, since a file may change meanwhile
-        parts = identity(experiment, steered_controller(experiment, diagram, engine), limits, load)
-    law, lacking = law_of(experiment, diagram)
-    trial = _Trial(experiment, diagram, duration, limits, engine, law)
+        steered = steered_controller(graph, engine)
+        parts = identity(graph, steered, limits, payload=load, ramp=ramp, patience=patience)
+    law, lacking = law_of(graph)
+    trial = _Trial(graph, duration, limits, engine, law)
     outcomes, ideal, bar = list[Outcome](), None, Bar(lacking=lacking)
     signal = unit = ""
     for condition in given:
         report(condition.about)
-        found, rival = trial.measured(condition.options), trial.rival(condition.options)
+        found, rival = trial.measured(condition), trial.rival(condition)
         if ideal is None:  # the first condition
             ideal, signal, unit = found, found.signal, found.unit
-            stated = tolerance_in(unit, experiment.file, experiment.document)
+            stated = tolerance_in(unit, graph.file, graph.document)
             bar = Bar(stated, str(law) if law is not None else "", lacking)
         why = found.stopped or bar.above(found, rival, ideal=ideal is found) or _why(found, ideal)
         error, other = (None if each is None or each.stopped else each.last for each in (found, rival))
         outcomes.append(Outcome(condition, error, why, other, found.still))
-    until = experiment.file.duration
-    field = diagram.fingerprint
-    return Rehearsal(experiment.name, signal, unit, duration, required, outcomes, until, parts, field, bar)
+    until = graph.file.duration
+    field = graph.diagram.fingerprint
+    return Rehearsal(graph.name, signal, unit, duration, required, outcomes, until, parts, field, bar)
 
 
 def _why(run: Measured, ideal: Measured) -> str:
@@ -292,46 +303,48 @@ def _why(run: Measured, ideal: Measured) -> str:
 class _Trial:
     """Simulated drives under a condition, with the graph's controller and with its rival."""
 
-    experiment: BaseGraph
-    diagram: Diagram
+    graph: BaseGraph
     duration: float
     limits: Limits
     engine: Choice
     law: Law | None
 
-    def measured(self, options: dict[str, Any]) -> Measured:
+    def measured(self, condition: Condition) -> Measured:
         """Errors of the graph's controller."""
-        steered = steered_controller(self.experiment, self.diagram, self.engine)
-        found, robot, gate = self._driven(steered, options)
-        plan = Plan(self.duration)
+        steered = steered_controller(self.graph, self.engine)
+        found, robot, gate = self._driven(steered, condition)
+        plan = self._plan(condition)
         recording = recording_of(
-            self.diagram, steered, found, robot=robot.name, plan=plan, gate=gate, solver=robot.solver
+            self.graph.diagram, steered, found, robot=robot.name, plan=plan, gate=gate, solver=robot.solver
         )
         error = tracking_error(recording) if recording is not None else None
         if recording is None or error is None:
-            raise DriveError(f"{self.experiment.name}: expected a graph that follows a path")
+            raise DriveError(f"{self.graph.name}: expected a graph that follows a path")
         times = recording.time / self.duration
         still = euclidean(recording[error.actual][0] - recording[error.desired])
         stopped = _stopped(found, float(recording.time[-1]))
         parts = quarters(times, error.norm, still)
         return Measured(error.signal, error.unit, *parts, stopped, farthest(times, still))
 
-    def rival(self, options: dict[str, Any]) -> Measured | None:
+    def rival(self, condition: Condition) -> Measured | None:
         """Errors of the rival; None if none is applicable."""
         if self.law is None:
             return None
-        robot = self.diagram.robot
-        found, _, _ = self._driven(Rival(self.law, robot.n, clock_of(self.experiment)), options)
+        robot = self.graph.diagram.robot
+        found, _, _ = self._driven(Rival(self.law, robot.n, clock_of(self.graph)), condition)
         journal, name = found.journal, "q" if self.law.shown is None else "x"
         times, shown = journal["reference"], journal[name]
         wanted = np.array([self.law.goal(t)[0].full().ravel() for t in times])
         parts = quarters(times / self.duration, euclidean(shown - wanted), euclidean(shown[0] - wanted))
         return Measured("", "", *parts, _stopped(found, float(times[-1])))
 
-    def _driven(self, steered: Any, options: dict[str, Any]) -> tuple[Driven, SimulatedRobot, Gate]:
-        robot = simulated_robot(self.experiment, self.diagram, self.duration, self.engine, **options)
+    def _plan(self, condition: Condition) -> Plan:
+        return Plan(self.duration, ramp=condition.ramp)
+
+    def _driven(self, steered: Any, condition: Condition) -> tuple[Driven, SimulatedRobot, Gate]:
+        robot = simulated_robot(self.graph, self.duration, self.engine, **condition.options)
         gate = Gate(self.limits, robot.period)
-        return drive(steered, robot, gate, Plan(self.duration), lambda: ""), robot, gate
+        return drive(steered, robot, gate, self._plan(condition), lambda: ""), robot, gate
 
 
 def _stopped(found: Driven, time: float) -> str:

@@ -14,7 +14,6 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.config import BaseGraph
-from dmframe.diagram import Diagram
 from dmframe.drive.drive import steered_controller
 from dmframe.drive.log import Log, read_log
 from dmframe.drive.record import plain_signals
@@ -169,7 +168,7 @@ class Replay:
         ]
 
 
-def replayed(experiment: BaseGraph, diagram: Diagram, log: str | Path, *, engine: Choice = "auto") -> Replay:
+def replayed(graph: BaseGraph, log: str | Path, *, engine: Choice = "auto") -> Replay:
     """Recompute the commands of a record from its measurements, through the same gate.
 
     Parameters
@@ -182,7 +181,8 @@ def replayed(experiment: BaseGraph, diagram: Diagram, log: str | Path, *, engine
     MissingError
         There is no such file, a file of its folder was changed, or a measurement or a sample is missing.
     """
-    steered = steered_controller(experiment, diagram, engine)
+    diagram = graph.diagram
+    steered = steered_controller(graph, engine)
     own, states = plain_signals(diagram), {item.label: item for item in diagram.loop.controller}
     known = ["robot.time", SENT, *_USUAL, *own, *states]
     fields = {**own, **steered.fields}
@@ -203,7 +203,7 @@ def replayed(experiment: BaseGraph, diagram: Diagram, log: str | Path, *, engine
     n = steered.command.size
     joints = tuple(map(str, range(1, n + 1)) if diagram.robot is None else diagram.robot.joint_names)
     return Replay(
-        experiment.name,
+        graph.name,
         str(log),
         steered.label,
         joints,

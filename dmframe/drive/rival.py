@@ -18,7 +18,6 @@ import numpy as np
 
 from dmframe.block.model import SYMBOLIC
 from dmframe.config import BaseGraph
-from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Followed
 from dmframe.port import Side
 from dmframe.results.metrics import goal_of, turn_of
@@ -83,12 +82,12 @@ class Rival:
         return bool(np.isfinite(found).all())
 
 
-def law_of(experiment: BaseGraph, diagram: Diagram) -> tuple[Law | None, str]:
+def law_of(graph: BaseGraph) -> tuple[Law | None, str]:
     """Rival of a graph; None and the reason if none is applicable."""
-    loop, goal, robot = diagram.loop, goal_of(diagram.loop), diagram.robot
+    loop, goal, robot = graph.diagram.loop, goal_of(graph.diagram.loop), graph.diagram.robot
     if goal is None or robot is None:
         return None, "the graph does not follow a path of a robot"
-    name, clock = goal.actual.split(".", 1)[1], experiment.file.clock
+    name, clock = goal.actual.split(".", 1)[1], graph.file.clock
     if turn_of(loop) is not None:
         return None, "the task includes an orientation"
     sizes = {"x": len(robot.axes), "q": robot.n}
@@ -99,21 +98,22 @@ def law_of(experiment: BaseGraph, diagram: Diagram) -> tuple[Law | None, str]:
         if set(map(str, ca.symvar(wanted))) - set(map(str, ca.symvar(ca.veccat(loop.time, loop.p)))):
             return None, f"{goal.desired} is not a function of time only"
         at = ca.Function("goal", [loop.time, loop.p], [wanted, ca.jacobian(wanted, loop.time)])
-        gain = max(LEAST_GAIN, min(_answer(experiment, diagram, goal, name), MOST_SHARE / (clock or 1.0)))
+        gain = max(LEAST_GAIN, min(_answer(graph, goal, name), MOST_SHARE / (clock or 1.0)))
         shown = kinematics(robot) if name == "x" else None
     p = loop.p_values
     return Law(lambda t: at(t, p), shown, gain), ""
 
 
-def _answer(experiment: BaseGraph, diagram: Diagram, goal: Followed, name: str) -> float:
+def _answer(graph: BaseGraph, goal: Followed, name: str) -> float:
     """Mean sensitivity of the graph's first joint velocity signal to its goal, at the start [1/s]; 0 without one.
 
     For a goal in task space, it is the mean of the diagonal of J times the sensitivity.
     """
+    diagram = graph.diagram
     loop, robot = diagram.loop, diagram.robot
     if not goal.wanted.is_valid_input():
         return 0.0
-    state = start_state(diagram, experiment.start)
+    state = start_state(diagram, graph.start)
     for signal in loop.outputs:
         if signal.unit != "rad/s" or diagram.blocks[signal.block].side is Side.PLANT or signal.shape != "n":
             continue
@@ -125,7 +125,7 @@ def _answer(experiment: BaseGraph, diagram: Diagram, goal: Followed, name: str) 
         found = ca.Function(
             "answer", [loop.time, loop.state, loop.p, loop.period], [loop.on_path(whole), loop.on_path(angles)]
         )
-        values, at = (part.full() for part in found(0, state, loop.p_values, experiment.file.clock or 0))
+        values, at = (part.full() for part in found(0, state, loop.p_values, graph.file.clock or 0))
         if name == "x":
             values = kinematics(robot)(at)[1].full() @ values
         mean = float(np.trace(values)) / len(values)

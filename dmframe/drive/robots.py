@@ -59,24 +59,20 @@ class Kind:
     """
 
     real: bool
-    make: Callable[[str, BaseGraph, Diagram, Options], Robot]
+    make: Callable[[str, BaseGraph, Options], Robot]
 
 
-def simulated_robot(
-    experiment: BaseGraph, diagram: Diagram, duration: float, engine: Choice = "auto", **options: Any
-) -> SimulatedRobot:
+def simulated_robot(graph: BaseGraph, duration: float, engine: Choice = "auto", **options: Any) -> SimulatedRobot:
     """Simulated robot of the graph; options as in `SimulatedRobot`."""
-    own = {key: experiment.settings[key] for key in ("start", "solver", "seed", "jitter")}
-    return SimulatedRobot(diagram, clock_of(experiment), duration=duration, engine=engine, **{**own, **options})
+    own = {key: graph.settings[key] for key in ("start", "solver", "seed", "jitter")}
+    return SimulatedRobot(graph.diagram, clock_of(graph), duration=duration, engine=engine, **{**own, **options})
 
 
-def clock_of(experiment: BaseGraph) -> float:
+def clock_of(graph: BaseGraph) -> float:
     """Sampling period [s]. Raises `DriveError` in continuous time."""
-    clock = experiment.file.clock
+    clock = graph.file.clock
     if clock is None:
-        raise DriveError(
-            f"{experiment.name}: expected a clock such as 8 ms, found continuous; set one: --set clock='8 ms'"
-        )
+        raise DriveError(f"{graph.name}: expected a clock such as 8 ms, found continuous; set one: --set clock='8 ms'")
     return clock
 
 
@@ -90,38 +86,38 @@ def usual_payload(diagram: Diagram) -> float:
     return float(f"{masses.sum() / 20:.1g}")
 
 
-def _simulated(text: str, experiment: BaseGraph, diagram: Diagram, options: Options) -> Robot:
+def _simulated(text: str, graph: BaseGraph, options: Options) -> Robot:
     if text and not (text.isascii() and text.isdigit() and int(text) <= MOST_DELAY):
         raise ValueFault(
             f"--robot sim:{text}: expected a delay of commands in samples, such as sim:2, at most {MOST_DELAY}"
         )
-    return simulated_robot(experiment, diagram, options.duration, options.engine, delay=int(text or 0))
+    return simulated_robot(graph, options.duration, options.engine, delay=int(text or 0))
 
 
-def _universal(text: str, experiment: BaseGraph, diagram: Diagram, options: Options) -> Robot:
-    return UniversalRobot(*_arm("ur", text, experiment, diagram), halt=options.halt, patience=options.patience)
+def _universal(text: str, graph: BaseGraph, options: Options) -> Robot:
+    return UniversalRobot(*_arm("ur", text, graph), halt=options.halt, patience=options.patience)
 
 
-def _by_ur_rtde(text: str, experiment: BaseGraph, diagram: Diagram, options: Options) -> Robot:
-    return UrRtde(*_arm("ur_rtde", text, experiment, diagram), patience=options.patience)
+def _by_ur_rtde(text: str, graph: BaseGraph, options: Options) -> Robot:
+    return UrRtde(*_arm("ur_rtde", text, graph), patience=options.patience)
 
 
-def _arm(kind: str, text: str, experiment: BaseGraph, diagram: Diagram) -> tuple[Any, ...]:
+def _arm(kind: str, text: str, graph: BaseGraph) -> tuple[Any, ...]:
     """Arguments of both UR drivers: address, period, joints, kinematics, and angles of held joints."""
     if not text:
         raise ValueFault(f"--robot {kind}: expected the address of an arm, {kind}:192.168.0.2")
-    robot = diagram.robot
+    robot = graph.diagram.robot
     _check_joints(robot, JOINTS, f"--robot {kind}: expected the joints of a UR")
-    return text, clock_of(experiment), robot.joint_names, _tool(robot), _holds(experiment)
+    return text, clock_of(graph), robot.joint_names, _tool(robot), _holds(graph)
 
 
-def _xarm(text: str, experiment: BaseGraph, diagram: Diagram, options: Options) -> Robot:
+def _xarm(text: str, graph: BaseGraph, options: Options) -> Robot:
     if not text:
         raise ValueFault("--robot xarm: expected the address of an arm, xarm:192.168.1.2")
-    robot = diagram.robot
+    robot = graph.diagram.robot
     _check_joints(robot, xarm.JOINTS, "--robot xarm: expected the joints of an xArm, joint1 to joint7,")
-    hold = _holds(experiment)
-    return xarm.XArm(text, clock_of(experiment), robot.joint_names, _tool(robot), hold, patience=options.patience)
+    hold = _holds(graph)
+    return xarm.XArm(text, clock_of(graph), robot.joint_names, _tool(robot), hold, patience=options.patience)
 
 
 def _check_joints(robot: Any, known: Sequence[str], expected: str) -> None:
@@ -130,9 +126,9 @@ def _check_joints(robot: Any, known: Sequence[str], expected: str) -> None:
         raise DriveError(f"{expected} in their order, found {', '.join(strange) or 'another'}")
 
 
-def _holds(experiment: BaseGraph) -> dict[str, float]:
+def _holds(graph: BaseGraph) -> dict[str, float]:
     """Angles of the joints that the graph holds [rad]."""
-    section = experiment.file.robot
+    section = graph.file.robot
     return dict(section.hold) if section is not None else {}
 
 

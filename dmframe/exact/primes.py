@@ -17,7 +17,6 @@ _BELOW_SMALL_BASES_DECIDE: Final = 3317044064679887385961981
 _EXTRA_BASES: Final = 40
 
 
-@lru_cache(maxsize=4096)  # a repeated proof draws the same primes
 def is_prime(number: int) -> bool:
     """Miller-Rabin: certain below 3.3e24, above it wrong with probability below 4**-40 for any composite.
 
@@ -29,6 +28,12 @@ def is_prime(number: int) -> bool:
     for prime in _SMALL:
         if number % prime == 0:
             return number == prime
+    return _strong_probable_prime(number, 2) and _is_prime(number)
+
+
+@lru_cache(maxsize=4096)  # a repeated proof draws the same primes; base 2 alone decides nearly all other numbers
+def _is_prime(number: int) -> bool:
+    """`is_prime` of a strong probable prime to base 2."""
     if not all(_strong_probable_prime(number, base) for base in _SMALL):
         return False
     if number < _BELOW_SMALL_BASES_DECIDE:

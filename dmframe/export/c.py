@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
@@ -16,14 +15,13 @@ from dmframe.codegen.function import ONE, written
 from dmframe.codegen.source import helpers
 from dmframe.config import BaseGraph
 from dmframe.config.resolved import resolved_text
-from dmframe.diagram import Diagram
 from dmframe.diagram.parts import split
 from dmframe.errors import OutputError
 from dmframe.export.program import Member, Program, program_of
 from dmframe.export.replay import Computed, computed_by_c, first_sample, kept, samples_as_c, samples_of, sizes_as_c
-from dmframe.files import encoded, expanded, write_bytes, writing
+from dmframe.files import encoded, expanded
 from dmframe.results.folder import provenance
-from dmframe.results.place import locked
+from dmframe.results.place import Place, built, locked
 from dmframe.units import plain
 from dmframe.version import version
 
@@ -235,7 +233,7 @@ def own_file(name: str) -> str:
     return files("dmframe.export").joinpath(name).read_text(encoding="utf-8")
 
 
-def export_c(experiment: BaseGraph, diagram: Diagram, folder: str | Path) -> list[Path]:
+def export_c(graph: BaseGraph, folder: str | Path) -> list[Path]:
     """Write a graph's controller as C99 into a new folder, with an example and a test; returns the files.
 
     ``NAME.c`` and ``NAME.h`` are the controller; ``replay.c`` compares the compiled code with the first samples of a
@@ -250,8 +248,8 @@ def export_c(experiment: BaseGraph, diagram: Diagram, folder: str | Path) -> lis
         The folder exists already, or cannot be written.
     """
     place = new_folder(folder)
-    program = program_of(experiment, diagram)
-    return write_all(place, files_of(experiment, diagram, program))
+    program = program_of(graph)
+    return write_all(place, files_of(graph, program))
 
 
 def new_folder(folder: str | Path) -> Path:
@@ -263,55 +261,58 @@ def new_folder(folder: str | Path) -> Path:
 
 
 def write_all(place: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
-    """Write files by their paths below a folder, all or none, with the folder locked. Raises `OutputError`."""
-    files, done = [place / name for name in contents], list[Path]()
-    with locked(place):
+    """Write files by their paths below a folder, all or none, with the folder locked. Raises `OutputError`.
+
+    A new folder has its name only when all files are on the disk.
+    """
+    files = [place / name for name in contents]
+    with locked(place) as (folder, _, made):
         if there := [file for file in files if file.exists()]:  # another export was first
             raise OutputError(f"{there[0]}: exists already; choose a new folder")
-        made = sorted({file.parent for file in files if not file.parent.exists()}, reverse=True)
+        target = Place(place, folder, folder in made)
         try:
-            with writing(place, "folder"):
-                for file in files:
+            with built(target, seal=False) as building:
+                for name, content in contents.items():
+                    file = building / name
                     file.parent.mkdir(parents=True, exist_ok=True)
-            for file, content in zip(files, contents.values(), strict=True):
-                done.append(file)
-                write_bytes(file, content if isinstance(content, bytes) else encoded(content))
-        except BaseException:
-            for file in done:
-                file.unlink(missing_ok=True)
-            with suppress(OSError):
-                for folder in made:
-                    folder.rmdir()
-            raise
+                    file.write_bytes(content if isinstance(content, bytes) else encoded(content))
+        finally:
+            target.release()
     return files
 
 
-def files_of(experiment: BaseGraph, diagram: Diagram, program: Program) -> dict[str, str]:
+def files_of(graph: BaseGraph, program: Program) -> dict[str, str]:
     """All files of an exported controller, by name."""
     wanted = {f"{program.name}.c": source(program), f"{program.name}.h": header(program)}
-    samples = samples_of(experiment, diagram, program)
+    samples = samples_of(graph, program)
     wanted |= {"replay.c": _called("replay.c", program), "samples.h": sizes_as_c(samples, exact=False)}
-    computed = computed_by_c(diagram, program, wanted, samples)
+    computed = computed_by_c(graph.diagram, program, wanted, samples)
     shown = kept(samples if computed is None else computed.samples)
     return wanted | {
         "samples.h": samples_as_c(shown, exact=computed is not None),
-        "example.c": _called("example.c", program).replace("DM_STILL", first_sample(program, samples)),
+        "example.c": _called("example.c", program, DM_STILL=first_sample(program, samples)),
         "CMakeLists.txt": _called("CMakeLists.txt", program),
         "README.md": _readme(program, len(shown.times), computed),
-        **origin(experiment, program.model),
+        **origin(graph, program.model),
     }
 
 
-def origin(experiment: BaseGraph, model: str) -> dict[str, str]:
+def origin(graph: BaseGraph, model: str) -> dict[str, str]:
     """Provenance files; `model` is the hash of the closed loop."""
-    text = resolved_text(experiment)
-    made = provenance(experiment, text, field_hash=model)
+    text = resolved_text(graph)
+    made = provenance(graph, text, field_hash=model)
     return {"graph.yaml": text, "provenance.json": json.dumps(made, indent=2) + "\n"}
 
 
-def _called(name: str, program: Program) -> str:
+def _called(name: str, program: Program, **more: str) -> str:
     """A file of this package with the program's name in it."""
-    return own_file(name).replace("DM_FILE", program.name).replace("DM_PERIOD", f"{program.name.upper()}_PERIOD")
+    return filled(own_file(name), {"DM_FILE": program.name, "DM_PERIOD": f"{program.name.upper()}_PERIOD", **more})
+
+
+def filled(text: str, words: Mapping[str, str]) -> str:
+    """A template with its words replaced, all at once: a replacement may contain such a word."""
+    known = sorted(words, key=len, reverse=True)  # some are prefixes of others
+    return re.sub("|".join(known), lambda found: words[found.group()], text)
 
 
 def _readme(program: Program, samples: int, computed: Computed | None) -> str:

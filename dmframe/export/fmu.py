@@ -21,7 +21,6 @@ import casadi as ca
 from dmframe.build.compiler import CompileFailed, find_compiler
 from dmframe.codegen.source import helpers
 from dmframe.config import BaseGraph
-from dmframe.diagram import Diagram
 from dmframe.diagram.parts import split
 from dmframe.errors import EngineError, OutputError
 from dmframe.export.c import commented, functions_of, origin, own_file, spelled, write_all
@@ -69,7 +68,7 @@ class Unit:
                 yield kind, item
 
 
-def export_fmus(experiment: BaseGraph, diagram: Diagram, folder: str | Path, fmi: Version) -> list[Path]:
+def export_fmus(graph: BaseGraph, folder: str | Path, fmi: Version) -> list[Path]:
     """Write the controller and the robot of a graph as two FMUs into a folder; returns them.
 
     Their steps are one sampling period. Coupled with the controller first, and with its commands passed to the robot
@@ -84,13 +83,13 @@ def export_fmus(experiment: BaseGraph, diagram: Diagram, folder: str | Path, fmi
         A file cannot be written, or exists already.
     """
     place = expanded(folder)
-    program, robot = program_of(experiment, diagram), robot_of(experiment, diagram)
+    program, robot = program_of(graph), robot_of(graph)
     units = [_of_controller(program), _of_robot(robot, program.model)]
     files = [place / f"{unit.name}.fmu" for unit in units]
     for file in files:
         if file.exists():
             raise OutputError(f"{file}: exists already; choose a new folder")
-    made = origin(experiment, program.model)
+    made = origin(graph, program.model)
     return write_all(place, {f"{unit.name}.fmu": packed(unit, fmi, made) for unit in units})
 
 

@@ -14,7 +14,6 @@ import casadi as ca
 
 from dmframe.block.model import symbols_in
 from dmframe.config import BaseGraph
-from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import EngineError, OutputError
 from dmframe.files import made_distinct
@@ -29,7 +28,11 @@ _WORDS: Final = frozenset(
     # later versions of C, and C++, which may include the header
     "alignas alignof asm catch concept constexpr delete explicit export false friend mutable namespace new noexcept "
     "nullptr operator private protected public requires static_assert template this thread_local throw true try "
-    "typeid typename typeof using virtual xor".split()
+    "typeid typename typeof using virtual xor "
+    # macros of C and POSIX of the form block_port
+    "and_eq bit_and not_eq or_eq xor_eq h_addr math_errhandling pthread_cleanup_pop pthread_cleanup_push s6_addr "
+    "sa_handler sa_sigaction sched_priority si_addr si_band si_fd si_int si_overrun si_pid si_ptr si_status si_stime "
+    "si_timerid si_uid si_utime si_value st_atime st_ctime st_mtime va_arg va_copy va_end va_start".split()
 )
 _FILES: Final = frozenset(
     # other files of the export, and the prefix of its functions
@@ -37,6 +40,10 @@ _FILES: Final = frozenset(
     # headers of C, which the exported header would hide
     "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdarg stdbool stddef "
     "stdint stdio stdlib string tgmath threads time uchar wchar wctype memory strings unistd features "
+    # and of POSIX and glibc, some of which those of C include
+    "aio alloca ar byteswap cpio dirent dlfcn elf endian err error fcntl fnmatch ftw getopt glob grp iconv langinfo "
+    "libgen libintl link malloc monetary mqueue netdb nl_types nss poll pthread pwd regex regexp resolv sched search "
+    "semaphore spawn syscall sysexits syslog tar termios ucontext ulimit utime utmp values wait wordexp xlocale "
     # targets of CMake
     "all clean depend edit_cache help install package package_source rebuild_cache test".split()
 )
@@ -109,7 +116,7 @@ class Program:
     model: str
 
 
-def program_of(experiment: BaseGraph, diagram: Diagram) -> Program:
+def program_of(graph: BaseGraph) -> Program:
     """Controller of a graph.
 
     Raises
@@ -119,15 +126,14 @@ def program_of(experiment: BaseGraph, diagram: Diagram) -> Program:
     OutputError
         The name has no letter or digit.
     """
-    loop, clock = diagram.loop, experiment.file.clock
+    diagram = graph.diagram
+    loop, clock = diagram.loop, graph.file.clock
     if not isinstance(clock, float):
-        raise EngineError(
-            f"{experiment.name}: expected a clock such as 8 ms, found continuous; an exported law is sampled"
-        )
+        raise EngineError(f"{graph.name}: expected a clock such as 8 ms, found continuous; an exported law is sampled")
     if not loop.commanded:
         raise EngineError("export: expected a graph with a command, found no wire to a plant")
     control = control_function(diagram)
-    start, unmeasured = start_function(diagram, experiment.start)
+    start, unmeasured = start_function(diagram, graph.start)
     inputs = [ca.SX.sym(word, control.numel_in(k)) for k, word in enumerate(("z", "measured", "t", "T"))]
     results = control(*inputs, loop.p)
     begun = start(*inputs[1:], loop.p)
@@ -142,8 +148,8 @@ def program_of(experiment: BaseGraph, diagram: Diagram) -> Program:
     p = stack(parameter.symbol for parameter in kept)
     units = {signal.label: signal.unit for signal in loop.outputs}
     return Program(
-        name=own_name(experiment.name),
-        title=experiment.file.title or "",
+        name=own_name(graph.name),
+        title=graph.file.title or "",
         period=clock,
         measured=members((leaf.name, leaf.symbol, units[leaf.name]) for leaf in loop.measured),
         commanded=members((leaf.name, leaf.symbol, units[leaf.name]) for leaf in loop.commanded),
@@ -172,13 +178,18 @@ def _path_unit(name: str, units: Mapping[str, str]) -> str:
 
 
 def members(items: Iterable[Sequence[Any]]) -> tuple[Member, ...]:
-    """Members from labels, symbols, units and, for parameters, values; with unique words."""
+    """Members from labels, symbols, units and, for parameters, values; with unique words, none of which is a macro."""
     found = list(items)
-    words = made_distinct([identifier(item[0]) for item in found], "{}_{}".format)
+    words = made_distinct([_with_small(identifier(item[0])) for item in found], "{}_{}".format)
     return tuple(
         Member(item[0], word, item[1].numel(), item[2], tuple(item[3]) if len(item) > 3 else ())
         for item, word in zip(found, words, strict=True)
     )
+
+
+def _with_small(word: str) -> str:
+    """A word that is no macro such as ``M_PI``; a word without small letters gets one."""
+    return word if any(letter.islower() for letter in word) else f"{word}_x"
 
 
 def own_name(name: str) -> str:

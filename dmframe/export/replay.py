@@ -49,16 +49,16 @@ class Computed(NamedTuple):
     switched: tuple[str, ...]
 
 
-def samples_of(experiment: BaseGraph, diagram: Diagram, program: Program) -> Samples:
+def samples_of(graph: BaseGraph, program: Program) -> Samples:
     """Measurements of a simulation, and the commands and states that the controller computes from them.
 
     Raises `EngineError` if the first results are not finite.
     """
-    count = max(1, min(SAMPLES, round(experiment.file.duration / program.period)))
-    run = simulate(diagram, count * program.period, **{**experiment.settings, "log": Log()})
+    count = max(1, min(SAMPLES, round(graph.file.duration / program.period)))
+    run = simulate(graph.diagram, count * program.period, **{**graph.settings, "log": Log()})
     times, commanded, states = run.time[:count], list[np.ndarray](), list[np.ndarray]()
     measured = np.hstack([run[item.label][: len(times)].reshape(len(times), -1) for item in program.measured])
-    controller = Controller(diagram, program.period, start=experiment.start, engine="interpreted")
+    controller = Controller(graph.diagram, program.period, start=graph.start, engine="interpreted")
     for k, (t, row) in enumerate(zip(times.tolist(), measured, strict=True)):
         parts = np.split(row, np.cumsum([item.size for item in program.measured])[:-1])
         for item, part in zip(program.measured, parts, strict=True):
@@ -73,7 +73,7 @@ def samples_of(experiment: BaseGraph, diagram: Diagram, program: Program) -> Sam
     done = len(commanded)
     if done == 0:
         raise EngineError(
-            f"{experiment.name}: commands or states of the first sample are not finite; there is no law to export"
+            f"{graph.name}: commands or states of the first sample are not finite; there is no law to export"
         )
     return Samples(times[:done], measured[:done], np.array(commanded), np.array(states))
 

@@ -51,7 +51,7 @@ class Robot:
     torque: Any
 
 
-def robot_of(experiment: BaseGraph, diagram: Diagram) -> Robot:
+def robot_of(graph: BaseGraph) -> Robot:
     """Robot of a graph.
 
     Raises
@@ -59,7 +59,8 @@ def robot_of(experiment: BaseGraph, diagram: Diagram) -> Robot:
     EngineError
         The robot has sampled or random parts, reads a source such as a load, or is not integrated by RK4.
     """
-    loop, clock, name = diagram.loop, experiment.file.clock, experiment.name
+    diagram = graph.diagram
+    loop, clock, name = diagram.loop, graph.file.clock, graph.name
     if not isinstance(clock, float):
         raise EngineError(f"{name}: expected a clock such as 8 ms, found continuous; an exported robot is sampled")
     recorded = stack(stack([loop.joined([leaf.symbol])[0]]) for leaf in loop.measured)
@@ -89,7 +90,7 @@ def robot_of(experiment: BaseGraph, diagram: Diagram) -> Robot:
         for projection in loop.projections
     ):
         raise EngineError(f"{name}: a state of its robot is projected to a box, which an export does not support")
-    run = simulate(diagram, clock, **experiment.settings)
+    run = simulate(diagram, clock, **graph.settings)
     if run.solver.method != "rk4":
         raise EngineError(f"{name}: expected the method rk4 for an exported robot, found {run.solver.method}")
     torque = _torque(diagram)
@@ -98,13 +99,13 @@ def robot_of(experiment: BaseGraph, diagram: Diagram) -> Robot:
     kept = [parameter for parameter in loop.parameters if used & symbols_in([parameter.symbol])]
     p = stack(parameter.symbol for parameter in kept)
     units = {signal.label: signal.unit for signal in loop.outputs}
-    starts = start_state(diagram, experiment.start)[loop.state.numel() - x.numel() :]
+    starts = start_state(diagram, graph.start)[loop.state.numel() - x.numel() :]
     edges = [0]
     for variable in states:
         edges.append(edges[-1] + variable.symbol.numel())
     return Robot(
         name=f"{identifier(name)}_robot",
-        title=experiment.file.title or "",
+        title=graph.file.title or "",
         period=clock,
         substeps=substeps_of(clock, run.solver),
         commanded=members((leaf.name, leaf.symbol, units[leaf.name]) for leaf in loop.commanded),

@@ -11,9 +11,19 @@ from xml.etree import ElementTree
 from xml.sax.saxutils import escape, unescape
 
 from dmframe.config import BaseGraph
-from dmframe.diagram import Diagram
 from dmframe.errors import EngineError
-from dmframe.export.c import about, c_text, commented, files_of, new_folder, origin, own_file, unit_of, write_all
+from dmframe.export.c import (
+    about,
+    c_text,
+    commented,
+    files_of,
+    filled,
+    new_folder,
+    origin,
+    own_file,
+    unit_of,
+    write_all,
+)
 from dmframe.export.program import Member, Program, program_of
 from dmframe.files import made_distinct
 from dmframe.runtime.signals import measured_as, velocity_command
@@ -23,7 +33,7 @@ from dmframe.version import version
 _WHOLE: Final = 1e-6
 
 
-def export_ros2(experiment: BaseGraph, diagram: Diagram, folder: str | Path) -> list[Path]:
+def export_ros2(graph: BaseGraph, folder: str | Path) -> list[Path]:
     """Write a graph's controller as a ROS 2 package into a new folder; returns the files.
 
     It is a chainable controller of ros2_control around the exported C: an update of the manager is one sample. Its
@@ -35,12 +45,13 @@ def export_ros2(experiment: BaseGraph, diagram: Diagram, folder: str | Path) -> 
         The graph has no sampled controller that can be separated from the plant, its commands, measurements or clock
         are not supported by a controller manager, or the folder exists already or cannot be written.
     """
+    diagram = graph.diagram
     place = new_folder(folder)
     fields, command = measured_as(diagram), velocity_command(diagram)
-    program = program_of(experiment, diagram)
+    program = program_of(graph)
     rate = _rate(program)
     if diagram.robot is None:
-        raise EngineError(f"{experiment.name}: expected a graph with a robot, whose joints are exported, found none")
+        raise EngineError(f"{graph.name}: expected a graph with a robot, whose joints are exported, found none")
     joints = list(diagram.robot.joint_names)
     package = package_of(program.name)
     rows = list(_rows(program.parameters))
@@ -65,11 +76,11 @@ def export_ros2(experiment: BaseGraph, diagram: Diagram, folder: str | Path) -> 
         "DM_COMMAND": by_label[command],
         "DM_TITLE": escape(commented(program.title or program.name)),
     }
-    c = files_of(experiment, diagram, program)
+    c = files_of(graph, program)
     wanted = {
-        "package.xml": _read_as_xml(experiment.name, "package.xml", words),
+        "package.xml": _read_as_xml(graph.name, "package.xml", words),
         "CMakeLists.txt": _called("CMakeLists.txt", words),
-        "controller.xml": _read_as_xml(experiment.name, "controller.xml", words),
+        "controller.xml": _read_as_xml(graph.name, "controller.xml", words),
         f"include/{package}/controller.hpp": _called("controller.hpp", words),
         "src/controller.cpp": _called("controller.cpp", words),
         f"src/{program.name}.c": c[f"{program.name}.c"],
@@ -77,10 +88,10 @@ def export_ros2(experiment: BaseGraph, diagram: Diagram, folder: str | Path) -> 
         "test/replay.c": c["replay.c"],
         "test/samples.h": c["samples.h"],
         "config/controllers.yaml": _read_back(
-            experiment.name, "\n".join(_configuration(package, rate, joints, rows)), package, joints, rows
+            graph.name, "\n".join(_configuration(package, rate, joints, rows)), package, joints, rows
         ),
         "README.md": _readme(program, package, rate, rows),
-        **origin(experiment, program.model),
+        **origin(graph, program.model),
     }
     return write_all(place, wanted)
 
@@ -120,10 +131,12 @@ def _rows(parameters: Sequence[Member]) -> Iterator[_Row]:
 
 
 def _names(items: Sequence[Member]) -> list[str]:
-    """Names in ROS 2: by blocks, as in the graph."""
-    return made_distinct([item.label if _NAME.fullmatch(item.label) else item.word for item in items], "{}_{}".format)
+    """Names in ROS 2: by blocks, as in the graph, and none of the controller's own."""
+    names = [item.label if _NAME.fullmatch(item.label) else item.word for item in items]
+    return made_distinct([*_OWN, *names], "{}_{}".format)[len(_OWN) :]
 
 
+_OWN: Final = tuple(f"interfaces.{word}" for word in ("position", "velocity", "target", "scaling", "command"))
 _NAME: Final = re.compile(r"[A-Za-z]\w*(\.[A-Za-z]\w*)*", re.ASCII)
 
 
@@ -142,11 +155,8 @@ def _taken(program: Program, fields: dict[str, str]) -> Iterator[str]:
 
 
 def _called(name: str, words: dict[str, str]) -> str:
-    """A template of this package with its words replaced, longer words first, since some are prefixes of others."""
-    text = own_file(f"ros2/{name}")
-    for word in sorted(words, key=len, reverse=True):
-        text = text.replace(word, words[word])
-    return text
+    """A template of this package with its words replaced."""
+    return filled(own_file(f"ros2/{name}"), words)
 
 
 def _read_as_xml(name: str, file: str, words: dict[str, str]) -> str:

@@ -86,7 +86,7 @@ def evaluate(words: Sequence[str], look: Look, call: Call) -> Any:
     return value if isinstance(value, Eye) else as_matrix(value)
 
 
-_IN_WORDS: Final = {"\\top": "ᵀ", "\\ge": "≥", "\\le": "≤", "\\cdot": "·", "\\to": "→", "-": "−"}
+_IN_WORDS: Final = {"\\top": "ᵀ", "\\sqrt": "√", "\\ge": "≥", "\\le": "≤", "\\cdot": "·", "\\to": "→", "-": "−"}
 
 
 _RELATIONS: Final = ("=", "+", "\\ge", "\\le", "\\to", "<", ">")

@@ -134,7 +134,7 @@ class Graph(BaseGraph):
         with progress_line(self.name) as tell:
             tell("proving")
             verdict = self.verdict(seed=seed)
-        return Verification(self, self.diagram, verdict, seed)
+        return Verification(self, verdict, seed)
 
     def analyse(self, horizon: float | str = 20.0) -> Analysis:
         """Linearise it at its set-point: margins and passivity of the servo, poles, the largest stable period.
@@ -237,7 +237,6 @@ class Graph(BaseGraph):
 
         recording = driven(
             self,
-            self.diagram,
             robot,
             until=None if until is None else seconds("until", until),
             limits=None if limits is None else load_limits(limits, self.robot),
@@ -258,6 +257,8 @@ class Graph(BaseGraph):
         *,
         payload: float | str | None = None,
         limits: str | Path | None = None,
+        ramp: float | str | None = None,
+        patience: float | str | None = None,
         engine: Choice = "auto",
     ) -> Rehearsal:
         """Simulate it with the non-idealities of a real robot: delay, jitter, lost samples, a load, a speed slider.
@@ -268,18 +269,19 @@ class Graph(BaseGraph):
             Time of each run.
         payload
             Mass at the tool that the controller does not know [kg]; by default a twentieth of the moving mass.
-        limits
-            As of `drive`.
+        limits, ramp, patience
+            As of `drive`, which requires the same.
         """
         from dmframe.drive import load_limits, rehearsed
 
         with progress_line(self.name) as tell:
             return rehearsed(
                 self,
-                self.diagram,
                 seconds=None if until is None else seconds("until", until),
                 payload=None if payload is None else to_unit(payload, "kg"),
                 limits=None if limits is None else load_limits(limits, self.robot),
+                ramp=None if ramp is None else to_unit(ramp, "s"),
+                patience=None if patience is None else seconds("patience", patience),
                 engine=engine,
                 report=tell,
             )
@@ -295,13 +297,13 @@ class Graph(BaseGraph):
         from dmframe.drive import replayed
         from dmframe.files import expanded
 
-        return replayed(self, self.diagram, expanded(log), engine=engine)
+        return replayed(self, expanded(log), engine=engine)
 
     def explain(self) -> Explanation:
         """Explain the law, signals and certificate of each block; the graph is proved for it."""
         from dmframe.report.explanation import Explanation
 
-        return Explanation(self, self.diagram, self.verify().verdict)
+        return Explanation(self, self.verify().verdict)
 
     def draw(self) -> Drawing:
         """Its block diagram; a notebook displays it, and `Drawing.save` writes SVG, PNG, PDF or Mermaid."""
@@ -332,7 +334,7 @@ class Graph(BaseGraph):
         if periods:
             with progress_line(self.name) as tell, SYMBOLIC:
                 found = stable_periods(self.diagram, self.clock, verdict, self.start, tell)
-        page = Page(self, self.diagram, verdict, found)
+        page = Page(self, verdict, found)
         _ = page.html
         return page
 
@@ -354,10 +356,10 @@ class Graph(BaseGraph):
         from dmframe.export import export_c, export_fmus, export_ros2
 
         if kind in ("c", "ros2"):
-            return (export_c if kind == "c" else export_ros2)(self, self.diagram, folder)
+            return (export_c if kind == "c" else export_ros2)(self, folder)
         if kind not in ("fmi2", "fmi3"):
             raise ValueFault(f"kind: expected c, fmi2, fmi3 or ros2, found {kind!r}")
-        return export_fmus(self, self.diagram, folder, 2 if kind == "fmi2" else 3)
+        return export_fmus(self, folder, 2 if kind == "fmi2" else 3)
 
     def virtual_robot(self, **behaviour: Any) -> VirtualRobot:
         """Its arm and servo behind an emulated UR controller, to which clients of a UR can connect.
@@ -375,7 +377,7 @@ class Graph(BaseGraph):
         """
         from dmframe.virtual import VirtualRobot
 
-        return VirtualRobot(self, self.diagram, **behaviour)
+        return VirtualRobot(self, **behaviour)
 
     def __repr__(self) -> str:
         clock = "in continuous time" if self.clock is None else f"every {plain(self.clock, 's')}"

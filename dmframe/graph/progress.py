@@ -26,6 +26,22 @@ def _aside() -> Console:
     return Console(stderr=True, markup=False, emoji=False, highlight=False)
 
 
+def _progress(noun: str, **options: Any) -> Any:
+    """Bars with a count of `noun`, a speed, the remaining time, and a note."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    return Progress(
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=30),
+        TextColumn(f"{{task.completed:.0f}} / {{task.total:.0f}} {noun}"),
+        TextColumn("{task.fields[speed]}"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}", markup=False),
+        console=_aside(),
+        **options,
+    )
+
+
 @final
 class Bars:
     """A progress bar for each run; ``with Bars() as bars: bars.of("ur10_fast", 200.0)``.
@@ -42,17 +58,7 @@ class Bars:
         self._bars: Any = None
         if quiet or (quiet is None and not sys.stderr.isatty()):
             return
-        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-        self._bars = Progress(
-            TextColumn("{task.description}", markup=False),
-            BarColumn(bar_width=30),
-            TextColumn("{task.completed:.0f} / {task.total:.0f} s"),
-            TextColumn("{task.fields[speed]}"),
-            TimeRemainingColumn(),
-            console=_aside(),
-            transient=transient,
-        )
+        self._bars = _progress("s", transient=transient)
 
     def __enter__(self) -> Bars:
         if self._bars is not None:
@@ -67,7 +73,7 @@ class Bars:
         """A new bar for a run of `total` seconds; returns a function to call with the simulated time."""
         if self._bars is None:
             return lambda _: None
-        task = self._bars.add_task(name, total=total, speed="")
+        task = self._bars.add_task(name, total=total, speed="", note="")
 
         def done(time: float) -> None:
             elapsed = self._bars.tasks[task].elapsed
@@ -107,19 +113,7 @@ def counting(name: str, total: int, noun: str, *, quiet: bool | None = None) -> 
 
     It yields a function to call with the number of finished items and a note. `quiet` is that of `Bars`.
     """
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    bars = Progress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(bar_width=30),
-        TextColumn(f"{{task.completed:.0f}} / {{task.total:.0f}} {noun}"),
-        TextColumn("{task.fields[speed]}"),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}", markup=False),
-        console=_aside(),
-        disable=not sys.stderr.isatty() if quiet is None else quiet,
-        speed_estimate_period=60,
-    )
+    bars = _progress(noun, disable=not sys.stderr.isatty() if quiet is None else quiet, speed_estimate_period=60)
     began: tuple[float, int] | None = None
     task = bars.add_task(name, total=total, start=False, speed="", note="")
 

@@ -37,9 +37,7 @@ HORIZON = 20.0
 """Suffix of the small-gain condition with the least kappa, which a page shows separately."""
 
 
-def content_of(
-    experiment: BaseGraph, diagram: Diagram, verdict: Verdict, periods: Periods | None = None
-) -> dict[str, Any]:
+def content_of(graph: BaseGraph, verdict: Verdict, periods: Periods | None = None) -> dict[str, Any]:
     """Collect the data of a page, with the compressed WebAssembly module in base64.
 
     Parameters
@@ -54,26 +52,27 @@ def content_of(
     ValueFault
         If the loop uses random numbers.
     """
-    check_chance(experiment, diagram)
-    loop, file = diagram.loop, experiment.file
-    functions = functions_of(diagram, file.clock, experiment.start, verdict, experiment.intervals(diagram))
-    state = start_state(diagram, experiment.start)
+    diagram = graph.diagram
+    check_chance(graph)
+    loop, file = diagram.loop, graph.file
+    functions = functions_of(diagram, file.clock, graph.start, verdict, graph.intervals(diagram))
+    state = start_state(diagram, graph.start)
     return {
         "dmframe": version(),
-        "name": experiment.name,
+        "name": graph.name,
         "field_hash": diagram.fingerprint,
-        "command": command(experiment, "run")._asdict(),
+        "command": command(graph, "run")._asdict(),
         "title": file.title,
-        "text": resolved_text(experiment),
+        "text": resolved_text(graph),
         "module": _packed(loop_module(functions.parts, functions.exported)),
         "clock": file.clock,
-        "tick": file.clock if file.clock is not None else experiment.solver.output,
-        "step": experiment.solver.step,
+        "tick": file.clock if file.clock is not None else graph.solver.output,
+        "step": graph.solver.step,
         "horizon": min(HORIZON, file.duration),
-        "solver": {"plain": PLAIN_STEP, "takes": experiment.solver.takes, "stable": RK4_STABLE, "most": MOST_SUBSTEPS},
+        "solver": {"plain": PLAIN_STEP, "takes": graph.solver.takes, "stable": RK4_STABLE, "most": MOST_SUBSTEPS},
         "periods": None if periods is None else periods.data,
         "fingerprint": diagram.fingerprint,
-        "origin": origin_of(experiment),
+        "origin": origin_of(graph),
         "sizes": _sizes(functions),
         "starts": {"rows": list(functions.starts[0]), "reads": list(functions.starts[1])},
         "operations": functions.operations,
@@ -90,15 +89,15 @@ def content_of(
         "goal": None if functions.goal is None else _group(diagram, functions.goal),
         "groups": [_group(diagram, group, verdict) for group in functions.groups],
         "axes": "".join(axis_labels(diagram)) if diagram.robot is not None else "",
-        "robot": _robot(experiment, diagram, functions, state),
-        "verdict": _verdict(experiment.name, verdict, functions),
+        "robot": _robot(graph, functions, state),
+        "verdict": _verdict(graph.name, verdict, functions),
     }
 
 
-def check_chance(experiment: BaseGraph, diagram: Diagram) -> None:
+def check_chance(graph: BaseGraph) -> None:
     """Raise `ValueFault` for a loop with random numbers; call it before any computation."""
-    loop = diagram.loop
-    if loop.drawn.numel() or experiment.file.jitter:
+    loop = graph.diagram.loop
+    if loop.drawn.numel() or graph.file.jitter:
         why = f"random {loop.noises[0].label}" if loop.noises else "jitter"
         raise ValueFault(f"page: expected a deterministic loop, found {why}; set it to zero first")
 
@@ -177,17 +176,17 @@ def _rows(diagram: Diagram, group: Group) -> list[str]:
     return [element.name for element in elements(diagram, letter, group.size)] if letter else []
 
 
-def _robot(experiment: BaseGraph, diagram: Diagram, functions: Functions, state: np.ndarray) -> dict[str, Any] | None:
-    chain = experiment.robot
+def _robot(graph: BaseGraph, functions: Functions, state: np.ndarray) -> dict[str, Any] | None:
+    chain = graph.robot
     if chain is None or not functions.scene or functions.posed is None:
         return None
-    section = experiment.file.robot
-    source = robot_source(experiment)
+    section = graph.file.robot
+    source = robot_source(graph)
     hold = {**(source.hold if source else {}), **(section.hold or {} if section is not None else {})}
     return {
         "name": chain.name,
         "joints": chain.n,
-        "reach": float(np.abs(_places(diagram, functions, state)).max()),
+        "reach": float(np.abs(_places(graph.diagram, functions, state)).max()),
         "prismatic": [joint.kind == "prismatic" for joint in chain.joints],
         "meshes": meshes_of(chain, source.urdf if source else None, hold),
     }

@@ -21,9 +21,9 @@ MOST: Final = 20_000
 """Maximum length of a licence [characters]."""
 
 
-def origin_of(experiment: BaseGraph) -> dict[str, Any] | None:
+def origin_of(graph: BaseGraph) -> dict[str, Any] | None:
     """Origin of the robot from its `SOURCE.md`, and its licences; None without a robot."""
-    source = robot_source(experiment)
+    source = robot_source(graph)
     if source is None:
         return None
     stated = None if source.folder is None else source.folder / SOURCE

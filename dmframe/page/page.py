@@ -15,7 +15,7 @@ from typing import Any, Final, final
 from dmframe import notebook
 from dmframe.certify import Verdict
 from dmframe.config import BaseGraph
-from dmframe.diagram import Diagram
+from dmframe.config.about import AboutGraph
 from dmframe.errors import OutputError
 from dmframe.files import check_place, expanded, is_file, write_text, writing
 from dmframe.page.content import content_of
@@ -32,12 +32,12 @@ HEIGHT: Final = 860
 
 @final
 @dataclass(frozen=True, repr=False, eq=False)
-class Page:
+class Page(AboutGraph):
     """Live page: the closed loop simulated in a browser or notebook, with sliders and its verdict.
 
     Parameters
     ----------
-    experiment, diagram
+    graph
         The simulated graph.
     verdict
         Its verdict; the page re-evaluates the conditions at the slider values.
@@ -45,15 +45,14 @@ class Page:
         Largest stable sampling periods near the set-point; None if not computed.
     """
 
-    experiment: BaseGraph
-    diagram: Diagram
+    graph: BaseGraph
     verdict: Verdict
     periods: Periods | None = None
 
     @cached_property
     def html(self) -> str:
         """HTML of the page."""
-        return assembled(content_of(self.experiment, self.diagram, self.verdict, self.periods))
+        return assembled(content_of(self.graph, self.verdict, self.periods))
 
     def save(self, path: str | Path) -> Path:
         """Write the page; raises `OutputError` for an ending other than .html, or if it cannot be written."""
@@ -63,10 +62,10 @@ class Page:
         return path
 
     def __repr__(self) -> str:
-        return f"<Page of {self.experiment.name}: {self.verdict.headline}>"
+        return f"<Page of {self.graph.name}: {self.verdict.headline}>"
 
     def _repr_html_(self) -> str:
-        return notebook.framed(self.html, f"live page of {self.experiment.name}", HEIGHT)
+        return notebook.framed(self.html, f"live page of {self.graph.name}", HEIGHT)
 
 
 def check_page_place(path: Path) -> None:

@@ -17,6 +17,7 @@ from dmframe.diagram.closed_loop import Parameter
 from dmframe.diagram.knowledge import known_truths
 from dmframe.diagram.values import with_values
 from dmframe.errors import DmframeError
+from dmframe.formula.unmarked import unmarked
 from dmframe.names import unicode_name
 from dmframe.parameter import specs
 from dmframe.port import Side
@@ -116,7 +117,7 @@ def _of(diagram: Diagram, parameter: Parameter, at: int, size: int, known: Colle
         return []
     kind = type(diagram.blocks[block])
     group, spec = GROUPS[kind.side], specs(kind).get(name)
-    says = about(kind).parameters.get(name, "")
+    says = unmarked(about(kind).parameters.get(name, ""))
     shown, written = unicode_name(name), _written(diagram, parameter)
     if group == "path" and unit in REACHES and (spec is None or not spec.sign):
         if size > MOST:

@@ -1,8 +1,8 @@
 """``python -m dmframe.prove FILE``: check the claim of a file that ``dmframe verify --claim FILE`` wrote.
 
-It reads neither a graph nor CasADi. It decides the identity and the faults. Signs of terms, conditions at numbers, and
-what follows from V are not in the file. Exit status 0 where the identity holds and every fault is refuted, 1 otherwise,
-2 for a file that is no claim.
+It reads neither a graph nor CasADi. It decides the identity, the faults, and the signs of the weights of squares at the
+file's numbers. Other conditions, and what follows from V, are not in the file. Exit status 0 where the identity holds,
+every fault is refuted and no sign is wrong, 1 otherwise, 2 for a file that is no claim.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from pathlib import Path
 
 from dmframe.errors import DmframeError
 from dmframe.exact import ZeroDivision
-from dmframe.prove.export import digest, from_json
+from dmframe.prove.export import digest, read_file
 from dmframe.prove.faults import inject_faults
 from dmframe.prove.identity import empty, identity
+from dmframe.prove.signs import signs
 
 
 def main(arguments: list[str]) -> int:
@@ -25,7 +26,7 @@ def main(arguments: list[str]) -> int:
         return 2
     seed = secrets.randbits(64)  # not known to who wrote the file
     try:
-        claim = from_json(Path(arguments[0]).read_text(encoding="utf-8"))
+        claim, numbers = read_file(Path(arguments[0]).read_text(encoding="utf-8"))
         test = identity(claim, trials=3, seed=seed)
         faults = inject_faults(claim, seed=seed) if test.zero else ()
         nothing = empty(claim, seed) if test.zero else []
@@ -37,7 +38,9 @@ def main(arguments: list[str]) -> int:
     lines = [f"claim {digest(claim)}"]
     if given:
         lines.append(f"at given values of {', '.join(given)}, for all of every other symbol")
-    holds = test.zero and bool(faults) and not missed and not nothing
+    found = list(signs(claim, numbers)) if test.zero else []
+    wrong = [sign.name for sign in found if sign.holds is False]
+    holds = test.zero and bool(faults) and not missed and not nothing and not wrong
     if not test.zero:
         lines.append(f"the identity does not hold: {test.witness.output if test.witness else ''}")
     else:
@@ -45,7 +48,11 @@ def main(arguments: list[str]) -> int:
         lines.append(
             f"{len(faults) - len(missed)} of {len(faults)} seeded faults refuted" + f"; missed: {missed}" * bool(missed)
         )
-        lines.append("not in the file: signs of terms, conditions at numbers, and what follows from V")
+        right, left = (sum(sign.holds is way for sign in found) for way in (True, None))
+        lines.append(f"{right} of {len(found)} signs hold at the file's numbers; numbers alone do not decide {left}")
+        lines.append("not in the file: other conditions, and what follows from V")
+    if wrong:
+        lines.append(f"of the wrong sign: {'; '.join(wrong)}")
     if nothing:
         lines.append(f"identically zero: {'; '.join(nothing)}")
     sys.stdout.write("\n".join(lines) + "\n")

@@ -23,6 +23,7 @@ from dmframe.errors import ValueFault
 from dmframe.exact.literal import exact
 from dmframe.program import BY_NAME, CONST, INPUT, OPERATIONS, Node, Pattern, Program
 from dmframe.prove.claim import Claim
+from dmframe.prove.signs import Numbers
 from dmframe.prove.sound import hold_sound
 
 VERSION: Final = 1
@@ -36,9 +37,11 @@ def digest(claim: Claim) -> str:
     return sha256(to_json(claim).encode()).hexdigest()
 
 
-def to_json(claim: Claim) -> str:
-    """A claim as JSON, with sorted keys and no spaces."""
+def to_json(claim: Claim, numbers: Numbers | None = None) -> str:
+    """A claim as JSON, with sorted keys and no spaces; with numbers of its parameters, at which signs are decided."""
     own = {item.name: _plain(getattr(claim, item.name)) for item in fields(claim) if item.name != "program"}
+    if numbers is not None:
+        own["numbers"] = {label: [str(value) for value in values] for label, values in numbers.items()}
     return json.dumps(
         {"version": VERSION, **own, "program": _of_program(claim.program)}, sort_keys=True, separators=(",", ":")
     )
@@ -82,18 +85,28 @@ def _nodes(nodes: Sequence[Node]) -> Iterator[list[Any]]:
 
 def from_json(text: str) -> Claim:
     """The claim that a file holds; raises `ValueFault` for another version and for what is no claim (`hold_sound`)."""
+    return read_file(text)[0]
+
+
+def read_file(text: str) -> tuple[Claim, Numbers]:
+    """The claim of a file, and the numbers of its parameters; raises as `from_json`, and for numbers of nothing."""
     try:
         found = json.loads(text, object_pairs_hook=_once)
         if not isinstance(found, dict) or found["version"] is True or found["version"] != VERSION:
             given = found["version"] if isinstance(found, dict) else found
             raise ValueFault(f"a claim: expected version {VERSION}, found {given!r:.60}")
         del found["version"]
+        numbers: Numbers = _read(Mapping[str, tuple[Fraction, ...]], found.pop("numbers", {}))
         claim: Claim = _read(Claim, found)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, ZeroDivisionError, RecursionError) as error:
         text = f"found {type(error).__name__}: {error}"
         raise ValueFault(f"a claim: expected what `to_json` writes, {text:.300}") from None
     hold_sound(claim)
-    return claim
+    sizes = {symbol.label: symbol.size for symbol in claim.symbols if symbol.kind == "parameter"}
+    for label, values in numbers.items():
+        if sizes.get(label) != len(values):
+            raise ValueFault(f"a claim: expected numbers of its parameters, each of its size, found {label}")
+    return claim, numbers
 
 
 def _once(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:

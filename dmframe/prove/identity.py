@@ -14,7 +14,7 @@ from dmframe.exact.identity import log2_error
 from dmframe.exact.ring import evaluated
 from dmframe.exact.sizes import Bound, Sizes
 from dmframe.prove.claim import Claim, Symbol
-from dmframe.prove.point import Equality, Point, equalities
+from dmframe.prove.point import Equality, Point, differences, equalities
 
 ATTEMPTS: Final = 20
 """Random points tried until no denominator vanishes."""
@@ -148,9 +148,8 @@ def _of_a_flow(point: Point) -> Iterator[tuple[str, list[int]]]:
     claim, moves = point.claim, point.moves(point.claim.moved)
     V = sum((point.weight(part) * point.storage(part) for part in claim.parts), 0)
     yield "V", [V]
-    along = next(equality for equality in equalities(point, moves) if not equality.block)
-    stored = {f"{part.block}: storage of {term.name} dropped" for part in claim.parts for term in part.stored}
-    yield claim.D, [sum(sum(s.column) for s in along.summands if s.name in stored)]
+    weighed = [(point.weight(part), each.column) for part in claim.parts for each in differences(point, moves, part)]
+    yield claim.D, [sum(weight * sum(column) for weight, column in weighed)]
     for part in claim.parts:
         for term in (*part.stored, *part.dissipation, *part.errors):
             if "vector" in term.parts:

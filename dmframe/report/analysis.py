@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 from dmframe import notebook
 from dmframe.columns import columns
 from dmframe.config import BaseGraph
+from dmframe.config.about import AboutGraph
 from dmframe.report.linear import EMULATION_HEADS, JOINT_HEADS, LinearView, rows_of
 from dmframe.units import plain
 
@@ -24,26 +25,26 @@ TIE_HEADS: Final = ("joint", "K_c of the graph", "least K_c", "least without fri
 
 @final
 @dataclass(frozen=True, repr=False, eq=False)
-class Analysis:
+class Analysis(AboutGraph):
     """Margins and passivity of the servo, poles, the largest stable sampling period, and the least K_c.
 
     ``str`` of it is the terminal's page.
 
     Parameters
     ----------
-    experiment
+    graph
         The graph.
     found
         The numbers.
     """
 
-    experiment: BaseGraph
+    graph: BaseGraph
     found: LoopAnalysis
 
     @property
     def name(self) -> str:
         """The graph's name."""
-        return self.experiment.name
+        return self.graph.name
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -102,7 +103,7 @@ class Analysis:
     def __str__(self) -> str:
         view = self._view
         parts = [
-            f"{self.name}: {self.experiment.file.title}".rstrip(": "),
+            f"{self.name}: {self.graph.file.title}".rstrip(": "),
             "",
             "joint loops: servo, motor, diagonal of M and viscous friction at the set-point, other joints locked",
             columns([JOINT_HEADS, *view.joints]),
@@ -126,7 +127,7 @@ class Analysis:
     def _repr_html_(self) -> str:
         view, ties = self._view, self.found.ties
         return (
-            notebook.heading(self.name, self.experiment.file.title)
+            notebook.heading(self.name, self.graph.file.title)
             + notebook.paragraphs([self.conclusion])
             + notebook.table([row[:2] for row in view.periods], ("largest stable sampling period", ""))
             + notebook.table(view.loop, LOOP_HEADS)
@@ -153,7 +154,7 @@ class Analysis:
     def _least_K_c(self) -> Iterator[str]:
         ties: Sequence[TieGain] = self.found.ties
         if ties:
-            over = "the intervals of uncertain:" if self.experiment.file.uncertain else "the graph's own servo gains"
+            over = "the intervals of uncertain:" if self.graph.file.uncertain else "the graph's own servo gains"
             yield f"K_c of the PID inverse [1/s]: the least that makes M̄ ≥ 0 over {over}, rounded upwards"
             yield columns([TIE_HEADS, *map(_tie, ties)])
             yield ""

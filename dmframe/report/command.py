@@ -24,17 +24,17 @@ class Command(NamedTuple):
     swapped: tuple[str, ...] = ()
 
 
-def command(experiment: BaseGraph, verb: str) -> Command:
+def command(graph: BaseGraph, verb: str) -> Command:
     """``dmframe VERB GRAPH --set ...``, quoted; a graph without a file has to be written to one first.
 
     A baseline has to be written to a file too, except for ``run``, which has the option ``--baseline``.
     """
-    own, path, known = experiment.name, experiment.document.name, graphs()
+    own, path, known = graph.name, graph.document.name, graphs()
     packaged = [name for name, place in known.items() if str(place) == path]
     file = Path(path).suffix.lower() in ENDINGS or is_file(Path(path))
-    swapped = experiment.swapped
+    swapped = graph.swapped
     if (packaged or file) and (swapped is None or verb == "run"):
-        changes = [word for text in experiment.overrides for word in ("--set", text)]
+        changes = [word for text in graph.overrides for word in ("--set", text)]
         words = ["dmframe", verb, *(packaged[:1] or [path]), *["--baseline"] * (swapped is not None), *changes]
         return Command(shlex.join(words), "", swapped or ())
     return Command(shlex.join(["dmframe", verb, f"{own}.yaml"]), f"the graph's text in {own}.yaml")

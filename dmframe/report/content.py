@@ -150,22 +150,21 @@ class Content:
     resolved: str
 
 
-def opening(experiment: BaseGraph, verdict: Verdict) -> Opening:
+def opening(graph: BaseGraph, verdict: Verdict) -> Opening:
     """First page of a report, without a simulation."""
     last = [item for item in verdict.statements if item.concludes]
     return Opening(
-        name=experiment.name,
-        title=experiment.file.title,
+        name=graph.name,
+        title=graph.file.title,
         outcome=verdict.outcome,
-        meaning=meaning_of(verdict, experiment.file.clock),
+        meaning=meaning_of(verdict, graph.file.clock),
         follows=tuple(_follows(last)) if verdict.outcome == "proved" else (),
         assumptions=_assumptions(verdict),
     )
 
 
 def gather(
-    experiment: BaseGraph,
-    diagram: Diagram,
+    graph: BaseGraph,
     verdict: Verdict,
     *,
     command: list[str],
@@ -173,18 +172,19 @@ def gather(
     tell: Callable[[str], None] = lambda _: None,
 ) -> Content:
     """Collect the report on one graph, which is simulated for it; `tell` receives progress messages."""
+    diagram = graph.diagram
     from dmframe.config.resolved import resolved_text
     from dmframe.drawing import mermaid, svg
     from dmframe.results.folder import provenance
 
-    resolved = resolved_text(experiment)
+    resolved = resolved_text(graph)
     laws = verdict.flow_claim.laws if verdict.flow_claim is not None else laws_of(diagram)
     return Content(
-        name=experiment.name,
-        title=experiment.file.title,
+        name=graph.name,
+        title=graph.file.title,
         outcome=verdict.outcome,
-        meaning=meaning_of(verdict, experiment.file.clock),
-        facts=tuple(_facts(experiment, diagram)),
+        meaning=meaning_of(verdict, graph.file.clock),
+        facts=tuple(_facts(graph)),
         picture=svg(diagram),
         mermaid=mermaid(diagram),
         laws=tuple(_law(diagram, name, law) for name, law in laws.items()),
@@ -195,12 +195,12 @@ def gather(
         follows=tuple(_follows(verdict.statements)) if verdict.outcome == "proved" else (),
         controls=tuple((control.fault.marked, control.refuted) for control in verdict.controls),
         witness=_witness(verdict),
-        uncertain=tuple((label, str(ends)) for label, ends in experiment.file.uncertain.items()),
-        measured=measure(experiment, diagram, verdict, tell),
-        linear=linear_view(experiment, diagram, tell),
+        uncertain=tuple((label, str(ends)) for label, ends in graph.file.uncertain.items()),
+        measured=measure(graph, verdict, tell),
+        linear=linear_view(graph, tell),
         model=robot_model(diagram.robot),
-        summary=summary(experiment.name, verdict),
-        provenance=provenance(experiment, resolved, field_hash=diagram.fingerprint, seed=seed, command=command),
+        summary=summary(graph.name, verdict),
+        provenance=provenance(graph, resolved, field_hash=diagram.fingerprint, seed=seed, command=command),
         replay=shlex.join(command),
         resolved=resolved,
     )
@@ -210,8 +210,9 @@ def _assumptions(verdict: Verdict) -> tuple[tuple[str, str], ...]:
     return tuple((text_of(item.text).marked, text_of(item.source).marked) for item in verdict.assumptions)
 
 
-def _facts(experiment: BaseGraph, diagram: Diagram) -> list[tuple[str, str]]:
-    clock = experiment.file.clock
+def _facts(graph: BaseGraph) -> list[tuple[str, str]]:
+    diagram = graph.diagram
+    clock = graph.file.clock
     own = sum(variable.symbol.numel() for variable in diagram.loop.controller)
     facts = [
         ("controller", "in continuous time" if clock is None else f"sampled every {plain(clock, 's')}"),

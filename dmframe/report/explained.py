@@ -74,8 +74,9 @@ class BlockFacts:
     knows: tuple[str, ...]
 
 
-def facts_of(experiment: BaseGraph, diagram: Diagram, verdict: Verdict) -> tuple[BlockFacts, ...]:
+def facts_of(graph: BaseGraph, verdict: Verdict) -> tuple[BlockFacts, ...]:
     """Facts about all blocks, in signal-flow order."""
+    diagram = graph.diagram
     claim = verdict.flow_claim
     claimed = claim.laws if claim is not None else {}
     laws = claimed or _printed(diagram)
@@ -83,7 +84,7 @@ def facts_of(experiment: BaseGraph, diagram: Diagram, verdict: Verdict) -> tuple
         {} if claim is None else {part.block: other.block for part, other in claim.cross_terms if other is not None}
     )
     knows = {known.block: tuple(WORDS.get(group, group) for group in known.groups) for known in known_truths(diagram)}
-    true, starts = estimates_of(diagram), _starts(experiment, diagram)
+    true, starts = estimates_of(diagram), _starts(graph)
     return tuple(
         BlockFacts(
             name=name,
@@ -167,14 +168,14 @@ def _estimates(
     ]
 
 
-def _starts(experiment: BaseGraph, diagram: Diagram) -> dict[str, np.ndarray]:
+def _starts(graph: BaseGraph) -> dict[str, np.ndarray]:
     """Initial states by label; empty for an unreachable start, which `run` reports."""
     try:
-        whole = start_state(diagram, experiment.start)
+        whole = start_state(graph.diagram, graph.start)
     except DmframeError:
         return {}
     found, place = dict[str, np.ndarray](), 0
-    for variable in diagram.loop.variables:
+    for variable in graph.diagram.loop.variables:
         size = variable.symbol.numel()
         found[variable.label] = whole[place : place + size]
         place += size

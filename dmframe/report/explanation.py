@@ -14,7 +14,7 @@ from dmframe import notebook
 from dmframe.certify import Verdict
 from dmframe.columns import page_width
 from dmframe.config import BaseGraph
-from dmframe.diagram import Diagram
+from dmframe.config.about import AboutGraph
 from dmframe.diagram.knowledge import WORDS
 from dmframe.errors import listed
 from dmframe.exact.rational import as_float
@@ -48,30 +48,29 @@ class Section(NamedTuple):
 
 @final
 @dataclass(frozen=True, repr=False, eq=False)
-class Explanation:
+class Explanation(AboutGraph):
     """Description of a graph; ``str`` gives the terminal page, a notebook shows the same content.
 
     Parameters
     ----------
-    experiment, diagram
+    graph
         The graph.
     verdict
         Result of `verify`.
     """
 
-    experiment: BaseGraph
-    diagram: Diagram
+    graph: BaseGraph
     verdict: Verdict
 
     @property
     def name(self) -> str:
         """The graph's name."""
-        return self.experiment.name
+        return self.graph.name
 
     @cached_property
     def blocks(self) -> tuple[BlockFacts, ...]:
         """Facts about each block, in signal-flow order."""
-        return facts_of(self.experiment, self.diagram, self.verdict)
+        return facts_of(self.graph, self.verdict)
 
     @cached_property
     def sections(self) -> tuple[Section, ...]:
@@ -80,7 +79,7 @@ class Explanation:
             Section(f"{place}. {block.name} ({block.type}): {', '.join(block.roles)}", tuple(described(block)))
             for place, block in enumerate(self.blocks, start=1)
         ]
-        head = f"{self.name}: {self.experiment.file.title}".rstrip(": ")
+        head = f"{self.name}: {self.graph.file.title}".rstrip(": ")
         seen = Section("Signals of the plant that the controller reads", tuple(map(Said, self._seen())))
         return (
             Section(head, tuple(map(Said, self._whole()))),
@@ -94,7 +93,7 @@ class Explanation:
         """Data that ``dmframe explain --json`` prints: facts by block, and the sentences."""
         return {
             "graph": self.name,
-            "title": self.experiment.file.title,
+            "title": self.graph.file.title,
             "order": [block.name for block in self.blocks],
             "blocks": [_data(block) for block in self.blocks],
             "verdict": self.verdict.outcome,
@@ -107,10 +106,10 @@ class Explanation:
     @property
     def command(self) -> str:
         """Command that prints the full verdict."""
-        return command(self.experiment, "verify").text
+        return command(self.graph, "verify").text
 
     def _whole(self) -> Iterator[str]:
-        robot, file = self.diagram.robot, self.experiment.file
+        robot, file = self.diagram.robot, self.graph.file
         if robot is not None:
             many = "joint moves" if robot.n == 1 else "joints move"
             yield f"The robot is {robot.name}; {robot.n} {many}: {listed(list(robot.joint_names))}."
@@ -161,10 +160,10 @@ class Explanation:
     def _certificate(self) -> Iterator[Said]:
         verdict = self.verdict
         yield from map(Said, self._energy())
-        said = command(self.experiment, "verify")
+        said = command(self.graph, "verify")
         given = f", with {said.before}" if said.before else ""
         yield Said(f"Verdict: {verdict.headline} ({said.text}{given}).".replace("`", ""))
-        clock = self.experiment.file.clock
+        clock = self.graph.file.clock
         meaning = unmarked(meaning_of(verdict, clock).sentence).replace(_RATE, "d/dt ")
         yield Said(meaning[:1].upper() + meaning[1:])
         if clock is not None and verdict.outcome == "proved" and verdict.samples is None:

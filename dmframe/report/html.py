@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from html import escape
-from typing import Final, NewType, assert_never, final
+from collections.abc import Sequence
+from typing import Final, assert_never, final
 
 from dmframe.notebook import embedded
 from dmframe.report.mathml import breakable, mathml, terms
@@ -31,30 +30,11 @@ from dmframe.report.parts import (
     Titled,
     Word,
 )
-
-Html = NewType("Html", str)
-"""Escaped text; only `plain`, `tag` and the formula functions create it."""
+from dmframe.report.tags import Html, joined, plain, tag
 
 SHORT: Final = 48
 """Length [characters of LaTeX] up to which a formula in a sentence is not broken."""
 _EMPTY: Final = Html("")
-
-
-def plain(text: str) -> Html:
-    """Escape a text."""
-    return Html(escape(text))
-
-
-def tag(name: str, *inside: Html, **attributes: str) -> Html:
-    """An element; an attribute without a value is left out, ``class_`` is ``class``, ``aria_label`` ``aria-label``."""
-    pairs = ((key.rstrip("_").replace("_", "-"), value) for key, value in attributes.items() if value)
-    said = "".join(f' {key}="{escape(value)}"' for key, value in pairs)
-    return Html(f"<{name}{said}>{''.join(inside)}</{name}>")
-
-
-def joined(items: Iterable[Html], between: str = "\n") -> Html:
-    """Elements one after another."""
-    return Html(between.join(items))
 
 
 def cell(given: Cell) -> Html:
@@ -70,9 +50,9 @@ def _piece(piece: Piece) -> Html:
         case Marked():
             return _marked(piece.text)
         case Formula(latex, "whole"):
-            return tag("span", Html(mathml(latex, display=True)), class_="signal")
+            return tag("span", mathml(latex, display=True), class_="signal")
         case Formula(latex, how):
-            return tag("span", Html(breakable(latex, display=how == "display")), class_="f")
+            return tag("span", breakable(latex, display=how == "display"), class_="f")
         case Word():
             return _word(cell(piece.text), piece.kind)
         case Link(text, to):
@@ -105,7 +85,7 @@ def _marked(text: str) -> Html:
         out.append(plain(text[place : found.start()]))
         formula, code, key = found.groups()
         if formula:
-            out.append(Html(mathml(formula) if len(formula) < SHORT else breakable(formula)))
+            out.append(mathml(formula) if len(formula) < SHORT else breakable(formula))
         else:
             out.append(tag("code", plain(code)) if code else tag("a", plain(f"[{key}]"), href=f"#{key}"))
         place = found.end()
@@ -201,8 +181,8 @@ def _kind(given: Table, column: int) -> str:
 
 
 def _equation(row: Row) -> Html:
-    left = Html(mathml(row.left, display=True)) if row.left else _EMPTY
-    right = Html(breakable(row.right, display=True))
+    left = mathml(row.left, display=True) if row.left else _EMPTY
+    right = breakable(row.right, display=True)
     number = plain(f"({row.tag})") if row.tag else _EMPTY
     spans = (("left", left), ("right", right), ("tag", number))
     return tag("div", *(tag("span", inside, class_=name) for name, inside in spans), class_="eq")

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, final
 
 from dmframe.config import BaseGraph
-from dmframe.diagram import Diagram
 from dmframe.diagram.fingerprint import short
 from dmframe.errors import DmframeError, listed
 from dmframe.units import plain
@@ -58,23 +57,23 @@ class LinearView:
     numbers: Mapping[str, Any] = field(default_factory=dict)
 
 
-def linear_view(experiment: BaseGraph, diagram: Diagram, tell: Callable[[str], None] = lambda _: None) -> LinearView:
+def linear_view(graph: BaseGraph, tell: Callable[[str], None] = lambda _: None) -> LinearView:
     """Linearise at the set-point at the start of the path; an analysis error becomes `sentence`."""
     from dmframe.analysis import analyse, bode_svg, nyquist_svg
 
-    clock = experiment.file.clock
+    clock = graph.file.clock
     try:
         found = analyse(
-            diagram,
+            graph.diagram,
             clock,
-            solver=experiment.solver,
-            start=experiment.start,
-            horizon=min(LONGEST, experiment.file.duration),
+            solver=graph.solver,
+            start=graph.start,
+            horizon=min(LONGEST, graph.file.duration),
             tell=tell,
         )
     except DmframeError as error:
         return LinearView(f"This loop has no linear analysis: {error.text}.")
-    view = rows_of(experiment.name, found)
+    view = rows_of(graph.name, found)
     return replace(view, bode=bode_svg(found.joints), nyquist=nyquist_svg(found.joints))
 
 

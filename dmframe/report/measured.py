@@ -10,7 +10,6 @@ import numpy as np
 
 from dmframe.certify import Verdict
 from dmframe.config import BaseGraph
-from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
 from dmframe.exact.rational import as_float
 from dmframe.plotting import figure_svg
@@ -54,14 +53,12 @@ class Measured:
     table: tuple[tuple[float, float], ...] = ()
 
 
-def measure(
-    experiment: BaseGraph, diagram: Diagram, verdict: Verdict, tell: Callable[[str], None] = lambda _: None
-) -> Measured:
+def measure(graph: BaseGraph, verdict: Verdict, tell: Callable[[str], None] = lambda _: None) -> Measured:
     """Simulate the graph for the duration in its file, and evaluate V along the run if it is defined."""
-    clock = experiment.file.clock
-    tell(f"simulating {plain(experiment.file.duration, 's')}")
+    clock = graph.file.clock
+    tell(f"simulating {plain(graph.file.duration, 's')}")
     try:
-        run = experiment.simulate(diagram, log=Log())
+        run = graph.simulate(graph.diagram, log=Log())
     except DmframeError as error:
         return Measured(f"{_sentence(clock, verdict)} The graph could not be simulated: {error.text}.")
     facts, numbers = _run_facts(run)

@@ -8,9 +8,9 @@ from typing import Final
 
 from dmframe.report import html, markdown, sections
 from dmframe.report.content import Content, Opening
-from dmframe.report.html import Html, plain, tag
 from dmframe.report.parts import MARKED, Badge, Link, Table
 from dmframe.report.references import reference
+from dmframe.report.tags import Html, joined, plain, tag
 
 _POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 _NARROW: Final = Html("""\
@@ -29,7 +29,7 @@ def as_html(contents: Sequence[Content]) -> str:
     kind = tag("p", plain("Certificate of a control loop"), class_="doc-kind")
     named = _named(one) if one else [tag("h1", plain(f"{len(contents)} graphs")), html.table(_overview(contents))]
     articles = [_article(content, f"g{place}", one is None) for place, content in enumerate(contents, start=1)]
-    return document(title, [tag("header", html.joined([kind, *named])), *articles, *_sources(contents)])
+    return document(title, [tag("header", joined([kind, *named])), *articles, *_sources(contents)])
 
 
 def document(title: str, body: Sequence[Html]) -> str:
@@ -41,7 +41,7 @@ def document(title: str, body: Sequence[Html]) -> str:
         tag("title", plain(title)),
         tag("style", Html(files("dmframe.report").joinpath("report.css").read_text(encoding="utf-8"))),
     ]
-    page = tag("html", tag("head", html.joined(head)), Html("\n"), tag("body", html.joined(body)), lang="en")
+    page = tag("html", tag("head", joined(head)), Html("\n"), tag("body", joined(body)), lang="en")
     return f"<!DOCTYPE html>\n{page}\n"
 
 
@@ -62,12 +62,12 @@ def _article(content: Content, prefix: str, named: bool) -> Html:
     writer, parts = html.Writer(prefix), list(sections.sections(content))
     head = [*(_named(content, "graph") if named else []), html.lead(sections.lead(content))]
     inside = [*head, writer.contents(content.name, parts), *map(writer.section, parts)]
-    return tag("article", html.joined(inside), id=prefix)
+    return tag("article", joined(inside), id=prefix)
 
 
 def _sources(contents: Sequence[Content]) -> list[Html]:
     entries = [tag("dt", plain(f"[{key}]"), id=key) + tag("dd", plain(text)) for key, text in _cited(contents)]
-    listed = tag("dl", html.joined(map(Html, entries)))
+    listed = tag("dl", joined(map(Html, entries)))
     return [tag("section", tag("h2", plain("Sources")), listed, id="references")] if entries else []
 
 
@@ -92,7 +92,7 @@ def first_page(opening: Opening) -> str:
     name = tag("p", tag("b", plain(opening.name)), plain(said))
     writer = html.Writer("first")
     parts = [tag("style", _NARROW), name, html.lead(sections.lead(opening))]
-    return tag("div", html.joined([*parts, *map(writer.part, sections.first_page(opening))]), class_="dmframe")
+    return tag("div", joined([*parts, *map(writer.part, sections.first_page(opening))]), class_="dmframe")
 
 
 def _cited(contents: Sequence[Content]) -> list[tuple[str, str]]:

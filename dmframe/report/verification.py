@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, final
 from dmframe.certify import Verdict
 from dmframe.certify.summary import summary
 from dmframe.config import BaseGraph
-from dmframe.diagram import Diagram
+from dmframe.config.about import AboutGraph
 from dmframe.files import expanded
 from dmframe.report.verdict_text import verdict_text
 
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 
 @final
 @dataclass(frozen=True, repr=False, eq=False)
-class Verification:
+class Verification(AboutGraph):
     """Verdict on the certificate of a graph.
 
     ``str`` gives the terminal page, a notebook shows the first page of the report, `report` writes the whole report.
 
     Parameters
     ----------
-    experiment, diagram
+    graph
         The verified graph.
     verdict
         Outcome with conditions, assumptions and conclusions.
@@ -40,8 +40,7 @@ class Verification:
         Distinguishes several verifications of graphs with one name.
     """
 
-    experiment: BaseGraph
-    diagram: Diagram
+    graph: BaseGraph
     verdict: Verdict
     seed: int = 0
     label: str = ""
@@ -49,7 +48,7 @@ class Verification:
     @property
     def name(self) -> str:
         """Label, or the name of the graph."""
-        return self.label or self.experiment.name
+        return self.label or self.graph.name
 
     @property
     def outcome(self) -> str:
@@ -114,7 +113,7 @@ class Verification:
 
         with ca.global_pickle_context():  # margins are CasADi expressions
             verdict = pickle.dumps(self.verdict)
-        return _again, (self.experiment, verdict, self.seed, self.label)
+        return _again, (self.graph, verdict, self.seed, self.label)
 
     def __str__(self) -> str:
         return verdict_text(self.name, self.verdict)
@@ -123,7 +122,7 @@ class Verification:
         from dmframe.report.content import opening
         from dmframe.report.page import first_page
 
-        return first_page(opening(self.experiment, self.verdict))
+        return first_page(opening(self.graph, self.verdict))
 
 
 def command(found: Sequence[Verification], path: Path) -> list[str]:
@@ -133,24 +132,24 @@ def command(found: Sequence[Verification], path: Path) -> list[str]:
     known = graphs()
 
     def place(item: Verification) -> str:
-        own = item.experiment.name
-        packaged = own in known and str(known[own]) == item.experiment.document.name
-        return own if packaged else item.experiment.document.name
+        own = item.graph.name
+        packaged = own in known and str(known[own]) == item.graph.document.name
+        return own if packaged else item.graph.document.name
 
-    same = len({item.experiment.overrides for item in found}) == 1
+    same = len({item.graph.overrides for item in found}) == 1
     changes = [
         f"{'' if same else f'{place(item)}:'}{text}"
         for item in (found[:1] if same else found)
-        for text in item.experiment.overrides
+        for text in item.graph.overrides
     ]
     said = [word for text in changes for word in ("--set", text)]
     return ["dmframe", "verify", *map(place, found), *said, "--seed", str(found[0].seed), "--report", path.name]
 
 
-def _again(experiment: BaseGraph, verdict: bytes, seed: int, label: str) -> Verification:
+def _again(graph: BaseGraph, verdict: bytes, seed: int, label: str) -> Verification:
     """Restore a pickled verification."""
     import casadi as ca
 
     with ca.global_unpickle_context():
         found = pickle.loads(verdict)
-    return Verification(experiment, experiment.diagram, found, seed, label)
+    return Verification(graph, found, seed, label)

@@ -72,8 +72,7 @@ def write_report(
     used = list(replay) or command(found, path)
     contents = [
         gather(
-            each.experiment,
-            each.diagram,
+            each.graph,
             each.verdict,
             command=used,
             seed=each.seed,

@@ -51,13 +51,7 @@ def claimed_along(
     """
     diagram = run.diagram
     with SYMBOLIC:
-        if diagram.loop.clocked:
-            sampled = claim_of(diagram)
-            decided, _ = sorted_out(discrete_conditions(sampled, Numbers(sampled, uncertain), start))
-            for failing in _failing(decided):
-                raise NotApplicableError(failing)
-            return sampled, along(sampled, run)
-        if size := _large(diagram):
+        if not diagram.loop.clocked and (size := _large(diagram)):
             raise NotApplicableError(
                 f"V is not computed along the run of a loop of that size, {size} numbers in one column or gain; "
                 f"expected at most {MOST}; `verify --report` computes it"
@@ -79,6 +73,9 @@ def _large(diagram: Diagram) -> int:
 
 def _faults(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> Iterator[str]:
     """Each condition that fails of those that numbers decide, what is undefined, and where V jumps."""
+    if claim.over_samples:
+        yield from _failing(sorted_out(discrete_conditions(claim, numbers, start))[0])
+        return
     yield from _failing(conditions_of(claim, numbers, start)[0])
     yield from _failing(undefined(claim, numbers))
     yield from smoothness(claim.diagram, claim).faults

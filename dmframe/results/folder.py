@@ -11,7 +11,6 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,6 +24,7 @@ from dmframe.results.dataset import netcdf
 from dmframe.results.place import SAMPLES, Place, built, clear_figures, complete, reserved
 from dmframe.results.run import Run
 from dmframe.results.summary import summary_of
+from dmframe.version import version_of
 
 _PACKAGES = (
     "dmframe",
@@ -196,7 +196,7 @@ def provenance(
         "command": list(sys.argv if command is None else command),
         "python": platform.python_version(),
         "platform": platform.platform(),
-        "versions": {name: _version(name) for name in _PACKAGES},
+        "versions": {name: version_of(name) for name in _PACKAGES},
         "graph_sha256": hashlib.sha256(encoded(text)).hexdigest(),
         "field_hash": field_hash,
         "robot": graph.robot.name if graph.robot is not None else None,
@@ -204,10 +204,3 @@ def provenance(
         "urdf_sha256": hashlib.sha256(source.urdf.read_bytes()).hexdigest() if source else None,
         "seed": seed,
     }
-
-
-def _version(package: str) -> str | None:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None

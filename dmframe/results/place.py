@@ -36,6 +36,8 @@ class Place:
         Path given by the user, and resolved path.
     new
         True for a folder that was created.
+    reserved
+        The folder that was reserved; another one may have its path by the time of writing.
     locks
         File locks until release, including those of a folder renamed to this one.
     """
@@ -43,7 +45,13 @@ class Place:
     path: Path
     folder: Path
     new: bool
+    reserved: os.stat_result | None = field(default=None, compare=False, repr=False)
     locks: list[int] = field(default_factory=list, compare=False, repr=False)
+
+    def release(self) -> None:
+        """Close the file locks."""
+        while self.locks:
+            os.close(self.locks.pop())
 
 
 @contextmanager
@@ -69,12 +77,11 @@ def reserved(path: str | Path, *, force: bool = False, folders: Collection[str] 
     with locked(path) as (folder, is_locked, made):
         with writing(path, "folder"):
             _check_usable(folder, path, folders, ours=is_locked, force=force)
-        place = Place(path, folder, folder in made)
+        place = Place(path, folder, folder in made, folder.stat())
         try:
             yield place
         finally:
-            while place.locks:
-                os.close(place.locks.pop())
+            place.release()
 
 
 @contextmanager
@@ -176,17 +183,25 @@ def _locked(folder: Path, path: Path) -> int | None:
 
 
 @contextmanager
-def built(place: Place) -> Iterator[Path]:
-    """Hidden folder that replaces `place` on success and is removed on failure.
+def built(place: Place, *, seal: bool = True) -> Iterator[Path]:
+    """Hidden folder that replaces `place` on success and is removed on failure; its files are synced to the disk first.
 
     It is inside an existing `place`, since a working directory or a mount point cannot be replaced.
+
+    Parameters
+    ----------
+    seal
+        Write a seal of the data files.
     """
     building, moved = (place.folder.parent if place.new else place.folder) / hidden_name(), list[Path]()
     with writing(place.path, "folder"):
         try:
+            _check_reserved(place)
+            building.parent.mkdir(parents=True, exist_ok=True)
             building.mkdir()
             yield building
-            _seal_data(building)
+            if seal:
+                _seal_data(building)
             sync_below(building)
             lock = _locked(building, place.path)  # a lock belongs to a folder, not to its name
             if lock is not None:
@@ -196,7 +211,8 @@ def built(place: Place) -> Iterator[Path]:
             if not building.exists():
                 sync(place.folder.parent)
                 return
-            (place.folder / SEAL).unlink(missing_ok=True)  # no seal until all files are moved
+            if seal:
+                (place.folder / SEAL).unlink(missing_ok=True)  # none until all files are moved
             for item in sorted(building.iterdir(), key=lambda item: item.name == SEAL):
                 target = place.folder / item.name
                 if target.exists() or target.is_symlink():  # with --force, or created meanwhile
@@ -213,6 +229,17 @@ def built(place: Place) -> Iterator[Path]:
                 with contextlib.suppress(OSError):
                     item.unlink()
             raise
+
+
+def _check_reserved(place: Place) -> None:
+    """Check that the folder is the reserved one, a missing one, or has only a record. Raises `OutputError` if not."""
+    try:
+        same = place.reserved is None or os.path.samestat(place.reserved, place.folder.stat())
+        items = set() if same else {item.name for item in place.folder.iterdir()}
+    except FileNotFoundError:
+        return
+    if items - {SAMPLES}:
+        raise OutputError(f"{place.path}: expected the folder that was reserved, found another one with files")
 
 
 def _seal_data(folder: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -14,6 +13,7 @@ import numpy as np
 from dmframe import notebook
 from dmframe.columns import columns
 from dmframe.config import BaseGraph
+from dmframe.config.about import AboutGraph
 from dmframe.errors import DmframeError, UnknownNameError, ValueFault
 from dmframe.files import expanded
 from dmframe.plotting import FORMATS
@@ -37,7 +37,7 @@ NOTE = "error: root mean square of its Euclidean norm; speed: times real time"
 
 @final
 @dataclass(frozen=True, repr=False, eq=False)
-class Run:
+class Run(AboutGraph):
     """Graph with the recording of its run.
 
     ``run["arm.q"]`` is a signal as an xarray, time by joint, with its unit; ``run.data`` contains all of them.
@@ -63,12 +63,6 @@ class Run:
     def name(self) -> str:
         """Name in tables and legends."""
         return self.label or self.graph.name
-
-    @property
-    def experiment(self) -> BaseGraph:
-        """Former name of `graph`, with a notice."""
-        warnings.warn("run.experiment is now run.graph", DeprecationWarning, stacklevel=2)
-        return self.graph
 
     @property
     def time(self) -> np.ndarray:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
+import tempfile
 import threading
 import time
+import weakref
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, Final, final
+from typing import IO, Any, Final, final
 
 import numpy as np
 
@@ -29,6 +32,7 @@ MOST_PENDING: Final = 64 * 2**20
 NUMBERS: Final = ("time", "reference", "scale", "answer", "age", "missed")
 """Scalar columns: robot time and controller time [s], their ratio, response time [s], command age [s], lost samples."""
 _VERSION: Final = 2
+_COPIED: Final = 2**20
 _DIGEST: Final = "sha256"
 """Key of the first line's own digest; the line names the columns."""
 
@@ -71,14 +75,17 @@ class Spool:
     """File of samples that a separate thread writes and syncs to the disk during a drive.
 
     Its first line is JSON with the columns and the drive's data; rows of doubles follow. If the program is killed, at
-    most the last block (half a second) and the unwritten bytes are lost.
+    most the last block (half a second) and the unwritten bytes are lost. Bytes that the disk does not take stay in
+    memory, and the file stays open, so that a record is whole where its disk is full or its folder was deleted.
     """
 
     def __init__(self, path: Path, about: Mapping[str, Any]) -> None:
         self.path, self.about, self.fault = path, dict(about), ""
         self._queue: SimpleQueue[bytes | None] = SimpleQueue()
         self._thread: threading.Thread | None = None
+        self._file: IO[bytes] | None = None
         self._handed = self._written = self._begin = 0
+        self._unwritten = b""
 
     def open(self, columns: Columns) -> None:
         """Start the thread, which creates the file."""
@@ -97,50 +104,106 @@ class Spool:
         self._queue.put(content)
 
     def close(self) -> None:
-        """Wait until all bytes are on the disk."""
+        """Wait until all bytes are on the disk; after a fault, keep them in memory."""
         if self._thread is not None:
             self._queue.put(None)
             self._thread.join()
             self._thread = None
+            self._unwritten += b"".join(part for part in self._waiting() if part is not None)
 
     def rows(self, width: int, every: int) -> np.ndarray:
-        """Read every `every`-th row; the file is read in parts to save memory."""
-        found, first = [np.zeros((0, width))], 0
-        with self.path.open("rb") as file:
-            file.seek(self._begin)
-            while len(part := np.fromfile(file, dtype=float, count=BLOCK * width)) >= width:
-                part = part[: len(part) // width * width].reshape(-1, width)
-                found.append(part[-first % every :: every].copy())  # a view would keep the whole part
-                first += len(part)
+        """Read every `every`-th row, in parts to save memory."""
+        found, first, size = [np.zeros((0, width))], 0, 8 * width * BLOCK
+        for at in range(self._begin, self._handed, size):
+            part = np.frombuffer(self._read(at, min(size, self._handed - at))).reshape(-1, width)
+            found.append(part[-first % every :: every].copy())  # a view would keep the whole part
+            first += len(part)
         return np.concatenate(found)
+
+    def secured(self) -> str:
+        """Complete the file, or write it again if it was moved or deleted; return a notice, empty if it is whole."""
+        there = self._is_there()
+        if there and self._written == self._handed:
+            return ""
+        why = self.fault or f"{self.path}: was moved or deleted during the drive"
+        try:
+            if there and self._file is not None:
+                self._file.truncate(self._written)
+                self._append(self._unwritten)
+            else:
+                self.path.parent.mkdir(parents=True, exist_ok=True)
+                self._copy(self.path)
+            return f"{why}; the record was written again"
+        except OSError:
+            try:
+                spare = Path(tempfile.mkdtemp(prefix="dmframe-drive-"))
+                self._copy(spare / self.path.name)
+            except OSError as error:
+                return f"{why}; the record cannot be written elsewhere either: {reason(error)}"
+            return f"{why}; the record is in {spare}"
+
+    def _is_there(self) -> bool:
+        try:
+            return self._file is not None and os.path.samestat(os.fstat(self._file.fileno()), self.path.stat())
+        except OSError:
+            return False
+
+    def _copy(self, path: Path) -> None:
+        with path.open("xb") as file:
+            for at in range(0, self._handed, _COPIED):
+                file.write(self._read(at, min(_COPIED, self._handed - at)))
+            forced(file)
+        sync(path.parent)
+
+    def _read(self, at: int, count: int) -> bytes:
+        """Bytes of the record from the disk, and from memory."""
+        there, found = max(0, min(count, self._written - at)), b""
+        if there and self._file is not None:
+            self._file.seek(at)
+            found = self._file.read(there)
+            if len(found) < there:
+                raise OutputError(f"{self.path}: it was cut off at {at + len(found)} bytes during the drive")
+        first = at + there - self._written
+        return found + self._unwritten[first : first + count - there]
 
     def _work(self) -> None:
         try:
-            with self.path.open("wb") as file:
-                self.path.with_name(SEAL).unlink(missing_ok=True)  # the seal of an earlier record
-                sync(self.path.parent)
-                last = False
-                while not last:
-                    parts = [self._queue.get()]
-                    while not self._queue.empty():  # sync all queued bytes at once
-                        parts.append(self._queue.get())
-                    last = parts[-1] is None
-                    content = b"".join(part for part in parts if part is not None)
-                    file.write(content)
-                    forced(file)
-                    self._written += len(content)
+            self._file = self.path.open("w+b", buffering=0)
+            weakref.finalize(self, self._file.close)
+            self.path.with_name(SEAL).unlink(missing_ok=True)  # the seal of an earlier record
+            sync(self.path.parent)
+            last = False
+            while not last:
+                parts = [self._queue.get(), *self._waiting()]  # sync all queued bytes at once
+                last = parts[-1] is None
+                self._unwritten = b"".join(part for part in parts if part is not None)
+                self._append(self._unwritten)
         except OSError as error:
             self.fault = f"{self.path}: {reason(error)}"
+
+    def _waiting(self) -> list[bytes | None]:
+        return [self._queue.get() for _ in range(self._queue.qsize())]
+
+    def _append(self, content: bytes) -> None:
+        """Write and sync bytes at the end; they count as written only then."""
+        assert self._file is not None
+        self._file.seek(self._written)
+        view = memoryview(content)
+        while view:
+            view = view[self._file.write(view) :]
+        forced(self._file)
+        self._written += len(content)
+        self._unwritten = b""
 
 
 @final
 class Journal:
-    """Rows of a drive, one for each sample, in memory or in a `Spool`."""
+    """Rows of a drive, one for each sample, in memory or in a `Spool`; `notice` says where the file is if not there."""
 
     def __init__(self, spool: Spool | None = None) -> None:
         self.spool, self.columns = spool, Columns({})
         self._blocks, self._block, self._used = list[np.ndarray](), np.zeros((0, 0)), 0
-        self._slices, self._since, self._count, self._open = dict[str, slice](), 0.0, 0, False
+        self._slices, self._since, self._count, self.notice = dict[str, slice](), 0.0, 0, ""
 
     def __len__(self) -> int:
         return self._count
@@ -183,13 +246,12 @@ class Journal:
     def close(self) -> None:
         """Write the remaining rows."""
         self._hand_over()
-        if self.spool is not None:
+        if self.spool is not None and self._slices:
             self.spool.close()
+            self.notice = self.spool.secured()
 
     def rows(self, every: int = 1) -> np.ndarray:
-        """Every `every`-th row of a finished drive. Raises `OutputError` if not all rows are on the disk."""
-        if self.fault:
-            raise OutputError(f"{self.fault}; dmframe replay reads the rows that were written before")
+        """Every `every`-th row of a finished drive. Raises `OutputError` if the file was changed."""
         width = self.columns.width
         if self.spool is not None and self._count:
             return self.spool.rows(width, every)

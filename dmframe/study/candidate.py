@@ -26,7 +26,6 @@ from dmframe.study.box import box_of, has_bounds, hull
 from dmframe.study.grid import changed, given_of
 from dmframe.study.objective import CONDITIONS, EVERYWHERE
 from dmframe.study.plan import Study
-from dmframe.study.rows import rows
 from dmframe.study.varied import Factor
 
 DIGITS: Final = 5
@@ -149,6 +148,6 @@ def rows_of_runs(study: Study, runs: Sequence[int], threads: int) -> Columns:
     """The table of some runs of a study, by number, in their order."""
     points, wanted = len(study.points), np.array(runs, dtype=np.int64)
     several = [(point, wanted[wanted % points == point] // points) for point in range(points)]
-    table = rows(study, [(point, samples) for point, samples in several if samples.size], threads)
+    table = study.rows_at([(point, samples) for point, samples in several if samples.size], threads)
     order = np.argsort(table["run"])[np.searchsorted(np.sort(table["run"]), wanted)].tolist()
     return {name: [column[place] for place in order] for name, column in table.items()}

@@ -16,6 +16,7 @@ from dmframe.config.document import Document
 from dmframe.config.resolved import companions, resolved_text
 from dmframe.files import encoded, write_text, writing
 from dmframe.graph.graph import Graph
+from dmframe.study.identity import graphs_of
 
 if TYPE_CHECKING:
     from dmframe.study.plan import Study
@@ -47,7 +48,7 @@ def folder_files(study: Study) -> dict[str, bytes]:
             text = text.replace(str(name), str(path.resolve()))
             continue
         found[str(name)] = path.read_bytes()
-    for graph in study.graphs:
+    for graph in graphs_of(study):
         base = Path(graph.document.name).parent
         place = next(
             (Path(key or study.file.graph).parent for key, each in study.bases.items() if _base(each) == base), Path()
@@ -101,7 +102,7 @@ def packed(study: Study) -> bytes:
     packer = _Packer(stream)
     packer.dump(study)
     files = dict[tuple[int, str], bytes]()
-    for graph in study.graphs:
+    for graph in graphs_of(study):
         number = packer.folders.setdefault(_base(graph), len(packer.folders))
         files |= {(number, str(inner)): path.read_bytes() for inner, path in _own(graph)}
     return pickle.dumps(Parcel(stream.getvalue(), files), protocol=pickle.HIGHEST_PROTOCOL)

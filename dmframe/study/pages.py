@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dmframe.report import html
-from dmframe.report.html import Html, plain, tag
 from dmframe.report.page import document
 from dmframe.report.parts import Lead, Section
+from dmframe.report.tags import Html, joined, plain, tag
 
 
 def study_page(kind: str, name: str, title: str, note: str, answer: Lead, sections: Sequence[Section]) -> str:
@@ -17,5 +17,5 @@ def study_page(kind: str, name: str, title: str, note: str, answer: Lead, sectio
     head += [tag("p", plain(note), class_="note")] if note else []
     writer = html.Writer("s")
     inside = [html.lead(answer), writer.contents(name, sections), *map(writer.section, sections)]
-    body = [tag("header", *head), tag("article", html.joined(map(Html, inside)), id="s")]
+    body = [tag("header", *head), tag("article", joined(map(Html, inside)), id="s")]
     return document(f"{name}: {answer.headline}", body)

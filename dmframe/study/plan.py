@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,19 +11,19 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from dmframe.batch.columns import Column, Columns, row_of
-from dmframe.batch.runner import Runner
+from dmframe.batch.columns import Column, Columns, columns_of, joined, limits_in, row_of, rows_of, units_of
+from dmframe.batch.figures import ERROR, TURN, Wanted
+from dmframe.batch.runner import Runner, Runs
 from dmframe.config.document import Document
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError, ValueFault, raise_all
+from dmframe.errors import DmframeError, UnknownNameError, ValueFault, raise_all
 from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording
 from dmframe.study.design import Design
 from dmframe.study.grammar import StudyFile, raise_placed
 from dmframe.study.grid import Axis, Case, changed, scaled
-from dmframe.study.identity import graphs_of, identity_of, key_of
+from dmframe.study.identity import identity_of, key_of
 from dmframe.study.packing import folder_files
-from dmframe.study.rows import measures_of, rows, wanted_of
 from dmframe.study.varied import Factor
 
 if TYPE_CHECKING:
@@ -162,7 +162,26 @@ class Study:
         DmframeError
             A graph that cannot be built, a signal that none of them has, a limit with the wrong unit.
         """
-        return measures_of(self)
+        section, known = self.file.measure, set[str]().union(*map(units_of, self.diagrams))
+        signals = known - {ERROR, TURN}
+        faults = [_unknown("signals", label, signals) for label in section.signals if label not in signals]
+        faults += [_unknown("limits", label, known) for label in section.limits if label not in known]
+        for diagram in self.diagrams:
+            faults += limits_in(units_of(diagram), section.limits, "measure.limits")[1]
+        raise_placed(faults, self.document)
+        found = dict[str, Column]()
+        for diagram in self.diagrams:
+            for column in columns_of(diagram, self.wanted(diagram)):
+                found.setdefault(column.name, column)
+        return tuple(found.values())
+
+    def wanted(self, diagram: Diagram) -> Wanted:
+        """What to measure of a loop: the signals of the study's file that it has, and limits in their units."""
+        units, section = units_of(diagram), self.file.measure
+        limits, faults = limits_in(units, section.limits, "measure.limits")
+        raise_placed(faults, self.document)
+        signals = dict.fromkeys([*(label for label in section.signals if label in units), *limits])
+        return Wanted(tuple(label for label in signals if label not in (ERROR, TURN)), limits)
 
     @cached_property
     def key(self) -> str:
@@ -214,7 +233,23 @@ class Study:
     def band(self, point: int, end: int, first: int, stop: int, *, threads: int = 1) -> Columns:
         """`rows` of the points [point, end), one after another; points that differ in numbers run in one batch."""
         samples = np.arange(first, stop, dtype=np.int64)
-        return rows(self, [(each, samples) for each in range(point, end)], threads)
+        return self.rows_at([(each, samples) for each in range(point, end)], threads)
+
+    def rows_at(self, several: Sequence[tuple[int, np.ndarray]], threads: int) -> Columns:
+        """The table's rows of some samples at each of several grid points, one point after another."""
+        items = [Runs(self.points[point].graph, self.values_of(point, some), len(some)) for point, some in several]
+        found = self.runner.measure(items, self.wanted, threads=threads)
+        heads = [self._head(point, some) for point, some in several]
+        return joined([head | rows_of(part, self.measures) for head, part in zip(heads, found, strict=True)])
+
+    def _head(self, point: int, samples: np.ndarray) -> Columns:
+        """Numbers of the runs, and what varies."""
+        count = len(samples)
+        head: Columns = {"run": samples * len(self.points) + point, "point": np.full(count, point, dtype=np.int32)}
+        head["sample"] = np.asarray(samples, dtype=np.int64)
+        for name, value in self.points[point].values.items():
+            head[name] = [value] * count if isinstance(value, str) else np.full(count, value)
+        return head | self.drawn_at(samples)
 
     def graph_of(self, run: int) -> Graph:
         """One run as a graph of its own, with exactly the numbers of its row.
@@ -302,18 +337,13 @@ class Study:
                 found.append(self.points[int(np.ravel_multi_index(places, sizes))])
         return found
 
-    @property
-    def graphs(self) -> list[Graph]:
-        """Graphs that together name all files of blocks and robots."""
-        return graphs_of(self)
-
     def files(self) -> dict[str, bytes]:
         """Contents of the files that make the study's folder self-contained, by name."""
         return folder_files(self)
 
     def row_of(self, run: Recording, graph: Graph) -> dict[str, Any]:
         """The table's figures of a whole run of one of the study's graphs."""
-        return row_of(run, wanted_of(self, graph.diagram), self.measures)
+        return row_of(run, self.wanted(graph.diagram), self.measures)
 
     def __reduce__(self) -> Any:
         """Pickled as the file's data and the graphs' documents; a process that has the study ready uses its own."""
@@ -343,8 +373,5 @@ def _shapes(axis: Axis) -> bool:
     return any(case.graph for case in axis.cases) or any(label.count(".") < 2 for label in labels)
 
 
-def load_study(source: str | Path | Mapping[str, Any] | Study, **options: Any) -> Study:
-    """A study from its file; see `dmframe.study.read.load_study`."""
-    from dmframe.study import read
-
-    return read.load_study(source, **options)
+def _unknown(section: str, label: str, known: Iterable[str]) -> DmframeError:
+    return UnknownNameError(f"measure.{section}", "signal", label, known, path=("measure", section))

@@ -29,11 +29,6 @@ FIGURES: Final = "figures"
 WORST: Final = "worst_{}.yaml"
 
 
-def write_report(folder: str | Path, results: Results | None = None, *, proofs: bool = True) -> Path:
-    """Write a study's report into its folder, see `reported`; returns the page."""
-    return reported(folder, results, proofs=proofs)[0]
-
-
 class Reported(NamedTuple):
     """A report that was written.
 

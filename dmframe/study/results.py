@@ -180,39 +180,28 @@ class Results:
         grid = [column.name for column in self.study.varied if column.kind == "grid"]
         values = [{key: plain_value(point.values[key]) for key in grid} for point in self.study.points]
         axes = {key: list(dict.fromkeys(each[key] for each in values)) for key in grid}
-        full = bool(grid) and np.prod([len(axis) for axis in axes.values()]) == len(values)
-        names = [column.name for column in (*self.study.varied, *self.study.measures) if column.name not in grid]
-        schema = self.frame.collect_schema()
-        there = [name for name in names if name in schema and name not in ("diverged", "diverged_at")]
-        sheet = self.sheet(*there)
-        samples = np.arange(sheet.samples)
-        dims: tuple[str, ...]
-        shape: tuple[int, ...]
-        if not full:
-            dims, shape, places = ("point",), (len(values),), np.arange(len(values))
+        coordinates: dict[str, Any] = {key: (key, axis) for key, axis in axes.items()}
+        if not grid or np.prod([len(axis) for axis in axes.values()]) != len(values):  # not all combinations
             coordinates = {key: ("point", [each[key] for each in values]) for key in grid}
-            coordinates["point"] = ("point", list(range(len(values))))
-        else:
-            dims, shape = tuple(grid), tuple(len(axis) for axis in axes.values())
-            indices = [[axes[key].index(each[key]) for key in grid] for each in values]
-            places = np.ravel_multi_index(tuple(np.array(indices).T), shape)
-            coordinates = {key: (key, axis) for key, axis in axes.items()}
-        order = np.argsort(places)
-
-        def shaped(matrix: np.ndarray) -> np.ndarray:
-            return np.asarray(matrix[order].reshape(*shape, sheet.samples))
-
-        data: dict[str, Any] = {
-            "diverged": ((*dims, "sample"), shaped(sheet.diverged)),
-            "diverged_at": ((*dims, "sample"), shaped(sheet.diverged_at), {"units": "s"}),
-            "failed": ((*dims, "sample"), shaped(sheet.failed)),
-        }
+            values, axes = [{"point": k} for k in range(len(values))], {"point": list(range(len(values)))}
+            coordinates["point"] = ("point", axes["point"])
+        shape = [len(axis) for axis in axes.values()]
+        indices = np.array([[axis.index(each[key]) for key, axis in axes.items()] for each in values])
+        order = np.argsort(np.ravel_multi_index(tuple(indices.T), shape))
+        schema = self.frame.collect_schema()
+        names = [column.name for column in (*self.study.varied, *self.study.measures) if column.name not in grid]
+        sheet = self.sheet(*(name for name in names if name in schema and name not in ("diverged", "diverged_at")))
+        units = {**self.units, "diverged": "", "failed": "", "diverged_at": "s"}
+        flags = {"diverged": sheet.diverged, "diverged_at": sheet.diverged_at, "failed": sheet.failed}
         sampled = {column.name for column in self.study.varied if column.kind != "grid"}
-        for name, matrix in sheet.columns.items():
-            unit = {"units": self.units.get(name, "")}
-            alike = name in sampled and not np.any(_spread(matrix) > 0)
-            data[name] = (("sample",), _one(matrix), unit) if alike else ((*dims, "sample"), shaped(matrix), unit)
-        found = xr.Dataset(data, coords={**coordinates, "sample": ("sample", samples)})
+        data = dict[str, Any]()
+        for name, matrix in (flags | sheet.columns).items():
+            attributes = {"units": units[name]} if units.get(name) or name not in flags else {}
+            if name in sampled and not np.any(_spread(matrix) > 0):  # one row for all points, without missing runs
+                data[name] = (("sample",), np.fmin.reduce(matrix, axis=0), attributes)
+            else:
+                data[name] = ((*axes, "sample"), matrix[order].reshape(*shape, sheet.samples), attributes)
+        found = xr.Dataset(data, coords={**coordinates, "sample": ("sample", np.arange(sheet.samples))})
         for key in grid:
             found[key].attrs["units"] = self.units.get(key, "")
         found.attrs["title"] = self.study.title or self.name
@@ -220,9 +209,9 @@ class Results:
 
     def report(self) -> Path:
         """Write ``report.html`` with its figures, and the worst runs as graphs. Returns the page."""
-        from dmframe.study.report import write_report
+        from dmframe.study.report import reported
 
-        return write_report(self.folder, self)
+        return reported(self.folder, self).page
 
     def __repr__(self) -> str:
         count = len(self.study.points) * self.study.samples
@@ -242,11 +231,6 @@ def _spread(matrix: np.ndarray) -> np.ndarray:
     return np.where(np.isnan(low), 0.0, high - low)
 
 
-def _one(matrix: np.ndarray) -> np.ndarray:
-    """The common row of equal rows; nan in a column without any."""
-    return np.asarray(np.fmin.reduce(matrix, axis=0))
-
-
 @lru_cache(maxsize=2**17)
 def _holds_runs(file: Path, changed: int, size: int) -> bool:
     """True for a file of rows; time of change and size invalidate the cache."""
@@ -259,7 +243,7 @@ def _holds_runs(file: Path, changed: int, size: int) -> bool:
 
 
 def _study_in(folder: Path) -> Study:
-    from dmframe.study.plan import load_study
+    from dmframe.study.read import load_study
 
     return load_study(folder / f"{STUDY}.yaml")
 

@@ -35,7 +35,8 @@ from dmframe.study.objective import (
     signals_of,
     statistic,
 )
-from dmframe.study.plan import Study, load_study
+from dmframe.study.plan import Study
+from dmframe.study.read import load_study
 from dmframe.study.trials import (
     FIGURES,
     ORDER,

@@ -64,9 +64,14 @@ def str_cat_(op1: Any, op2: Any) -> str:
 
 def six(values: Any) -> np.ndarray:
     """Convert six numbers to an array. Raises `ScriptError` for other values."""
-    if not isinstance(values, list) or len(values) != 6:
+    if not isinstance(values, list) or len(values) != 6 or not all(map(is_number, values)):
         raise ScriptError(f"expected six numbers, found {values}")
     return np.array(values, dtype=float)
+
+
+def is_number(value: Any) -> bool:
+    """True for an integer or a float, which a truth value is not."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def text(value: Any) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -106,8 +106,10 @@ class Arm:
         six[:, list(self.places)] = np.vstack([turn @ found[:3], turn @ found[3:]])
         return six
 
-    def inverse(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
-        """Joint angles of a flange pose, by damped least squares from the angles `near`.
+    def inverse(
+        self, pose: np.ndarray, near: np.ndarray, steps: int = MOST_STEPS, spend: Callable[[], None] = lambda: None
+    ) -> np.ndarray:
+        """Joint angles of a flange pose, by damped least squares from the angles `near`; `spend` is called each step.
 
         Raises
         ------
@@ -119,7 +121,8 @@ class Arm:
         if not self.whole:
             raise EngineError(f"inverse kinematics: {self.name} has only {len(self.places)} free joints in this graph")
         goal, q = pin.SE3(pin.exp3(pose[3:]), pose[:3]), near.copy()
-        for _ in range(MOST_STEPS):
+        for _ in range(steps):
+            spend()
             at = self._placed(q)
             error = np.concatenate(
                 [goal.translation - at.translation, at.rotation @ pin.log3(at.rotation.T @ goal.rotation)]
@@ -154,7 +157,7 @@ class Arm:
         return base, flange
 
 
-def arm_of(experiment: BaseGraph) -> Arm:
+def arm_of(graph: BaseGraph) -> Arm:
     """The UR of a graph.
 
     Raises
@@ -162,17 +165,17 @@ def arm_of(experiment: BaseGraph) -> Arm:
     RobotError
         The graph has no robot, or its robot is not a UR: its joints have other names, or another order.
     """
-    chain, section = experiment.robot, experiment.file.robot
+    chain, section = graph.robot, graph.file.robot
     if chain is None or section is None:
-        raise RobotError(f"{experiment.name}: expected a graph with a UR robot, found one without a robot")
+        raise RobotError(f"{graph.name}: expected a graph with a UR robot, found one without a robot")
     strange = [name for name in chain.joint_names if name not in JOINTS]
     if strange:
         raise RobotError(
-            f"{experiment.name}: expected a UR, whose joints are {listed(JOINTS)}; robot {chain.name} has "
+            f"{graph.name}: expected a UR, whose joints are {listed(JOINTS)}; robot {chain.name} has "
             f"{listed(strange)}; a virtual robot emulates URs only"
         )
     places = tuple(map(JOINTS.index, chain.joint_names))
-    source = find_robot(section.model, Path(experiment.document.name).parent)
+    source = find_robot(section.model, Path(graph.document.name).parent)
     angles: Mapping[str, float] = {**source.hold, **section.hold}
     still = [k for k in range(len(JOINTS)) if k not in places]
     held = np.array([angles.get(name, 0.0) if k in still else 0.0 for k, name in enumerate(JOINTS)])

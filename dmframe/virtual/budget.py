@@ -22,46 +22,57 @@ BURST: Final = 20_000
 """Operations without a wait. One operation is a loop iteration, a call, or four elements: about 2 us."""
 RATE: Final = 200_000.0
 """Average operations in a second of the robot's time: less than half of the cycle time."""
+LEAST_BURST: Final = 1_000
+"""Operations with which a program begins at least."""
+BURSTS: Final = 4 * BURST
+"""Operations with which programs in close succession begin together."""
 COUNTED: Final = MOST_HELD
 """Copied elements between two counts of the stored elements."""
 
+INVERSE: Final = 50
+"""Operations of one step of the inverse kinematics."""
 COSTS: Final = {
-    "get_inverse_kin": 4000,
-    "get_inverse_kin_has_solution": 4000,
-    "is_within_safety_limits": 4000,
     **dict.fromkeys(("movej", "movel", "servoj", "socket_open"), 200),
     **dict.fromkeys("pose_add pose_sub pose_trans pose_inv pose_dist point_dist get_forward_kin".split(), 30),
     **dict.fromkeys("get_actual_tcp_pose get_target_tcp_pose get_actual_tcp_speed get_target_tcp_speed".split(), 30),
     **dict.fromkeys("socket_send_string socket_send_line textmsg popup norm".split(), 10),
 }
-"""Operations that a call of a function costs; 1 for other functions. Inverse kinematics may take 100 steps."""
+"""Operations that a call of a function costs, without its arguments; 1 for other functions."""
 
 
 @final
 class Allowance:
-    """Operation budget of a script (token bucket), of at most `BURST` operations.
+    """Budget of operations, or of words (token bucket).
 
     Parameters
     ----------
     refill
-        Operations that each cycle adds.
+        Amount that each cycle adds.
+    begin, most
+        Amount at the beginning, and at most.
     """
 
-    def __init__(self, refill: float) -> None:
-        self._left, self._refill, self.copied = float(BURST), refill, 0
+    def __init__(self, refill: float, begin: float = BURST, most: float = BURST) -> None:
+        self.left, self._refill, self._most, self.copied = begin, refill, most, 0
 
     def cycle(self) -> None:
         """Refill the budget at the beginning of a cycle."""
-        self._left = min(BURST, self._left + self._refill)
+        self.left = min(self._most, self.left + self._refill)
 
     def spend(self, operations: int) -> None:
-        """Take operations from the budget. Raises `ScriptError` if they exceed it."""
-        self._left -= operations
-        if self._left < 0:
+        """Take operations. Raises `ScriptError` if they exceed the budget."""
+        self.left -= operations
+        if self.left < 0:
             raise ScriptError(
                 "a loop without sync() or another wait, or too many operations in each cycle: expected at most "
                 f"{BURST} operations (loop iterations, calls) without a wait, and {RATE:.0f} in a second"
             )
+
+    def drawn(self) -> float:
+        """Take the operations with which a program begins."""
+        found = min(max(self.left, LEAST_BURST), BURST)
+        self.left = max(self.left - found, 0.0)
+        return found
 
     def sized(self, value: Any) -> Any:
         """Check a value's size and take its elements from the budget. Raises `ScriptError`."""
@@ -72,6 +83,13 @@ class Allowance:
             self.copied += count
             self.spend(count // 4)
         return value
+
+
+def weight(value: Any) -> int:
+    """Operations that a function needs to read an argument."""
+    if isinstance(value, list):
+        return elements(value, MOST_ELEMENTS) // 2
+    return len(value) // 512 if isinstance(value, str) else 0
 
 
 def elements(value: Any, most: int) -> int:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 
 from dmframe.errors import EngineError
-from dmframe.virtual.arithmetic import FUNCTIONS, Pose, six, text
-from dmframe.virtual.budget import COSTS, Allowance
+from dmframe.virtual.arithmetic import FUNCTIONS, Pose, is_number, six, text
+from dmframe.virtual.budget import COSTS, INVERSE, Allowance, weight
 from dmframe.virtual.motion import Along, Motion, Servo, Speed, Stop, cycles, straight
 from dmframe.virtual.registers import INPUTS
 from dmframe.virtual.socket_functions import SocketFunctions, Waits, waits
@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 STEADY: Final = 1e-3
 """Joint speed below which the robot is steady [rad/s]."""
+
+NEXT_STEPS: Final = 20
+"""Steps of the inverse kinematics for the next point of a line."""
 
 
 @final
@@ -101,7 +104,7 @@ class Functions(SocketFunctions):
 
     def __init__(self, robot: VirtualRobot, program: Program, allowance: Allowance) -> None:
         super().__init__(robot)
-        self._robot, self._program = robot, program
+        self._robot, self._program, self._allowance = robot, program, allowance
         found: dict[str, Callable[..., Any]] = {**FUNCTIONS, **{name: getattr(self, name) for name in _own(Functions)}}
         found |= {name: partial(value, robot) for name, value in _READINGS.items()}
         found |= {name: partial(self._no_value, name, what) for name, what in _MISSING.items()}
@@ -111,7 +114,7 @@ class Functions(SocketFunctions):
             cost = COSTS.get(name, 1)
 
             def call(*given: Any, **named: Any) -> Any:
-                allowance.spend(cost)
+                allowance.spend(cost + sum(map(weight, given)) + sum(map(weight, named.values())))
                 return function(*given, **named)
 
             return call
@@ -180,7 +183,7 @@ class Functions(SocketFunctions):
         last = [q.copy()]
 
         def at(s: float) -> np.ndarray:
-            last[0] = robot.arm.inverse(_between(start, goal, s / length), last[0])
+            last[0] = robot.arm.inverse(_between(start, goal, s / length), last[0], NEXT_STEPS)
             return last[0]
 
         return self._moved(Along(at, length, _positive("movel: v", v), _positive("movel: a", a)))
@@ -227,7 +230,7 @@ class Functions(SocketFunctions):
     def get_inverse_kin(self, x: Any, qnear: Any = None, *_: Any) -> list[float]:
         near = self._robot.target.q if qnear is None else six(qnear)
         try:
-            return _list(self._robot.arm.inverse(six(x), near))
+            return _list(self._inverse(six(x), near))
         except EngineError as fault:  # the script continues; NaN instead of an outdated result
             return self._unknown(fault.text)
 
@@ -286,7 +289,7 @@ class Functions(SocketFunctions):
         self._output(n, 2, 16, b)
 
     def _output(self, n: Any, count: int, first: int, b: Any) -> None:
-        if isinstance(n, bool) or not isinstance(n, int | float) or not 0 <= n < count or n != int(n):
+        if not is_number(n) or not 0 <= n < count or n != int(n):
             raise ScriptError(f"digital output: expected a number from 0 to {count - 1}, found {n}")
         self._robot.set_outputs(1 << first + int(n), int(bool(b)) << first + int(n))
 
@@ -330,11 +333,14 @@ class Functions(SocketFunctions):
 
     def _joints(self, place: Any) -> np.ndarray:
         """Six joint angles, by inverse kinematics for a pose."""
-        return self._robot.arm.inverse(six(place), self._robot.target.q) if isinstance(place, Pose) else six(place)
+        return self._inverse(six(place), self._robot.target.q) if isinstance(place, Pose) else six(place)
+
+    def _inverse(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
+        return self._robot.arm.inverse(pose, near, spend=lambda: self._allowance.spend(INVERSE))
 
 
 def _positive(what: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
+    if not is_number(value) or not value > 0:
         raise ScriptError(f"{what}: expected a positive number, found {value}")
     return float(value)
 

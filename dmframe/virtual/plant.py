@@ -17,7 +17,6 @@ from dmframe.build.trial import called
 from dmframe.codegen.function import ONE, written
 from dmframe.codegen.source import shipped
 from dmframe.config import BaseGraph
-from dmframe.diagram import Diagram
 from dmframe.diagram.parts import split
 from dmframe.errors import EngineError, ValueFault
 from dmframe.export.program import Member
@@ -55,11 +54,11 @@ class Plant:
         velocity, or it does not measure q and dq.
     """
 
-    def __init__(self, experiment: BaseGraph, diagram: Diagram, cycle: float, *, engine: Choice = "auto") -> None:
+    def __init__(self, graph: BaseGraph, cycle: float, *, engine: Choice = "auto") -> None:
         if not (math.isfinite(cycle) and cycle > 0):
             raise ValueFault(f"cycle: expected a positive number of seconds, found {cycle}")
-        robot = robot_of(experiment, diagram)
-        _check_commands(experiment.name, robot)
+        robot = robot_of(graph)
+        _check_commands(graph.name, robot)
         own = robot.period / robot.substeps
         self.steps = max(1, math.ceil(cycle / own - FINEST))
         self.step = cycle / self.steps
@@ -70,9 +69,7 @@ class Plant:
         places = _places(robot.measured)
         for name in ("q", "dq"):
             if name not in places:
-                raise EngineError(
-                    f"{experiment.name}: expected a robot that measures {name}, found {', '.join(places)}"
-                )
+                raise EngineError(f"{graph.name}: expected a robot that measures {name}, found {', '.join(places)}")
         self._shown, self.q, self.dq = shown, shown[places["q"]], shown[places["dq"]]
         self._u, self._robot = np.zeros(robot.commanded[0].size), robot
         calls = None if engine == "interpreted" else self._machine_code()

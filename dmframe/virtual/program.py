@@ -11,7 +11,7 @@ from types import GeneratorType
 from typing import TYPE_CHECKING, Any, Final, cast, final
 
 from dmframe.errors import DmframeError
-from dmframe.virtual.arithmetic import Pose
+from dmframe.virtual.arithmetic import Pose, is_number
 from dmframe.virtual.budget import (
     COUNTED,
     MOST_HELD,
@@ -92,8 +92,8 @@ class Program:
         self.name, self._lines = found.name or "a line of script", found.lines
         self.secondary = found.secondary
         self.words = found.words
-        refill = RATE * robot.dt
-        self._allowance = Allowance(refill * SECONDARY_FRACTION if self.secondary else refill)
+        refill = RATE * robot.dt * (SECONDARY_FRACTION if self.secondary else 1)
+        self._allowance = Allowance(refill, robot.bursts.drawn())
         self._robot, self._functions = robot, Functions(robot, self, self._allowance)
         self._globals = dict[str, Any]()
         names: dict[str, Any] = {
@@ -249,7 +249,7 @@ def _xor(*values: Any) -> bool:
 
 
 def _pose(values: list[Any]) -> Pose:
-    if len(values) != 6 or not all(isinstance(value, int | float) and not isinstance(value, bool) for value in values):
+    if len(values) != 6 or not all(map(is_number, values)):
         raise ScriptError(f"p[...]: expected six numbers, found {len(values)} values")
     return Pose(values)
 
@@ -257,7 +257,7 @@ def _pose(values: list[Any]) -> Pose:
 def _whole(index: Any, of: Any) -> Any:
     if not isinstance(of, list):
         raise ScriptError(f"expected a list or a pose, found {of}")
-    if isinstance(index, bool) or not isinstance(index, int | float) or index != int(index):
+    if not is_number(index) or index != int(index):
         raise ScriptError(f"expected the index of an element, found {index}")
     if not 0 <= index < len(of):
         raise ScriptError(f"expected an index from 0 to {len(of) - 1}, found {index:g}")
@@ -290,7 +290,7 @@ def _computed(sign: str, left: Any, right: Any) -> Any:
 
 def _check_numbers(sign: str, *values: Any) -> None:
     for value in values:
-        if isinstance(value, bool) or not isinstance(value, int | float):
+        if not is_number(value):
             raise ScriptError(f"{sign}: expected numbers, found {value!r}")
 
 

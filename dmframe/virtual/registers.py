@@ -170,13 +170,18 @@ def type_of(name: str) -> str | None:
 
 
 def packed(names: list[str], robot: VirtualRobot) -> bytes:
-    """Encode outputs as RTDE sends them."""
-    parts = list[bytes]()
+    """Encode outputs as RTDE sends them; each is computed once in a cycle, for all clients."""
+    known = robot.encoded
     for name in names:
-        if name in OUTPUTS:
-            kind, value = OUTPUTS[name][0], OUTPUTS[name][1](robot)
-        else:
-            kind, value = type_of(name) or "", robot.registers.values[name]
-        form = f">{FORMATS[kind]}"
-        parts.append(struct.pack(form, *value) if kind.startswith("VECTOR") else struct.pack(form, value))
-    return b"".join(parts)
+        if name not in known:
+            known[name] = _encoded(name, robot)
+    return b"".join([known[name] for name in names])
+
+
+def _encoded(name: str, robot: VirtualRobot) -> bytes:
+    if name in OUTPUTS:
+        kind, value = OUTPUTS[name][0], OUTPUTS[name][1](robot)
+    else:
+        kind, value = type_of(name) or "", robot.registers.values[name]
+    form = f">{FORMATS[kind]}"
+    return struct.pack(form, *value) if kind.startswith("VECTOR") else struct.pack(form, value)

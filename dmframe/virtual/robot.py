@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, final
 import numpy as np
 
 from dmframe.config import BaseGraph
-from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, EngineError, ValueFault
 from dmframe.runtime.ur_arm import JOINTS
 from dmframe.simulate.engine import Choice
 from dmframe.virtual.arm import Arm, arm_of
 from dmframe.virtual.behaviour import Checked, count, fraction
-from dmframe.virtual.budget import MOST_SECONDARY
+from dmframe.virtual.budget import BURSTS, MOST_SECONDARY, RATE, Allowance
 from dmframe.virtual.motion import Motion, Stop, Target
 from dmframe.virtual.plant import Plant
 from dmframe.virtual.registers import Registers
@@ -86,6 +85,8 @@ class VirtualRobot:
         The latest messages of scripts, stops and faults, with their times; `message_count` counts all of them.
     late
         Number of cycles that `serve` started more than a cycle late.
+    encoded, bursts
+        Values of this cycle as clients receive them, and the operations with which programs begin.
 
     Raises
     ------
@@ -115,8 +116,7 @@ class VirtualRobot:
 
     def __init__(
         self,
-        experiment: BaseGraph,
-        diagram: Diagram,
+        graph: BaseGraph,
         *,
         series: Series = "e",
         slider: float = 1.0,
@@ -130,11 +130,11 @@ class VirtualRobot:
             raise ValueFault(f"series: expected cb3 or e, found {series!r}")
         self.series: Series = series
         self.dt = 1 / RATES[series]
-        self.arm = arm_of(experiment)
-        self.plant = Plant(experiment, diagram, self.dt, engine=engine)
+        self.arm = arm_of(graph)
+        self.plant = Plant(graph, self.dt, engine=engine)
         if self.plant.n != len(self.arm.places):
-            raise EngineError(f"{experiment.name}: expected a command for each joint, found {self.plant.n} numbers")
-        self.name = experiment.name
+            raise EngineError(f"{graph.name}: expected a command for each joint, found {self.plant.n} numbers")
+        self.name = graph.name
         self.version = VERSIONS[series]
         self.registers, self.safety = Registers(), Safety()
         self.digital_outputs, self.analog_outputs, self.payload = 0, [0.0, 0.0], [0.0, 0.0, 0.0, 0.0]
@@ -152,6 +152,7 @@ class VirtualRobot:
         self._draw = np.random.default_rng(seed)
         self._to_lose, self.sample_lost = 0, False
         self._servers: Servers | None = None
+        self.encoded, self.bursts = dict[str, bytes](), Allowance(RATE * self.dt, BURSTS, BURSTS)
         self.slider, self.command_delay = slider, command_delay
         self.measurement_delay, self.lost = measurement_delay, lost
         self._measure()
@@ -188,10 +189,9 @@ class VirtualRobot:
         while self._inputs and self._inputs[0][0] <= self.cycles:
             self._take(self._inputs.popleft()[1])
         self._watch()
-        if self.program is not None:
-            fault = self.program.cycle()
-            if fault is not None:
-                self.end_program(fault)
+        self.bursts.cycle()
+        if self.program is not None and (fault := self.program.cycle()) is not None:
+            self.end_program(fault)
         for program in list(self.secondary):
             if (fault := program.cycle()) is not None:
                 self.secondary.remove(program)
@@ -202,6 +202,7 @@ class VirtualRobot:
         self._measure()
         self.sample_lost = self._draw.random() < self.lost or self._to_lose > 0
         self._to_lose = max(0, self._to_lose - 1)
+        self.encoded.clear()
         for listener in list(self.listeners):
             listener.cycle(self)
         if self._servers is not None:  # after the listeners, which queue their messages
@@ -282,17 +283,15 @@ class VirtualRobot:
         if program.secondary:
             if len(self.secondary) < MOST_SECONDARY:
                 self.secondary.append(program)
-            else:
-                self.report(f"{program.name}: not started: {MOST_SECONDARY} secondary programs are running")
-            return
+                return None
+            return self.report(f"{program.name}: not started: {MOST_SECONDARY} secondary programs are running")
         if self.program is not None:
             self.end_program("another program begins")
         if not self.safety.ready:
-            self.report(f"{program.name}: not started: the robot is stopped")
-            return
+            return self.report(f"{program.name}: not started: the robot is stopped")
         self.watchdogs.clear()
         self.program = program
-        self.report(f"{program.name} begins")
+        return self.report(f"{program.name} begins")
 
     def end_program(self, why: str) -> None:
         """End the running script and decelerate the arm."""

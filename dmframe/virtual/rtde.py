@@ -6,7 +6,6 @@ network byte order.
 
 from __future__ import annotations
 
-import math
 import struct
 from collections import deque
 from typing import TYPE_CHECKING, Final, final
@@ -19,8 +18,12 @@ if TYPE_CHECKING:
 HEADER: Final = 3
 MOST_RECIPES: Final = 255
 OUTPUT_RECIPE: Final = 1
+SLOWEST: Final = 1e-3
+"""Smallest frequency of samples [Hz]; a smaller one, or none, is the frequency of the controller."""
 MOST_NAMES: Final = 512
-"""Names of a recipe, which are all computed in each cycle."""
+"""Names in the recipes of a client."""
+MOST_OUTPUTS: Final = 2048
+"""Outputs that all clients together receive in a cycle."""
 
 
 @final
@@ -39,18 +42,15 @@ class Rtde:
         self._robot, self._others = robot, others
         self._rest, self.pending = b"", bytearray()
         self._recipes: dict[int, list[str]] = {}
-        self._outputs: list[str] | None = None
+        self.claimed = set[str]()
+        """Inputs that this client writes."""
+        self.outputs = list[str]()
         self._every, self._since = 1, 0
         self._started, self._version = False, 1
         self._sent: deque[tuple[int, bytes]] = deque()
         self._answers, self._owes = False, False
         others.append(self)
         robot.listeners.append(self)
-
-    @property
-    def claimed(self) -> set[str]:
-        """Inputs that this client writes."""
-        return {name for names in self._recipes.values() for name in names}
 
     @property
     def owes(self) -> bool:
@@ -68,15 +68,16 @@ class Rtde:
 
     def received(self, data: bytes) -> bool:
         """Process received bytes; answers go to `pending`. False if they are not RTDE: disconnect the client."""
-        self._rest += data
-        while len(self._rest) >= HEADER:
-            length, kind = struct.unpack(">HB", self._rest[:HEADER])
+        self._rest, first = self._rest + data, 0
+        while len(self._rest) >= first + HEADER:
+            length, kind = struct.unpack_from(">HB", self._rest, first)
             if length < HEADER:
                 return False
-            if len(self._rest) < length:
-                return True
-            message, self._rest = self._rest[HEADER:length], self._rest[length:]
-            self._answer(chr(kind), message)
+            if len(self._rest) < first + length:
+                break
+            self._answer(chr(kind), self._rest[first + HEADER : first + length])
+            first += length
+        self._rest = self._rest[first:]
         return True
 
     def _answer(self, kind: str, message: bytes) -> None:
@@ -92,7 +93,7 @@ class Rtde:
             case "I":
                 self._set_inputs(message)
             case "S":
-                self._started, self._since = self._outputs is not None, 0
+                self._started, self._since = bool(self.outputs), 0
                 self._queue("S", bytes([self._started]))
             case "P":
                 self._started = False
@@ -107,28 +108,37 @@ class Rtde:
                 self._warn(f"unknown message {kind!r}")
 
     def _set_outputs(self, message: bytes) -> None:
-        rate = 1 / self._robot.dt
+        every = 1.0
         if self._version == 2:
             if len(message) < 8:
                 return self._warn("outputs: expected a frequency and a list of names")
             (wanted,) = struct.unpack(">d", message[:8])
-            message, rate = message[8:], wanted if math.isfinite(wanted) and wanted > 0 else rate
+            message, every = message[8:], 1 / self._robot.dt / wanted if wanted >= SLOWEST else 1.0
         names = _names(message)
+        taken = sum(len(other.outputs) for other in self._others if other is not self)
+        if len(names) > min(MOST_NAMES, MOST_OUTPUTS - taken):
+            self._warn(f"outputs: expected at most {MOST_NAMES} names, and {MOST_OUTPUTS} of all clients")
+            names = []
         kinds = [type_of(name) or "NOT_FOUND" for name in names]
-        found = bool(names) and "NOT_FOUND" not in kinds
-        self._outputs = names if found else None
-        self._every = max(1, round(1 / (rate * self._robot.dt)))
-        recipe = bytes([OUTPUT_RECIPE if found else 0]) if self._version == 2 else b""
+        self.outputs = names if "NOT_FOUND" not in kinds else []
+        self._every = max(1, round(every))
+        recipe = bytes([OUTPUT_RECIPE if self.outputs else 0]) if self._version == 2 else b""
         return self._queue("O", recipe + ",".join(kinds).encode())
 
     def _set_inputs(self, message: bytes) -> None:
         names = _names(message)
-        theirs = {name for other in self._others if other is not self for name in other.claimed}
-        kinds = ["IN_USE" if name in theirs else INPUTS.get(name, "NOT_FOUND") for name in names]
+        if len(names) + sum(map(len, self._recipes.values())) > MOST_NAMES:
+            self._warn(f"inputs: expected at most {MOST_NAMES} names in all recipes")
+            names = []
+        others = [other.claimed for other in self._others if other is not self]
+        kinds = [
+            "IN_USE" if any(name in theirs for theirs in others) else INPUTS.get(name, "NOT_FOUND") for name in names
+        ]
         good = bool(names) and not {"IN_USE", "NOT_FOUND"} & set(kinds) and len(self._recipes) < MOST_RECIPES
         recipe = len(self._recipes) + 1 if good else 0
         if good:
             self._recipes[recipe] = names
+            self.claimed.update(names)
         self._queue("I", bytes([recipe]) + ",".join(kinds).encode())
 
     def _write(self, message: bytes) -> None:
@@ -148,9 +158,9 @@ class Rtde:
 
     def cycle(self, robot: VirtualRobot) -> None:
         """Queue the sample of this cycle, or a delayed one."""
-        if self._started and self._outputs is not None:
+        if self._started and self.outputs:
             if self._since % self._every == 0 and not robot.sample_lost:
-                sample = (bytes([OUTPUT_RECIPE]) if self._version == 2 else b"") + packed(self._outputs, robot)
+                sample = (bytes([OUTPUT_RECIPE]) if self._version == 2 else b"") + packed(self.outputs, robot)
                 self._sent.append((robot.cycles + robot.measurement_delay, sample))
             self._since += 1
         while self._sent and self._sent[0][0] <= robot.cycles:
@@ -167,5 +177,4 @@ class Rtde:
 
 
 def _names(message: bytes) -> list[str]:
-    names = [name for name in message.decode("ascii", "replace").split(",") if name]
-    return names if len(names) <= MOST_NAMES else [f"of more than {MOST_NAMES} names"]
+    return [name for name in message.decode("ascii", "replace").split(",") if name]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import selectors
 import socket
 from abc import ABC, abstractmethod
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Final, final
 
 from dmframe.errors import OutputError, ValueFault
 from dmframe.virtual import dashboard, primary
+from dmframe.virtual.budget import Allowance
 from dmframe.virtual.program import Program
 from dmframe.virtual.rtde import Rtde
 from dmframe.virtual.words import MOST_WORDS, Arriving, ScriptError
@@ -23,9 +25,15 @@ MOST_WAITING: Final = 1 << 20
 MOST_TEXT: Final = 1 << 18
 """Characters of scripts that wait to be translated; a client that sends more is disconnected."""
 WORDS: Final = 20_000.0
-"""Words of a client's scripts that are translated in a second of the robot's time; each delays it by about 10 us."""
+"""Words of scripts that are translated in a second of the robot's time; each delays it by about 10 us."""
+ALL_WORDS: Final = 3 * MOST_WORDS
+"""Words of scripts of all clients that are translated without a pause."""
+LEAST_WORDS: Final = 200
+"""Words that a script counts at least."""
+MOST_BYTES: Final = 2048
+"""Bytes of all clients that are read at once; the others wait in their sockets."""
 MOST_LINES: Final = 50
-"""Lines that the dashboard answers in one cycle."""
+"""Lines that the dashboard answers at once."""
 MOST_CLIENTS: Final = 64
 """Simultaneous connections."""
 STATES: Final = 10.0
@@ -62,8 +70,12 @@ class _Client(ABC):
     def received(self, data: bytes) -> bool:
         """Process received bytes; False to close the connection."""
 
-    def cycle(self, robot: VirtualRobot) -> None:  # noqa: B027 - most do nothing
-        """Called at the end of each cycle."""
+    def cycle(self, robot: VirtualRobot) -> bool:
+        """Called at the end of each cycle; False to close the connection."""
+        return True
+
+    def ended(self) -> None:  # noqa: B027 - most do nothing
+        """Called when the other side has sent its last byte, before the connection is closed."""
 
     def closed(self) -> None:  # noqa: B027 - as above
         """Called when the connection is closed."""
@@ -89,8 +101,7 @@ class _DashboardClient(_Client):
         self.pending = bytearray(f"{dashboard.GREETING}\n".encode())
 
     def received(self, data: bytes) -> bool:
-        self._rest += data
-        *lines, self._rest = self._rest.split(b"\n", MOST_LINES)
+        *lines, self._rest = (self._rest + data).split(b"\n", MOST_LINES)
         for line in lines:
             text = line.decode("utf-8", "replace")
             self.pending += f"{dashboard.answer(self._robot, text)}\n".encode()
@@ -98,45 +109,66 @@ class _DashboardClient(_Client):
                 return False
         return len(self._rest) < MOST_TEXT
 
-    def cycle(self, robot: VirtualRobot) -> None:
-        if b"\n" in self._rest:
-            self.received(b"")
+    def cycle(self, robot: VirtualRobot) -> bool:
+        return b"\n" not in self._rest or self.received(b"")
 
 
 @final
 class _ScriptClient(_Client):
-    """Receives scripts, and sends the message `sent(robot)` every `every` cycles."""
+    """Receives scripts, and sends `sent(robot)`, the same `name` for all clients, every `every` cycles.
 
-    def __init__(self, robot: VirtualRobot, sent: Callable[[VirtualRobot], bytes], every: int, first: bytes) -> None:
-        self._robot, self._sent, self._every = robot, sent, every
+    A script is translated while neither the words of this client nor those of all clients are used up.
+    """
+
+    def __init__(
+        self,
+        robot: VirtualRobot,
+        name: str,
+        sent: Callable[[VirtualRobot], bytes],
+        every: int,
+        first: bytes,
+        words: Allowance,
+    ) -> None:
+        self._robot, self._name, self._sent, self._every = robot, name, sent, every
         self._arriving, self.pending = Arriving(), bytearray(first)
-        self._words, self._refill = float(MOST_WORDS), WORDS * robot.dt
+        self._decoded = codecs.getincrementaldecoder("utf-8")("replace").decode  # a character may arrive in pieces
+        self._words = (words, Allowance(WORDS * robot.dt, MOST_WORDS, MOST_WORDS))
 
     def received(self, data: bytes) -> bool:
-        self._arriving.text += data.decode("utf-8", "replace")
-        self._begin()
+        self._arriving.text += self._decoded(data)
         if len(self._arriving.text) < MOST_TEXT:
             return True
         self._robot.report(f"client disconnected: more than {MOST_TEXT} characters of its scripts are unread")
         return False
 
+    def ended(self) -> None:
+        """Start what has arrived since the last cycle: a client may close its connection right after its script."""
+        self._begin()
+        if self._arriving.take():
+            self._robot.report("client disconnected: its scripts exceed the words of a second, and the rest is lost")
+
     def _begin(self) -> None:
-        """Start the scripts that have arrived, within the budget of words."""
-        while self._words > 0 and (text := self._arriving.take()):
+        """Start the scripts that have arrived, within the budgets of words."""
+        while all(words.left > 0 for words in self._words) and (text := self._arriving.take()):
             try:
                 program = Program(text, self._robot)
-                self._words -= program.words
+                count = program.words
                 self._robot.run_program(program)
             except ScriptError as fault:
-                self._words -= min(MOST_WORDS, len(text))
+                count = min(MOST_WORDS, len(text))
                 self._robot.end_program("an invalid script replaces it")
                 self._robot.report(f"script: {fault.text}")
+            for words in self._words:
+                words.left -= max(LEAST_WORDS, count)
 
-    def cycle(self, robot: VirtualRobot) -> None:
-        self._words = min(MOST_WORDS, self._words + self._refill)
+    def cycle(self, robot: VirtualRobot) -> bool:
+        self._words[1].cycle()
         self._begin()
         if robot.cycles % self._every == 0 and len(self.pending) < MOST_WAITING:
-            self.pending += self._sent(robot)
+            if self._name not in robot.encoded:
+                robot.encoded[self._name] = self._sent(robot)
+            self.pending += robot.encoded[self._name]
+        return True
 
 
 @final
@@ -153,14 +185,18 @@ class Servers:
         self._robot, self._selector = robot, selectors.DefaultSelector()
         self._clients = dict[socket.socket, _Client]()
         self._doors = dict[socket.socket, Callable[[], _Client]]()
-        self._rtde = list[Rtde]()
+        self._rtde, self._words, self._served = list[Rtde](), Allowance(WORDS * robot.dt, ALL_WORDS, ALL_WORDS), 0
         every = round(1 / (STATES * robot.dt))
+
+        def scripts(name: str, sent: Callable[[VirtualRobot], bytes], every: int, first: bytes = b"") -> _Client:
+            return _ScriptClient(robot, name, sent, every, first, self._words)
+
         made: dict[str, Callable[[], _Client]] = {
             "rtde": lambda: _RtdeClient(robot, self._rtde),
             "dashboard": lambda: _DashboardClient(robot),
-            "primary": lambda: _ScriptClient(robot, primary.state, every, primary.greeting(robot)),
-            "secondary": lambda: _ScriptClient(robot, primary.state, every, b""),
-            "realtime": lambda: _ScriptClient(robot, primary.real_time, 1, b""),
+            "primary": lambda: scripts("state", primary.state, every, primary.greeting(robot)),
+            "secondary": lambda: scripts("state", primary.state, every),
+            "realtime": lambda: scripts("real time", primary.real_time, 1),
         }
         try:
             opened = {name: self._open(host, getattr(ports, name), name, client) for name, client in made.items()}
@@ -177,9 +213,9 @@ class Servers:
             door.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             door.bind((host, port))
             door.listen()
-        except OSError as error:
+        except (OSError, UnicodeError) as error:  # a name that no domain name can be
             door.close()
-            why = (error.strerror or str(error)).lower()
+            why = (getattr(error, "strerror", None) or str(error)).lower()
             raise OutputError(f"{name}: cannot listen at {host}:{port}: {why}; choose another --host or port") from None
         door.setblocking(False)
         self._doors[door] = client
@@ -193,15 +229,17 @@ class Servers:
         return [client for client in self._rtde if client.owes]
 
     def poll(self, timeout: float = 0.0) -> None:
-        """Receive and send, waiting at most `timeout` [s] for a socket."""
-        for key, events in self._selector.select(timeout):
+        """Receive at most `MOST_BYTES`, the clients taking turns, and send; wait at most `timeout` [s] for a socket."""
+        ready, left = self._selector.select(timeout), MOST_BYTES
+        self._served = (self._served + 1) % max(1, len(ready))
+        for key, events in ready[self._served :] + ready[: self._served]:
             connection = key.fileobj
             assert isinstance(connection, socket.socket)
             if connection in self._doors:
                 self._accept(connection)
             elif connection in self._clients:
-                if events & selectors.EVENT_READ:
-                    self._receive(connection)
+                if events & selectors.EVENT_READ and left > 0:
+                    left -= self._receive(connection, left)
                 self._send(connection)
 
     def _accept(self, door: socket.socket) -> None:
@@ -219,19 +257,22 @@ class Servers:
         self._selector.register(made, selectors.EVENT_READ)
         self._send(made)
 
-    def _receive(self, connection: socket.socket) -> None:
+    def _receive(self, connection: socket.socket, most: int) -> int:
+        """Receive at most some bytes, and return their number."""
         client = self._clients[connection]
         try:
-            data = connection.recv(1 << 16)
+            data = connection.recv(most)
         except BlockingIOError:
-            return
+            return 0
         except OSError:
             data = b""
         if not data:
+            client.ended()
             self._drop(connection)
         elif not client.received(data):
             self._send(connection)
             self._drop(connection)
+        return len(data)
 
     def _send(self, connection: socket.socket) -> None:
         client = self._clients.get(connection)
@@ -258,9 +299,13 @@ class Servers:
 
     def cycle(self) -> None:
         """Update all clients at the end of a cycle, and send their messages."""
-        for connection, client in list(self._clients.items()):
-            client.cycle(self._robot)
-            if len(client.pending) > 2 * MOST_WAITING:  # it does not read its answers either
+        self._words.cycle()
+        clients = list(self._clients.items())
+        first = self._robot.cycles % max(1, len(clients))  # the clients take turns
+        for connection, client in clients[first:] + clients[:first]:
+            goes_on = client.cycle(self._robot)
+            if not goes_on or len(client.pending) > 2 * MOST_WAITING:  # it does not read its answers either
+                self._send(connection)
                 self._drop(connection)
             else:
                 self._send(connection)

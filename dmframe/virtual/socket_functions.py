@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Generator
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from dmframe.virtual.arithmetic import text
+from dmframe.virtual.arithmetic import is_number, text
 from dmframe.virtual.sockets import Sockets
 from dmframe.virtual.words import ScriptError
 
@@ -87,6 +87,6 @@ class SocketFunctions:
 
 
 def _count(number: Any) -> int:
-    if isinstance(number, bool) or not isinstance(number, int | float) or not 0 <= number <= MOST_NUMBERS:
+    if not is_number(number) or not 0 <= number <= MOST_NUMBERS:
         raise ScriptError(f"expected a count from 0 to {MOST_NUMBERS}, found {number}")
     return int(number)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib import import_module
 from typing import Final, NamedTuple
 
 
@@ -13,8 +14,8 @@ class Chapter(NamedTuple):
     ----------
     modules, names
         What it documents: modules, and single names with their module.
-    but
-        Names of the modules that stand elsewhere.
+    but, shared
+        Names that another page documents, and modules whose public names it does.
     bases
         Whether it says what classes inherit.
     """
@@ -24,6 +25,7 @@ class Chapter(NamedTuple):
     modules: tuple[str, ...] = ()
     names: tuple[str, ...] = ()
     but: tuple[str, ...] = ()
+    shared: tuple[str, ...] = ()
     bases: bool = False
 
 
@@ -38,12 +40,12 @@ CHAPTERS: Final[Mapping[str, Chapter]] = {
         "What the calls return",
         "Not constructed directly: the functions and methods of :mod:`dmframe` return them.",
         names=(
-            "dmframe.report.Verification",
-            "dmframe.report.Analysis",
+            "dmframe.report.verification.Verification",
+            "dmframe.report.analysis.Analysis",
             "dmframe.drawing.Drawing",
             "dmframe.page.Page",
             "dmframe.runtime.Controller",
-            "dmframe.graph.named.Named",
+            "dmframe.config.named.Named",
         ),
     ),
     "errors": Chapter(
@@ -54,8 +56,10 @@ CHAPTERS: Final[Mapping[str, Chapter]] = {
     ),
     "block": Chapter(
         "dmframe.block: what a block is",
-        "The classes that a block inherits, and what its methods take and return.",
+        "The classes that a block inherits, and what its methods take and return. ``from dmframe.block import ...`` "
+        "has the names of the following pages too.",
         modules=("dmframe.block",),
+        shared=("dmframe.port", "dmframe.parameter", "dmframe.certificate", "dmframe.linalg", "dmframe.naming"),
         bases=True,
     ),
     "port": Chapter("dmframe.port: ports and states", "What a block shows of itself.", modules=("dmframe.port",)),
@@ -97,15 +101,23 @@ def pages() -> dict[str, str]:
     return {"reference/api/index.rst": "\n".join(lines), **found}
 
 
+def public(name: str) -> list[str]:
+    """Names that the page of a module documents."""
+    module = import_module(name)
+    own = [key for key, value in vars(module).items() if getattr(value, "__module__", None) == name]
+    return list(getattr(module, "__all__", [key for key in own if not key.startswith("_")]))
+
+
 def _title(text: str) -> list[str]:
     return [text, "=" * len(text), ""]
 
 
 def _page(chapter: Chapter) -> str:
     lines = [*_title(chapter.title), chapter.says, ""]
+    but = [*chapter.but, *(name for module in chapter.shared for name in public(module))]
     for module in chapter.modules:
         lines += [f".. automodule:: {module}", "   :members:", *["   :show-inheritance:"] * chapter.bases]
-        lines += [f"   :exclude-members: {', '.join(chapter.but)}"] * bool(chapter.but) + [""]
+        lines += [f"   :exclude-members: {', '.join(but)}"] * bool(but) + [""]
     for name in chapter.names:
         lines += [f".. autoclass:: {name}", "   :members:", ""]
     return "\n".join(lines)

@@ -13,15 +13,6 @@ _OUTER: Final = re.compile(
 )
 _TOKEN: Final = re.compile(r"\\(?:begin|end)\{\w+\*?\}|\\(?:left|right)\b|\\[a-zA-Z]+|\\.|.", re.DOTALL)
 _TAG: Final = re.compile(r"\\tag\*?\{([^{}]*)\}")
-_CAPITAL: Final = re.compile(r"<mi>(&#x003(?:9[1-9A-F]|A[0-9]);)</mi>")
-"""Greek, which stands upright where Latin letters lean."""
-_BIG: Final = re.compile(r"\\[bB]igg?[lrm]?(?![a-zA-Z])[ ]*")
-"""A size of brackets, which grow with what they hold anyway."""
-_SCRIPT: Final = re.compile(r'<mi mathvariant="script">([A-Z])</mi>')
-_DEFINES: Final = re.compile(r"\\(?:DeclareMathOperator|newcommand|renewcommand|def)\b")
-_UNKNOWN: Final = re.compile(r"<m\w+[^>]*>\\")
-"""A command that the library does not know, and sets as it is typed."""
-SCRIPT_CAPITALS: Final = "𝒜ℬ𝒞𝒟ℰℱ𝒢ℋℐ𝒥𝒦ℒℳ𝒩𝒪𝒫𝒬ℛ𝒮𝒯𝒰𝒱𝒲𝒳𝒴𝒵"
 
 
 class MathError(Exception):
@@ -58,18 +49,10 @@ def _breakable(latex: str) -> str:
 
 
 def _set(latex: str, *, display: bool, joined: bool = False) -> str:
-    if _DEFINES.search(latex):
-        raise MathError(f"cannot set {latex}: it defines a command")
-    braces = [token for token in _TOKEN.findall(latex) if token in "{}"]
-    if braces.count("{") != braces.count("}"):
-        raise MathError(f"cannot set {latex}: its braces do not match")
-    found = mathml(_BIG.sub("", latex), display=display, joined=joined)
-    if not found.startswith("<math") or _UNKNOWN.search(found):
+    found = mathml(latex, display=display, joined=joined)
+    if not found.startswith("<math"):
         raise MathError(f"cannot set {latex}")
-    # browsers know the letters, but not the attribute
-    found = _SCRIPT.sub(lambda letter: f"<mi>{SCRIPT_CAPITALS[ord(letter[1]) - ord('A')]}</mi>", found)
-    found = _CAPITAL.sub(r'<mi mathvariant="normal">\1</mi>', found)
-    return found.replace("<mo>&#x022A4;</mo>", '<mi mathvariant="normal">T</mi>')
+    return found
 
 
 def _split(latex: str, mark: str) -> list[str]:

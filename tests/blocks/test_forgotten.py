@@ -154,7 +154,7 @@ def test_an_export_on_a_full_disk_is_reported_as_such(tmp_path: Path, monkeypatc
     def full(*_: Any, **__: Any) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("dmframe.files.put", full)
+    monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(DmframeError, match="cannot be written: no space left on device; free some space"):
         graph().export(tmp_path / "out", "c")
     assert not list(tmp_path.iterdir())

@@ -117,7 +117,7 @@ def test_what_leaks_everywhere_is_ultimately_bounded() -> None:
     assert any(bound.constant for bound in verdict.bounds)  # the offset of the servo's integrator
 
 
-def test_where_only_a_part_of_v_leaks_nothing_is_said_to_be_ultimately_bounded() -> None:
+def test_where_only_a_part_of_v_leaks_no_ultimate_bound_is_stated() -> None:
     verdict = proof("arm2_joint", "dynamics.leak=0.1", "inverse.leak=0.1")
     says = {(item.signal, item.says) for item in verdict.statements}
     assert ("w - 1/K_star", "is bounded") in says  # its box
@@ -131,7 +131,7 @@ def test_a_residual_that_nothing_bounds_is_no_proof() -> None:
     assert verdict.reason.startswith("the identity holds, but nothing bounds the residual: adaptation: ")
 
 
-def test_the_json_and_the_page_tell_the_bound(
+def test_the_json_and_the_page_give_the_bound(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def printed(*more: str) -> str:
@@ -141,15 +141,15 @@ def test_the_json_and_the_page_tell_the_bound(
             main()
         return capsys.readouterr().out
 
-    told = json.loads(printed("--json"))
-    assert told["verdict"] == "proved"
-    assert told["residual_bound"] is None
-    assert [(row["block"], row["times"], row["weight"]) for row in told["bounded_by"]] == [
+    data = json.loads(printed("--json"))
+    assert data["verdict"] == "proved"
+    assert data["residual_bound"] is None
+    assert [(row["block"], row["times"], row["weight"]) for row in data["bounded_by"]] == [
         ("dynamics", "", "kappa"),
         ("inverse", "|sigma|", "kappa"),
         ("inverse", "|sigma|", "kappa"),
     ]
-    assert {term["kind"] for term in told["dissipation"]} == {"square", "norm_square", "lemma"}
+    assert {term["kind"] for term in data["dissipation"]} == {"square", "norm_square", "lemma"}
     page = printed()
     assert "V̇ may exceed minus the dissipation by" in page
     assert "≤ κ·0.0258" in page
@@ -192,7 +192,7 @@ def test_the_translations_of_the_kinematics_are_kept_in_a_ball_too() -> None:
         (["dynamics.leak=-1"], "dynamics.leak: expected a number > 0, found -1"),
     ],
 )
-def test_wrong_use_is_told(overrides: list[str], text: str) -> None:
+def test_wrong_use_is_refused(overrides: list[str], text: str) -> None:
     with pytest.raises(DmframeError) as fault:
         _ = Graph.read("arm2_joint", overrides).diagram
     assert text in str(fault.value)
@@ -295,8 +295,7 @@ def test_a_report_says_that_the_proof_has_a_residual(tmp_path: Path, monkeypatch
         UNBOXED,
     ]
     graph = Graph.read("arm2_joint", [*overrides, "duration=1"])
-    diagram = graph.diagram
-    found = Verification(graph, diagram, graph.verdict(diagram))
+    found = Verification(graph, graph.verdict())
     for name in ("report.md", "report.html"):
         found.report(tmp_path / name)
     text = (tmp_path / "report.md").read_text()

@@ -12,6 +12,7 @@ from sampled_arm2 import sampled_arm2
 
 import dmframe as dm
 from dmframe.certify import Verdict, verify
+from dmframe.certify.checked import Checked
 from dmframe.certify.claim import claim_of
 from dmframe.certify.explained import explained
 from dmframe_blocks._sample_estimators import Projection
@@ -200,7 +201,8 @@ def test_rows_that_are_not_the_plants_are_not_explained(lie: str, monkeypatch: p
     lying(monkeypatch, lie)
     claim = claim_of(dm.load(sampled_arm2(servo="pid", replay=2)).diagram)
     (part,) = [part for part in claim.parts if part.certificate.steps]
-    (item,) = explained(claim, part, part.certificate.steps[0]).checked
+    item = explained(claim, part, part.certificate.steps[0])
+    assert isinstance(item, Checked)
     assert not item.holds
     assert "does not fall with the period" in item.name
     assert ("stored row of joint1" in item.name) is (lie == "stored rows of another joint")

@@ -214,7 +214,7 @@ def test_v_is_in_the_files_and_says_with_which_constants(short: dm.Run, tmp_path
 def test_a_report_shows_v_and_with_which_constants(short: dm.Run) -> None:
     experiment = short.graph
     diagram = experiment.diagram
-    found = measure(experiment, diagram, verify(diagram, start=experiment.start))
+    found = measure(experiment, verify(diagram, start=experiment.start))
     assert found.sentence.startswith("The theorem is one over samples")
     assert "$V$ is evaluated with inverse.offset = [" in found.sentence
     assert "At no sample did it rise by more than its theorem allows." in found.sentence

@@ -75,7 +75,7 @@ ABSENT: list[tuple[str, str, Callable[[], object]]] = [
 
 
 def answer(command: str) -> str:
-    """The virtual robot's dashboard, asked."""
+    """An answer of the dashboard of the virtual robot."""
     return str(dashboard._COMMANDS[command](None, "a.urp"))
 
 

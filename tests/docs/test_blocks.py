@@ -81,7 +81,7 @@ def test_a_page_lists_each_port_state_and_parameter_with_unit_and_meaning(dynami
     assert re.search(r"\| `q_c` \| n \| rad \| [^|]* \| all: it is measured \|", servo)
 
 
-def test_a_page_tells_conditions_source_and_notes() -> None:
+def test_a_page_gives_conditions_source_and_notes() -> None:
     shown = block_examples.example("pid_inverse")
     assert "\n".join(make_blocks._conditions(shown)) == r"- $\bar{M} \ge 0$ (Theorem 4 and Remark 5)"
     source = "\n".join(make_blocks._source("[WangTAC2020] eq. (15)."))
@@ -127,7 +127,7 @@ def test_what_happens_with_another_value_is_what_a_run_gives(dynamics: str) -> N
     assert float(rows[-1][3]) < float(rows[0][3])
 
 
-def test_a_value_that_cannot_be_is_told_and_the_others_are_tried() -> None:
+def test_an_impossible_value_is_reported_and_the_others_are_tried() -> None:
     graph = dm.load("pendulum")
     found = block_examples._tried(graph, "inverse.w_P", [1.0, -0.5, "x"], 0.1)
     assert [bool(row[0]) for row in found] == [True, True, False]

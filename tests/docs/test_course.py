@@ -25,7 +25,7 @@ PARTS = ["Predict", "The graph", "Run it", "Watch it", "Change it", "Why", "Exer
 
 @dataclass(frozen=True)
 class Cell:
-    """A directive of a lesson: its first word, what stands beside it, its tags, its text, and where it begins."""
+    """A directive of a lesson: its first word, what follows on its line, its tags, its text, and where it begins."""
 
     kind: str
     argument: str
@@ -201,7 +201,7 @@ def test_a_sound_lesson_has_no_fault_and_runs() -> None:
         ("{code-cell} python\ntwo", "{code-cell} julia\ntwo", "cells in Python"),
     ],
 )
-def test_a_lesson_that_lacks_something_is_told_so(old: str, new: str, fault: str) -> None:
+def test_a_lesson_that_lacks_something_is_reported(old: str, new: str, fault: str) -> None:
     assert old in SOUND
     assert any(found.startswith(fault) for found in faults_of(SOUND.replace(old, new)))
 

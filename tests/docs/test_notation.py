@@ -49,7 +49,7 @@ def test_options_and_parts_of_a_law_take_no_name_of_another_thing(
     assert list(notation.clashes(block, notation.entries())) == []
 
 
-def test_every_port_and_state_stands_in_a_row_of_the_page_with_its_unit(notation: ModuleType) -> None:
+def test_every_port_and_state_has_a_row_of_the_page_with_its_unit(notation: ModuleType) -> None:
     rows = {cells[1]: cells for line in notation.lines() if len(cells := line.split(" | ")) > 5}
     items = [item for kind in block_types().values() for item in (*kind.inputs, *kind.outputs, *kind.states)]
     compact = {(item.name, item.unit or "-") for item in items if not re.search(r"[/*^]", item.unit)}
@@ -90,7 +90,7 @@ FAULTS: dict[str, tuple[Callable[[Any, Any], Any], str]] = {
 
 
 @pytest.mark.parametrize("case", FAULTS)
-def test_a_fault_is_told(notation: ModuleType, case: str) -> None:
+def test_a_fault_is_reported(notation: ModuleType, case: str) -> None:
     change, text = FAULTS[case]
     found, said = deepcopy(notation.entries()), notation.meanings()
     change(found, said)
@@ -110,7 +110,7 @@ class Confused(AbstractBlock):
         return Equations(outputs={"y": named("w", u.u) + named("K1", u.u) + named("fresh", u.u) + named("y", u.u)})
 
 
-def test_a_confused_block_is_told(notation: ModuleType) -> None:
+def test_a_confused_block_is_reported(notation: ModuleType) -> None:
     assert list(notation.clashes(Confused, notation.entries())) == [
         "the option direct is a name too",
         "a part of the law is called w, and something else is too",

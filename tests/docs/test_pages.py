@@ -66,7 +66,7 @@ def test_the_reference_lists_every_key_of_a_graph_file() -> None:
             assert f"`{key}`" in text, key
 
 
-def test_the_reference_tells_every_field_of_a_certificate_and_every_kind_of_term_and_condition() -> None:
+def test_the_reference_lists_every_field_of_a_certificate_and_every_kind_of_term_and_condition() -> None:
     text = read("docs", "reference", "certificate.md")
     assert [item.name for item in fields(certificate.Certificate) if f"| `{item.name}` |" not in text] == []
     kinds = [item for item in vars(certificate).values() if is_dataclass(item) and item is not certificate.Certificate]

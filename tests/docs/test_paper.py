@@ -46,12 +46,12 @@ def test_ranges_of_numbers_are_read_as_they_are_written(paper: ModuleType) -> No
 
 
 def test_properties_theorems_remarks_and_assumptions_have_rows(paper: ModuleType) -> None:
-    told = [row.number for row in paper.rows()]
-    assert len(told) == len(set(told))
+    numbers = [row.number for row in paper.rows()]
+    assert len(numbers) == len(set(numbers))
     wanted = {f"Theorem {k}" for k in range(1, 5)} | {f"Property {k}" for k in range(1, 5)}
     wanted |= {f"Remark {k}" for k in (1, 2, 3, 4, 6)} | {"Remark 5, 1)", "(44)", "Section V"}
     wanted |= {"Assumption: the task", "Assumption: K_I_hat > 0", "Assumption: J_hat", "Section IV-A, last remark"}
-    assert wanted <= set(told)
+    assert wanted <= set(numbers)
 
 
 def test_a_row_says_where_it_is_or_why_it_is_nowhere(paper: ModuleType) -> None:
@@ -81,7 +81,7 @@ def test_a_deviation_of_a_damaged_copy_is_not_called_an_erratum(paper: ModuleTyp
     assert "| (41) |" not in text.partition("## Errata")[2].partition("\n## ")[0]
 
 
-def test_what_a_block_cites_stands_in_the_row_of_that_number(paper: ModuleType) -> None:
+def test_the_row_of_a_number_lists_the_blocks_that_cite_it(paper: ModuleType) -> None:
     rows = {number: row for row in paper.rows() for number in paper.numbers(row.number)}
     lost = [
         f"{block} cites ({number})"

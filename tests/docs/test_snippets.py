@@ -188,7 +188,7 @@ def test_the_runner_takes_dots_for_any_lines() -> None:
     run_console("$ dmframe graphs\n...\npendulum  ...\n...\n", "here")
 
 
-def test_a_long_output_that_differs_at_its_end_is_told_rather_than_searched_for_ever() -> None:
+def test_a_long_output_that_differs_at_its_end_is_reported_without_an_endless_search() -> None:
     lines = [f"a line with some words {k}" for k in range(400)]
     assert matches(["...", "a line with some words 399"], lines)
     assert not matches(["...", "some other line", "...", "the end"], lines)

@@ -63,7 +63,7 @@ def of(cells: Cells, name: str) -> dict[str, dict[str, str]]:
     return {case: row for (case, graph), row in cells.items() if graph == name and case != AT_REST}
 
 
-def test_where_delay_and_servo_are_as_told_the_law_is_below_both_kinematic_controllers_and_does_not_grow(
+def test_where_delay_and_servo_are_as_configured_the_law_is_below_both_kinematic_controllers_and_does_not_grow(
     cells: Cells,
 ) -> None:
     for case, row in of(cells, LAW).items():

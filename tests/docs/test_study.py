@@ -13,7 +13,8 @@ from typing import Any
 import pytest
 
 from dmframe.graph.graph import Graph
-from dmframe.study.plan import Study, load_study
+from dmframe.study.plan import Study
+from dmframe.study.read import load_study
 
 ROOT = Path(__file__).parents[2]
 

@@ -69,7 +69,7 @@ def test_the_page_shows_what_is_kept(which: ModuleType, said: dict[str, Any], ro
     assert fill(text, [{**row, "learnt": "nothing"} for row in rows.values()], laws, limits, said) != text
 
 
-def test_the_page_behind_a_graph_tells_of_it_or_of_one_of_its_blocks(which: ModuleType, said: dict[str, Any]) -> None:
+def test_the_page_behind_a_graph_mentions_it_or_one_of_its_blocks(which: ModuleType, said: dict[str, Any]) -> None:
     for name, word in said["graphs"].items():
         text = (which.PAGE.parent / word["page"]).read_text(encoding="utf-8")
         graph = dm.load(name)
@@ -123,7 +123,7 @@ def test_facts_change_with_the_graph(which: ModuleType) -> None:
     assert which.facts(graph.set({"clock": "continuous"}))["clock"] == "continuous"
 
 
-def test_an_estimate_without_a_word_is_told(which: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_estimate_without_a_word_is_reported(which: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(which, "LEARNT", {name: word for name, word in which.LEARNT.items() if name != "w_I"})
     with pytest.raises(KeyError, match="w_I: no words in LEARNT"):
         which.learnt(dm.load("pendulum").diagram)
@@ -144,7 +144,7 @@ def test_a_law_on_a_circle_comes_out_as_the_table_says(
 def test_at_limits_is_the_share_of_instants_in_which_commands_or_torques_were_cut_off(
     which: ModuleType, said: dict[str, Any]
 ) -> None:
-    """0.2 s of a robot that is asked for 9 rad/s: counted by what came out of the limits."""
+    """0.2 s of a robot that is commanded 9 rad/s: counted by what came out of the limits."""
     graph = dm.load("ur10_fast_kinematic").set({"task.gamma": 900, "start.q": [1.2, -1.2, 1.2], "duration": 0.2})
     graph = graph.reality({"command_limits": {}})
     run = graph.run(progress=False, judge=False)
@@ -152,21 +152,21 @@ def test_at_limits_is_the_share_of_instants_in_which_commands_or_torques_were_cu
     share = np.mean(np.any(before != after, axis=1))
     assert 0.01 < share < 0.99
     assert which.figures(run, graph)["at_limits"] == pytest.approx(share)
-    told = {"rms_final": "0.044", "unit": "m", "diverged_at": ""}
-    assert which._cell({**told, "at_limits": "0.723"}) == "**44.0 mm**, at limits 72 % of the time"
-    assert which._cell({**told, "at_limits": "0.004"}) == "44.0 mm"
-    assert which._cell({**told, "diverged_at": "0.81", "at_limits": ""}) == "**diverges** at 810 ms"
+    row = {"rms_final": "0.044", "unit": "m", "diverged_at": ""}
+    assert which._cell({**row, "at_limits": "0.723"}) == "**44.0 mm**, at limits 72 % of the time"
+    assert which._cell({**row, "at_limits": "0.004"}) == "44.0 mm"
+    assert which._cell({**row, "diverged_at": "0.81", "at_limits": ""}) == "**diverges** at 810 ms"
 
 
-def test_a_law_is_told_of_the_delay_where_a_predictor_says_from_where_it_goes_on(which: ModuleType) -> None:
-    told = which.real(dm.load("ur10_slow_observer"), "ur")
-    assert (told.blocks["task"].delay, told.blocks["inverse"].delay) == (1, 1)
+def test_a_law_is_configured_for_the_delay_where_a_predictor_says_from_where_it_goes_on(which: ModuleType) -> None:
+    real = which.real(dm.load("ur10_slow_observer"), "ur")
+    assert (real.blocks["task"].delay, real.blocks["inverse"].delay) == (1, 1)
     assert which.real(dm.load("ur10_slow_kinematic_inverse"), "ur").blocks["task"].delay == 0
     assert which.real(dm.load("ur10_fast_eso"), "none").blocks.keys() == dm.load("ur10_fast_eso").blocks.keys()
 
 
 @pytest.mark.parametrize(("title", "reality"), [("observer behind it, margin 5", "none"), ("no limits", "ur")])
-def test_a_law_beside_limits_does_what_the_table_says(
+def test_a_law_with_limits_does_what_the_table_says(
     title: str, reality: str, which: ModuleType, said: dict[str, Any]
 ) -> None:
     (law,) = (law for law in said["limits"]["laws"] if title in law["title"])
@@ -177,7 +177,7 @@ def test_a_law_beside_limits_does_what_the_table_says(
         assert float(found[key]) == pytest.approx(float(kept[key]), rel=0.02)
 
 
-def test_what_the_page_says_of_laws_beside_limits_is_in_the_table(which: ModuleType, said: dict[str, Any]) -> None:
+def test_what_the_page_says_of_laws_with_limits_is_in_the_table(which: ModuleType, said: dict[str, Any]) -> None:
     rows = {(row["law"], row["reality"]): row for row in which.read(which.LIMITS)}
     titles = [law["title"] for law in said["limits"]["laws"]]
     assert rows.keys() == {(title, reality) for title in titles for reality in which.REALITIES}
@@ -227,6 +227,6 @@ def test_what_the_page_says_of_the_competitors_agrees_with_the_table(which: Modu
     assert rms[10] == pytest.approx(rms[3], rel=0.1)  # the supervisor sends the kinematic command
 
 
-def test_a_cell_that_names_no_graph_is_told(which: ModuleType) -> None:
+def test_a_cell_that_names_no_graph_is_reported(which: ModuleType) -> None:
     with pytest.raises(DmframeError, match="ur11"):
         which.law_of({"of": "ur11"}, "ur10_fast")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 import os
 import signal
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -62,7 +62,10 @@ class FakeStudy:
     def engine(self) -> str:
         return "none"
 
-    graphs = ()
+    bases: ClassVar[Mapping[str, Any]] = {}
+
+    def cases_that(self, shape: Callable[[Any], bool]) -> list[Any]:
+        return []
 
     def files(self) -> dict[str, bytes]:
         return {"study.yaml": self.text.encode()}

@@ -29,7 +29,7 @@ def content(name: str) -> dict[str, Any]:
 def content_of_graph(graph: Graph, *, periods: bool = False) -> dict[str, Any]:
     """A graph's page as data; with `periods`, which take seconds, what it says of its clock."""
     page = graph.page(periods=periods)
-    return content_of(page.experiment, page.diagram, page.verdict, page.periods)
+    return content_of(page.graph, page.verdict, page.periods)
 
 
 def answered(content: dict[str, Any], *, web: Path = WEB, **questions: Any) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from dmframe.simulate.start import start_state
 
 
 def functions(found: Verification) -> Functions:
-    graph = found.experiment
+    graph = found.graph
     uncertain = graph.intervals(found.diagram)
     return functions_of(found.diagram, graph.file.clock, graph.start, found.verdict, uncertain=uncertain)
 
@@ -29,7 +29,7 @@ def functions(found: Verification) -> Functions:
 def check_functions(found: Verification) -> None:
     """The page's functions say of the file's own numbers what the rest of the framework says of them."""
     made, loop = functions(found), found.diagram.loop
-    p, state = loop.p_values, start_state(found.diagram, found.experiment.start)
+    p, state = loop.p_values, start_state(found.diagram, found.graph.start)
     check_start(found, made, state, p)
     check_judged(found, made, pose_of(found, made, state), p)
     check_module(found, made, state, p)
@@ -37,7 +37,7 @@ def check_functions(found: Verification) -> None:
 
 def check_start(found: Verification, made: Functions, state: np.ndarray, p: np.ndarray) -> None:
     """From the pose alone, the whole start follows; and a pose that is sought is on the path."""
-    period = found.experiment.file.clock or found.experiment.solver.output
+    period = found.graph.file.clock or found.graph.solver.output
     pose = pose_of(found, made, state)
     np.testing.assert_allclose(made.begin(pose, period, p).full().ravel(), state, rtol=1e-12, atol=1e-12)
     if made.reach is not None:
@@ -56,7 +56,7 @@ def pose_of(found: Verification, made: Functions, state: np.ndarray) -> np.ndarr
 
 def check_judged(found: Verification, made: Functions, pose: np.ndarray, p: np.ndarray) -> None:
     """Each condition's least margin is the value that was decided exactly."""
-    period = found.experiment.file.clock or found.experiment.solver.output
+    period = found.graph.file.clock or found.graph.solver.output
     judged, verdict = made.judged(pose, period, p).full().ravel(), found.verdict
     for condition, place, reads in zip(made.conditions, made.margins, made.reads, strict=False):
         if place is None:  # a search or random motions decide it: the page says that it judged the file's numbers alone
@@ -99,7 +99,7 @@ def check_module(found: Verification, made: Functions, state: np.ndarray, p: np.
 
 def check_along_a_run(found: Verification) -> None:
     """Error and V of the page's functions are those of a run, instant by instant."""
-    made, graph = functions(found), found.experiment
+    made, graph = functions(found), found.graph
     run = simulate(
         found.diagram, 0.5, clock=graph.file.clock, solver=graph.solver, start=graph.start, engine="interpreted"
     )

@@ -10,6 +10,7 @@ def _looped(begin: str, body: str) -> str:
 
 
 _SYNC = "    sync()"
+_LIST = "".join(f"  x = {x}\n" for x in ("[1, 1, 1, 1, 1, 1, 1, 1, 1, 1]", *["[x, x, x, x, x, x, x, x, x, x]"] * 2))
 ATTACKS: Final[dict[str, tuple[str, str]]] = {
     "a list that doubles": (_looped("  x = [1]", "    x = [x, x]\n" + _SYNC), "of no more than"),
     "a list that doubles in place": (_looped("  x = [1, 1]", "    x[0] = x\n" + _SYNC), "no more than"),
@@ -62,8 +63,27 @@ ATTACKS: Final[dict[str, tuple[str, str]]] = {
         "in a second",
     ),
     "kinematics in each cycle": (
-        _looped("  q = get_actual_joint_positions()", "    get_inverse_kin(get_forward_kin(q))\n" + _SYNC),
+        _looped("  p = get_forward_kin([1, -1, 1, 0, 1, 0])", "    get_inverse_kin(p)\n" + _SYNC),
         "in a second",
+    ),
+    "kinematics of a motion": (
+        _looped("  p = get_forward_kin([1, -1, 1, 0, 1, 0])", "    is_within_safety_limits(p)\n" + _SYNC),
+        "in a second",
+    ),
+    "texts of a list": (_looped(_LIST, "    to_str(x)"), "a loop without sync"),
+    "texts of a list by name": (_looped(_LIST, "    str_cat(op1=x, op2=x)"), "a loop without sync"),
+    "messages of a list": (_looped(_LIST, "    textmsg(x)"), "a loop without sync"),
+    "a list to a socket": (_looped(_LIST, "    socket_send_line(x)"), "a loop without sync"),
+    "a norm of a list": (_looped(_LIST, "    norm(x[0])"), "a loop without sync"),
+    "numbers of a text": (
+        _looped('  t = "1"\n  k = 0\n  while k < 15:\n    t = str_cat(t, t)\n    k = k + 1\n  end', "    to_num(t)"),
+        "a loop without sync",
+    ),
+    "speeds that are lists": ("speedj([[1], [1], [1], [1], [1], [1]])\n", "expected six numbers"),
+    "angles that are texts": ('movej(["1", 1, 1, 1, 1, 1])\n', "expected six numbers"),
+    "a pose of no numbers": (
+        "def attack():\n  x = 1e400 - 1e400\n  movel(p[x, x, x, x, x, x])\nend\n",
+        "no angles were found",
     ),
     "threads": (
         "def attack():\n  thread t():\n    sleep(9)\n  end\n  while True:\n    run t()\n  end\nend\n",

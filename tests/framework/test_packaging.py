@@ -7,6 +7,7 @@ import sys
 import tarfile
 import tomllib
 import zipfile
+from importlib.metadata import distributions
 from pathlib import Path
 
 import pytest
@@ -129,3 +130,12 @@ def test_an_unknown_attribute_of_the_package_is_an_attribute_error() -> None:
 
     with pytest.raises(AttributeError, match="module 'dmframe' has no attribute 'versoin'"):
         _ = dmframe.versoin  # type: ignore[attr-defined]
+
+
+def test_the_head_of_the_metadata_has_the_version_that_importlib_parses() -> None:
+    from dmframe.version import version_of
+
+    installed = {found.metadata["Name"]: found.version for found in distributions()}
+    assert len(installed) > 30
+    assert {name: version_of(name) for name in installed} == installed
+    assert version_of("no-such-distribution") is None

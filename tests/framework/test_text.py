@@ -85,3 +85,9 @@ def test_what_a_statement_is_about_is_typeset_as_the_law_that_it_comes_from():
     about = {item.signal.latex for item in verify(diagram, trials=1).statements}
     assert r"\tfrac{1}{2} \hat{J}^\top (x_{o} - x) + s/\beta" in about & printed
     assert r"\tfrac{d}{dt} (x - x_{d})" in about
+
+
+def test_no_words_are_no_piece_of_a_formula():
+    name = Text("", name_of("J_hat"), Text())
+    assert name.pieces == (name_of("J_hat"),)
+    assert around(Text(name_of("x")), f"{name}'({{}})", rf"{name.latex}^\top ({{}})").latex == r"\hat{J}^\top (x)"

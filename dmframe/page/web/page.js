@@ -148,7 +148,7 @@ function curves(quick) {
     if (group.kind === "storage") {
       const total = run.times.map((_, k) => rows.reduce((sum, { values }) => sum + values[k], 0));
       shown = plot.whole ? [{ name: "V", colour: 0, wide: true, values: total }] : rows.filter(({ values }) => values.some((value) => value > 0));
-      plot.say(!run.proved ? "proves nothing at these values" : plot.whole ? `the sum of what all blocks store${run.climb?.rises ? `; it rose at ${run.climb.rises} of ${run.climb.steps} instants` : ""}` : "");
+      plot.say(!run.proved ? "proves nothing at these values" : plot.whole ? `the sum of all storage functions${run.climb?.rises ? `; it rose at ${run.climb.rises} of ${run.climb.steps} instants` : ""}` : "");
     }
     if (group.kind === "command" && measured(group)) {
       const { label } = measured(group);

@@ -13,7 +13,7 @@ class Sliders {
     this.notices = [];
     const proved = content.verdict.outcome === "proved", groups = {
       controller: ["Controller", ""],
-      hidden: ["Servo and robot", "The truth. The controller knows no more of it than what stands under the assumptions."],
+      hidden: ["Servo and robot", "True parameters. The controller knows only what the assumptions list."],
       clock: ["Clock", content.clock === null ? "This loop runs in continuous time, but for the integrator's steps."
         : proved && !content.verdict.sampled ? "The proof is in continuous time; the page runs at this clock. A slow clock shows where the proof ends."
           : "How often the controller samples."],

@@ -65,7 +65,7 @@ def test_eigenvalues_are_those_of_the_whole_and_of_the_search_tick_by_tick(seed:
 
 def test_a_sum_that_is_read_late_is_kept_as_long_as_it_is_read() -> None:
     Phi = np.zeros((8, 8))
-    Phi[0, [0, 7]] = 0.5, 0.1
+    Phi[0, [0, 1, 7]] = 0.5, 1.0, 1e-6
     Phi[[1, 2], 0] = 1.0
     Phi[[3, 4, 5, 6, 7], [1, 2, 3, 4, 5]] = 1.0  # two lines, of 4 and 3 states; the second is never read
     found = without_memory(Phi)

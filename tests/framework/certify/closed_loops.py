@@ -78,7 +78,7 @@ class Built:
         return self.build()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Loop(Built):
     """A closed loop that is to be proved."""
 
@@ -338,7 +338,10 @@ def states_of(diagram: Diagram, count: int, seed: int) -> Iterator[tuple[np.ndar
 
 
 def true_in_numbers(diagram: Diagram, claim: Claim, tolerance: float = 1e-8) -> bool:
-    """Is dV/dt + dissipation - consumption zero, to rounding, with the rates that a run has?"""
+    """Is dV/dt + dissipation - consumption zero, to rounding, with the rates that a run has?
+
+    Raises `FloatingPointError` where it has no value at the graph's numbers.
+    """
     loop, kappa = diagram.loop, ca.SX.sym("kappa")
     weigh = claim.kappa if not claim.kappa.is_constant() else kappa
     spent = [claim.weight(part) * part.dissipation for part in claim.parts]
@@ -360,9 +363,26 @@ def true_in_numbers(diagram: Diagram, claim: Claim, tolerance: float = 1e-8) -> 
     for state, t in states_of(diagram, 4, 3):
         slope, by_time, others = (np.ravel(x.full()) for x in function(state, t, loop.p_values, 0.7))
         terms = np.concatenate([slope * rates(state, t), by_time, others])
+        if not np.isfinite(terms).all():
+            raise FloatingPointError("dV/dt has no value at the graph's numbers")
         if not abs(terms.sum()) <= tolerance * np.abs(terms).sum():
             return False
     return True
+
+
+def negative_in_numbers(diagram: Diagram, claim: Claim) -> list[str]:
+    """The terms of V and of the dissipation that are below zero at a random state, by block and place."""
+    terms = {
+        f"{part.block}, {role} {place}": ca.SX(term.value)
+        for part in claim.parts
+        for role, found in (("storage", part.certificate.storage), ("dissipation", part.certificate.dissipation))
+        for place, term in enumerate(found, start=1)
+    }
+    loop = diagram.loop
+    values = loop.on_path(ca.vertcat(*terms.values()))
+    function = ca.Function("terms", [loop.state, loop.time, loop.p], [values])
+    points = [function(state, t, loop.p_values).full().ravel() for state, t in states_of(diagram, 8, 5)]
+    return [name for name, values in zip(terms, np.transpose(points), strict=True) if (values < -1e-9).any()]
 
 
 def same_field(diagram: Diagram, other: Diagram) -> bool:

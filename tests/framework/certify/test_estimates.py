@@ -19,6 +19,7 @@ from dmframe.certify.true_values import estimates_of, true_values
 from dmframe.config.schema import json_schema
 from dmframe.diagram import Diagram
 from dmframe.errors import BlockError, DmframeError
+from dmframe.names import latex_name
 from dmframe.parameter import Box, Diagonal, Interval, Positive, Real, Scalar, specs
 from dmframe.port import Access, Adapted, Input, Output, Side, State
 from dmframe.results.estimate_figure import estimate_figure
@@ -366,7 +367,7 @@ def test_every_adapting_block_says_what_its_options_are_on_its_page_and_to_an_ed
         for option in ("leak", "error_leak", "dead_zone"):
             text = about(kind).parameters[option]
             assert "Robust adaptation laws, each off by default" in text
-            assert kind.driven_by in text
+            assert f"${latex_name(kind.driven_by)}$" in text
             assert "Robust adaptation laws" in schema[f"block_{name}"]["properties"][option]["description"]
 
 

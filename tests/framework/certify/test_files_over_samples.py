@@ -78,7 +78,7 @@ FALSE: dict[str, tuple[Change, str]] = {
     "steps that are unknown": (lambda f: steps(f).update(rule="x"), "expected one of normalised, least_squares"),
     "least squares without a memory": (lambda f: steps(f).update(rule="least_squares"), "expected 8 parts"),
     "steps of what is no state": (lambda f: steps(f).update(estimate="gain"), "expected a move of learner.gain"),
-    "a box that is a number": (lambda f: steps(f).update(box=1), "expected a box or none, found 1"),
+    "a box that is a number": (lambda f: steps(f).update(box=1), "expected true or false, found 1"),
     "a line of what is no state": (
         lambda f: part(f, "learner")["lines"][0].update(state="x"),
         "expected a move of learner.x",

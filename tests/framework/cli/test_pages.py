@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
+import io
 import json
 import re
 import shutil
 import subprocess
+import sys
 import unicodedata
 from collections.abc import Callable
 from importlib.metadata import version
@@ -21,6 +24,7 @@ import pytest
 import typer
 
 from dmframe.catalogue import block_types, graphs
+from dmframe.cli import main
 from dmframe.cli.app import app, app_for
 from dmframe.config.document import read_document, read_file
 from dmframe.report.linear import LinearView
@@ -312,18 +316,23 @@ def test_draw_prints_mermaid_and_writes_svg(dmframe: Any, tmp_path: Path) -> Non
     assert "flowchart" in tmp_path.joinpath("p.mmd").read_text(encoding="utf-8")
 
 
-def schema(dmframe: Any) -> jsonschema.Draft202012Validator:
-    said = dmframe("schema")
-    assert (said.status, said.err) == (0, "")
-    loaded = json.loads(said.out)
+@pytest.fixture(scope="module")
+def schema() -> jsonschema.Draft202012Validator:
+    """Validator with the output of `dmframe schema`, which describes every block."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["dmframe", "schema"])
+        with pytest.raises(SystemExit) as stopped:
+            main()
+    assert (stopped.value.code or 0, err.getvalue()) == (0, "")
+    loaded = json.loads(out.getvalue())
     jsonschema.Draft202012Validator.check_schema(loaded)
     return jsonschema.Draft202012Validator(loaded)
 
 
-def test_the_schema_accepts_every_packaged_graph(dmframe: Any) -> None:
-    validator = schema(dmframe)
+def test_the_schema_accepts_every_packaged_graph(schema: jsonschema.Draft202012Validator) -> None:
     for path in graphs().values():
-        validator.validate(read_file(path).data)
+        schema.validate(read_file(path).data)
 
 
 BAD = {
@@ -336,27 +345,28 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_the_schema_refuses_a_bad_block(case: str, dmframe: Any) -> None:
+def test_the_schema_refuses_a_bad_block(case: str, schema: jsonschema.Draft202012Validator) -> None:
     line, culprit = BAD[case]
     good = graphs()["pendulum"].read_text(encoding="utf-8")
     bad = good.replace("  task:     {type: joint_tracking, alpha_bar: 2}", line)
     assert bad != good
-    faults = list(schema(dmframe).iter_errors(read_document(bad, "bad.yaml").data))
+    faults = list(schema.iter_errors(read_document(bad, "bad.yaml").data))
     assert any(culprit in fault.message for fault in faults)
 
 
 @pytest.mark.parametrize("change", [("dmframe: 1", "dmframe: 2"), ("clock:", "clok:"), ("duration: 30 s\n", "")])
-def test_the_schema_refuses_a_bad_file(change: tuple[str, str], dmframe: Any) -> None:
+def test_the_schema_refuses_a_bad_file(change: tuple[str, str], schema: jsonschema.Draft202012Validator) -> None:
     bad = graphs()["pendulum"].read_text(encoding="utf-8").replace(*change)
-    assert not schema(dmframe).is_valid(read_document(bad, "bad.yaml").data)
+    assert not schema.is_valid(read_document(bad, "bad.yaml").data)
 
 
-def test_the_schema_accepts_a_robot_by_name_or_in_full_and_a_users_block(dmframe: Any) -> None:
+def test_the_schema_accepts_a_robot_by_name_or_in_full_and_a_users_block(
+    schema: jsonschema.Draft202012Validator,
+) -> None:
     good = read_file(graphs()["pendulum"]).data
-    validator = schema(dmframe)
-    validator.validate({**good, "robot": {"model": "ur10", "hold": {"wrist_2_joint": "-90 deg"}, "tool": [0, 0, 0.1]}})
-    validator.validate({**good, "blocks": {**good["blocks"], "mine": {"type": "mine.py:Mine", "anything": 1}}})
-    assert not validator.is_valid({**good, "robot": {"model": "ur10", "holt": {}}})
+    schema.validate({**good, "robot": {"model": "ur10", "hold": {"wrist_2_joint": "-90 deg"}, "tool": [0, 0, 0.1]}})
+    schema.validate({**good, "blocks": {**good["blocks"], "mine": {"type": "mine.py:Mine", "anything": 1}}})
+    assert not schema.is_valid({**good, "robot": {"model": "ur10", "holt": {}}})
 
 
 def test_the_regressor_names_its_parameters_and_agrees_with_pinocchio(dmframe: Any) -> None:

@@ -279,6 +279,13 @@ def changed(diagram: Diagram, field: str) -> Diagram:
     return replace(diagram, loop=other)
 
 
+def holding(graph: Any, diagram: Diagram) -> Any:
+    """The graph with another closed loop."""
+    other = replace(graph)
+    vars(other)["diagram"] = diagram
+    return other
+
+
 def run_by(engine: str) -> Callable[[Any, Diagram], Any]:
     def numbers(experiment: Any, diagram: Diagram) -> Any:
         run = simulate(diagram, 0.2, **{**experiment.settings, "engine": engine})
@@ -311,7 +318,7 @@ def linear(experiment: Any, diagram: Diagram) -> Any:
 
 def driven(experiment: Any, diagram: Diagram) -> Any:
     tried = [Condition("nothing, the ideal robot", {})]
-    found = rehearsed(experiment, diagram, seconds=0.2, engine="interpreted", tried=tried)
+    found = rehearsed(holding(experiment, diagram), seconds=0.2, engine="interpreted", tried=tried)
     return found.field_hash, found.outcomes[0].error
 
 
@@ -319,7 +326,7 @@ CONSUMERS: dict[str, Callable[[Any, Diagram], Any]] = {
     "interpreted": run_by("interpreted"),
     "compiled": run_by("compiled"),
     "controller": stepped,
-    "C": lambda experiment, diagram: source(program_of(experiment, diagram)).split("\n", 1)[1],
+    "C": lambda experiment, diagram: source(program_of(holding(experiment, diagram))).split("\n", 1)[1],
     "page": shown,
     "analyse": linear,
     "rehearse": driven,

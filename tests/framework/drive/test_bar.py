@@ -57,7 +57,7 @@ def written(folder: Path, law: str, more: str = "") -> dm.Graph:
 
 
 def tried(graph: dm.Graph, *conditions: Condition) -> Rehearsal:
-    return rehearsed(graph, graph.diagram, engine="interpreted", tried=[*(conditions or (IDEAL,))])
+    return rehearsed(graph, engine="interpreted", tried=[*(conditions or (IDEAL,))])
 
 
 WRONG = {
@@ -150,7 +150,7 @@ def test_a_goal_out_of_reach_does_not_pass() -> None:
 )
 def test_without_a_fair_rival_a_tolerance_is_required(name: str, why: str) -> None:
     graph = dm.load(name)
-    assert law_of(graph, graph.diagram) == (None, why)
+    assert law_of(graph) == (None, why)
     run = Measured("", "m", 0.001, 0.001, 0.001, 0.2, "")
     assert (
         Bar(None, "", why).above(run, None, ideal=True)
@@ -199,7 +199,7 @@ def test_quarters_are_those_of_the_whole_time() -> None:
 
 def test_the_rival_is_the_kinematic_law_by_hand() -> None:
     graph = dm.load("ur10_fast")
-    law, _ = law_of(graph, graph.diagram)
+    law, _ = law_of(graph)
     assert law is not None
     assert law.gain == 1.0  # the graph's own, 0.8 J J', is less
     rival, q = Rival(law, 3, 0.008), np.array([1.4, -1.0, 1.0])

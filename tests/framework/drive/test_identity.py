@@ -19,6 +19,7 @@ from dmframe.drive.rehearse import Condition
 from dmframe.drive.robots import Kind
 from dmframe.errors import DriveError
 
+CONDITIONS = rehearse.conditions
 ROBOTS = Path(__file__).parents[3] / "plants" / "dmframe_plants"
 BLOCK = """
 from typing import ClassVar, final
@@ -69,7 +70,9 @@ class Bench:
         return dm.load(self.folder / "graph.yaml")
 
     def rehearse(self, graph: dm.Graph | None = None, **options: Any) -> rehearse.Rehearsal:
-        return (graph or self.graph()).rehearse(**{"limits": self.limits, "engine": "interpreted", **options})
+        return (graph or self.graph()).rehearse(
+            **{"limits": self.limits, "engine": "interpreted", "ramp": 0, **options}
+        )
 
     def drive(self, graph: dm.Graph | None = None, **options: Any) -> Any:
         given = {"limits": self.limits, "engine": "interpreted", "ramp": 0, **options}
@@ -158,6 +161,12 @@ def test_another_payload_engine_or_drive_is_refused_and_named(bench: Bench) -> N
     assert bench.drive(payload=0.0).recording.time.size == 51
     with pytest.raises(DriveError, match="engine: kind was interpreted, is compiled"):
         bench.drive(payload=0.0, engine="compiled")
+    with pytest.raises(DriveError, match=r"drive: ramp \[s\] was 0.0, is 0.5"):
+        bench.drive(payload=0.0, ramp="0.5 s")
+    with pytest.raises(DriveError, match=r"drive: ramp \[s\] was 0.0, is 1.0"):
+        bench.drive(payload=0.0, ramp=None)
+    with pytest.raises(DriveError, match=r"drive: patience \[s\] was default, is 0.2"):
+        bench.drive(payload=0.0, patience=0.2)
     with pytest.raises(DriveError, match=r"expected a drive of at most 100 ms, .* found 110 ms"):
         bench.drive(payload=0.0, until=0.11)
 
@@ -168,6 +177,22 @@ VERSIONS: dict[str, tuple[Callable[[pytest.MonkeyPatch], None], str]] = {
     "library": (lambda m: m.setattr(identity, "_installed", lambda name: "9"), r"library: casadi was .*, is 9"),
     "machine": (lambda m: m.setattr(platform, "machine", lambda: "pdp11"), r"engine: machine was .*, is pdp11"),
 }
+
+
+def test_a_rehearsal_takes_the_times_of_its_drive(bench: Bench) -> None:
+    slow = {"ramp": "0.05 s", "patience": "0.2 s"}
+    kept.keep(bench.rehearse(**slow))
+    assert bench.drive(**slow).recording.time.size > 51  # the first motion takes longer
+    with pytest.raises(DriveError, match="drive: ramp"):
+        bench.drive()
+
+
+def test_a_condition_of_a_rehearsal_has_the_ramp_of_the_drive(bench: Bench) -> None:
+    assert [each.ramp for each in CONDITIONS(0.008, 40.0, 0.0, 1.5) if each.about == "a ramp of 1.5 s"] == [1.5]
+    assert not any(each.ramp for each in CONDITIONS(0.008, 40.0, 0.0, 0.0))
+    graph, tried = bench.graph(), [Condition("nothing", {}), Condition("a ramp", {}, ramp=0.05)]
+    plain, slow = rehearse.rehearsed(graph, engine="interpreted", tried=tried).outcomes
+    assert plain.error != slow.error
 
 
 @pytest.mark.parametrize("what", VERSIONS)
@@ -202,15 +227,15 @@ def test_a_block_file_that_is_put_back_after_it_was_loaded_opens_nothing(bench: 
 def test_what_no_file_shows_is_seen_in_the_closed_loop_that_drives(bench: Bench) -> None:
     kept.keep(bench.rehearse(payload=1.0))
     graph = bench.graph()
-    experiment, diagram = graph, graph.diagram
+    diagram = graph.diagram
     loop = diagram.loop
     inertia = next(item for item in loop.parameters if item.label == "robot.inertia")
     heavier = replace(inertia, value=5 * inertia.value)
     parameters = tuple(heavier if item is inertia else item for item in loop.parameters)
-    diagram = replace(diagram, loop=replace(loop, parameters=parameters))
+    vars(graph)["diagram"] = replace(diagram, loop=replace(loop, parameters=parameters))
     limits = load_limits(bench.limits, graph.robot)
     with pytest.raises(DriveError, match=r"Changes since its rehearsal of .*: closed loop: field"):
-        driven(experiment, diagram, "real:host", limits=limits, payload=1.0, engine="interpreted")
+        driven(graph, "real:host", limits=limits, payload=1.0, ramp=0, engine="interpreted")
 
 
 def notes(tmp_path: Path) -> list[Path]:
@@ -245,9 +270,7 @@ def test_a_note_edited_by_hand_or_cut_off_is_none(bench: Bench, tmp_path: Path) 
 def test_what_is_cut_short_chosen_or_failed_is_not_kept(bench: Bench, tmp_path: Path) -> None:
     assert not kept.keep(bench.rehearse(until=0.05))
     graph = bench.graph()
-    own = rehearse.rehearsed(
-        graph, graph.diagram, engine="interpreted", tried=[Condition("nothing, the ideal robot", {})]
-    )
+    own = rehearse.rehearsed(graph, engine="interpreted", tried=[Condition("nothing, the ideal robot", {})])
     assert not kept.keep(own)
     assert not notes(tmp_path)
     whole = bench.rehearse()

@@ -17,7 +17,7 @@ import pytest
 
 import dmframe as dm
 from dmframe.drive import record
-from dmframe.errors import MissingError, OutputError
+from dmframe.errors import MissingError
 from dmframe.runtime.journal import BLOCK, Columns, Journal, Spool, _signed, read_samples
 from dmframe.runtime.robot import Sample
 from dmframe.runtime.simulated import SimulatedRobot
@@ -183,9 +183,13 @@ def test_a_disk_that_fails_brings_the_robot_to_rest_and_keeps_what_is_there(
 
     monkeypatch.setattr(SimulatedRobot, "read", slow)
     monkeypatch.setattr(SimulatedRobot, "stop", noted)
-    with pytest.raises(OutputError, match="no such file or directory; dmframe replay reads the rows"):
-        GRAPH.drive("sim", until="20 s", engine="interpreted", record=spool.path)
+    run = GRAPH.drive("sim", until="20 s", engine="interpreted", record=spool.path)
     assert stops == [20.0]
+    assert "the robot was stopped: record: " in " ".join(run.notices)
+    assert "no such file or directory; the record was written again" in " ".join(run.notices)
+    found = GRAPH.replay(spool.path, engine="interpreted")
+    assert found.identical
+    assert len(found.time) == len(run.time)
 
 
 def test_the_loop_does_not_wait_for_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

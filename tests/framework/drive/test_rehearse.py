@@ -25,7 +25,7 @@ def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def tried(graph: dm.Graph, seconds: float, *more: Condition) -> Any:
-    return rehearsed(graph, graph.diagram, seconds=seconds, engine="interpreted", tried=[IDEAL, *more])
+    return rehearsed(graph, seconds=seconds, engine="interpreted", tried=[IDEAL, *more])
 
 
 def test_a_delay_is_borne_by_one_graph_and_not_by_another() -> None:
@@ -71,8 +71,7 @@ def test_an_error_that_is_too_large_or_that_grows_is_not_borne(second: float, la
 def test_steps_of_the_longest_tick_are_as_short_as_those_of_the_clocks() -> None:
     graph = dm.load("panda_full")
     still, jittered = (
-        robots.simulated_robot(graph, graph.diagram, 1.0, "interpreted", **options)._step
-        for options in ({}, {"jitter": 0.002})
+        robots.simulated_robot(graph, 1.0, "interpreted", **options)._step for options in ({}, {"jitter": 0.002})
     )
     assert still.length == 0.001
     assert jittered.substeps == 12
@@ -96,7 +95,7 @@ def test_a_controller_that_is_late_by_far_shows_it() -> None:
 
 
 def test_delay_jitter_lost_samples_payload_and_slider_are_all_tried() -> None:
-    found = [condition.options for condition in conditions(0.008, 40.0, 1.0)]
+    found = [condition.options for condition in conditions(0.008, 40.0, 1.0, 1.0)]
     assert {key for options in found for key in options} == {
         "delay",
         "jitter",
@@ -126,6 +125,6 @@ def test_a_real_robot_is_driven_after_a_passed_rehearsal_and_with_an_acceleratio
     assert go(limits=file, rehearsed=False).recording.time.size > 1
     monkeypatch.setattr(rehearse, "conditions", lambda *_: [IDEAL])
     monkeypatch.setattr(rehearse, "LONGEST", 0.4)
-    assert kept.keep(graph.rehearse(limits=file, engine="interpreted"))
+    assert kept.keep(graph.rehearse(limits=file, engine="interpreted", ramp="0.02 s"))
     assert go(limits=file).recording.time.size > 1
     assert go(shadow=True).notices[0] == "robot: real:host, shadow drive: no command was sent"

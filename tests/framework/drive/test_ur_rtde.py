@@ -88,7 +88,7 @@ def package(monkeypatch: pytest.MonkeyPatch) -> Package:
 
 def driver() -> UrRtde:
     own = graph("ur10_fast")
-    made = kind_of("ur_rtde:arm")[0].make("arm", own, own.diagram, Options(1.0))
+    made = kind_of("ur_rtde:arm")[0].make("arm", own, Options(1.0))
     assert isinstance(made, UrRtde)
     return made
 

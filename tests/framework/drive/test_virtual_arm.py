@@ -45,7 +45,7 @@ def setting(name: str = "ur10_fast", series: str = "cb3", **behaviour: Any) -> S
 
 def driver(line: Line, name: str = "ur10_fast", **changed: Any) -> UniversalRobot:
     own = graph(name) if not changed else graph(name).set(changed)
-    made = kind_of("ur:arm")[0].make("arm", own, own.diagram, Options(1.0))
+    made = kind_of("ur:arm")[0].make("arm", own, Options(1.0))
     assert isinstance(made, UniversalRobot)
     made._linked = line
     return made

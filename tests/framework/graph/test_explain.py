@@ -41,7 +41,7 @@ def explained(name: str) -> Explanation:
     graph = dm.load(name)
     if name in PROVED:
         return graph.explain()
-    return Explanation(graph, graph.diagram, Verdict("not_applicable", Text(), claim_of(graph.diagram)))
+    return Explanation(graph, Verdict("not_applicable", Text(), claim_of(graph.diagram)))
 
 
 def said(name: str, block: str = "") -> str:

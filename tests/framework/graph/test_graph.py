@@ -91,6 +91,8 @@ def test_former_names_of_a_graph_give_it_with_a_notice(pendulum: dm.Graph) -> No
         assert pendulum.experiment is pendulum
     with pytest.warns(DeprecationWarning, match=r"run\.experiment is now run\.graph"):
         assert run.experiment is pendulum
+    with pytest.warns(DeprecationWarning, match=r"analysis\.experiment is now analysis\.graph"):
+        assert dm.load("arm2_joint").analyse("1 s").experiment.name == "arm2_joint"
 
 
 def test_each_changed_copy_is_a_graph_with_the_same_methods(pendulum: dm.Graph) -> None:

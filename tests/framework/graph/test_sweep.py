@@ -11,7 +11,7 @@ import pytest
 import dmframe as dm
 from dmframe.errors import DmframeError
 from dmframe.study.objective import statistic
-from dmframe.study.plan import load_study
+from dmframe.study.read import load_study
 
 
 def test_a_grid_has_a_dimension_a_name_and_the_figures_of_the_runs_alone() -> None:

@@ -116,4 +116,4 @@ def test_a_number_on_which_nothing_depends_has_no_slider():
 def test_a_loop_with_chance_has_no_page(arm2):
     graph = dm.load("arm2_joint").set({"jitter": "0.1 ms"})
     with pytest.raises(ValueFault, match="page: expected a deterministic loop, found jitter"):
-        content_of(graph, graph.diagram, arm2.verdict)
+        content_of(graph, arm2.verdict)

@@ -6,6 +6,7 @@ import json
 import random
 import subprocess
 import sys
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -22,7 +23,7 @@ from dmframe.exact.balls import ball
 from dmframe.prove.claim import Claim, Steps
 from dmframe.prove.export import digest, from_json, to_json
 from dmframe.prove.faults import inject_faults
-from dmframe.prove.identity import identity
+from dmframe.prove.identity import empty, identity
 from dmframe.prove.point import equalities
 from dmframe.prove.reals import Balls
 from dmframe.prove.rules import inverse_of, taken
@@ -47,6 +48,17 @@ def test_what_is_read_back_is_the_claim_that_was_checked(name: str) -> None:
     assert inject_faults(own, seed=3) == inject_faults(again, seed=3)
 
 
+def test_terms_without_names_are_part_of_dv_dt() -> None:
+    own = claim("arm2_joint")
+    parts = [replace(part, stored=tuple(replace(term, name="") for term in part.stored)) for part in own.parts]
+    assert empty(replace(own, parts=tuple(parts)), seed=0) == empty(own, seed=0) == []
+
+
+def test_dv_dt_of_storage_that_does_not_move_is_identically_zero() -> None:
+    own = claim("arm2_joint")
+    assert empty(replace(own, moves={}), seed=0) == ["dV/dt"]
+
+
 def test_a_file_is_checked_where_casadi_cannot_be_imported(tmp_path: Any) -> None:
     (tmp_path / "claim.json").write_text(to_json(claim("arm2_joint")), encoding="utf-8")
     script = """
@@ -58,7 +70,7 @@ class Refuses:
 sys.meta_path.insert(0, Refuses())
 from dmframe.prove.export import from_json
 from dmframe.prove.faults import inject_faults
-from dmframe.prove.identity import identity
+from dmframe.prove.identity import empty, identity
 found = from_json(open("claim.json").read())
 faults = inject_faults(found, seed=0)
 print(identity(found, trials=2, seed=0).zero, len(faults), all(fault.refuted for fault in faults))

@@ -46,12 +46,11 @@ class Liar(AbstractBlock):
 
 def case(source: str | Path, *overrides: str) -> Verification:
     graph = Graph.read(source, overrides)
-    diagram = graph.diagram
-    return Verification(graph, diagram, graph.verdict(diagram))
+    return Verification(graph, graph.verdict())
 
 
 def content(found: Verification) -> Content:
-    return gather(found.experiment, found.diagram, found.verdict, command=["dmframe", "verify", "it's"], seed=0)
+    return gather(found.graph, found.verdict, command=["dmframe", "verify", "it's"], seed=0)
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,7 @@ from dmframe_plants.arm2.closed_form import mass_matrix
 
 
 def run_of(case, duration):
-    return case.experiment.until(duration).simulate(case.diagram)
+    return case.graph.until(duration).simulate(case.diagram)
 
 
 def test_v_along_a_run_is_the_v_of_the_textbook(proved):

@@ -11,7 +11,7 @@ from dmframe.report.page import as_html, as_markdown
 
 
 def test_poles_margins_and_periods_are_those_of_the_analysis(proved, analysed):
-    view, graph = analysed.linear, proved.experiment
+    view, graph = analysed.linear, proved.graph
     found = analyse(proved.diagram, graph.file.clock, solver=graph.solver, start=graph.start, horizon=0.2)
     assert [row[0] for row in view.joints] == ["joint1", "joint2"]
     assert view.joints[0][3] == f"{found.joints[0].margins.phase:.1f} deg"
@@ -43,6 +43,6 @@ def test_a_loop_without_a_linear_analysis_says_why(proved, monkeypatch):
         raise EngineError("no equilibrium")
 
     monkeypatch.setattr("dmframe.analysis.analyse", refuse)
-    view = linear_view(proved.experiment, proved.diagram)
+    view = linear_view(proved.graph)
     assert view.sentence == "This loop has no linear analysis: no equilibrium."
     assert (view.joints, view.bode, dict(view.numbers)) == ((), "", {})

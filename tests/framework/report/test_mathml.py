@@ -4,6 +4,7 @@ import re
 import xml.etree.ElementTree as ET
 
 import pytest
+from latex2mathml.converter import convert
 
 from dmframe.block.prose import about
 from dmframe.catalogue import block_types
@@ -62,10 +63,55 @@ def test_a_sign_between_two_pieces_is_no_sign_of_its_own():
     assert 'form="infix"' not in mathml("-a")
 
 
-def test_bars_are_fences_and_words_in_indices_stand_upright():
+def test_bars_are_fences_and_words_in_indices_are_upright():
     made = mathml(r"|q_{ref}|^2")
-    assert 'fence="true" form="prefix"' in made
+    assert made.count('<mo fence="true" form="prefix" stretchy="true">|</mo>') == 1
     assert "<mtext>ref</mtext>" in made
+    assert mathml("p(a | b)").count("<mo>|</mo>") == 1
+
+
+LOOKS = str.maketrans(
+    {"⊤": "T", "^": "ˆ", "~": "˜", "·": "⋅", "¯": "ˉ", "′": "'", "ℱ": "F", "\u2061": None, "\u00a0": None, " ": None}
+)
+"""Signs that differ in look alone, and blanks."""
+
+
+def signs(math):
+    return "".join(text_of(math).split()).translate(LOOKS).replace("\\_", "_")
+
+
+@pytest.mark.parametrize("name", block_types())
+def test_a_formula_has_the_signs_of_another_converter_in_its_order(name):
+    for latex in formulas(block_types()[name]):
+        words = re.sub(r"(?<=_)\{([A-Za-z]{2,})\}", r"{\\text{\1}}", latex)
+        assert signs(mathml(latex)) == signs(convert(re.sub(r"\\operatorname\{([^}]*)\}", r"\\text{\1}", words))), latex
+
+
+@pytest.mark.parametrize(
+    ("latex", "made"),
+    [
+        (r"\tfrac12 x_1^2", "mstyle(mfrac(1 2)) msubsup(x 1 2)"),
+        (r"\sum_{i=1}^n \hat{a}_i", "munderover(∑ (i = 1) n) msub(mover(a ˆ) i)"),
+        (r"\sqrt{2} \left[ q \right]", "msqrt(2) ([ (q) ])"),
+        (r"\begin{cases} a & b > 0 \\ -a & \text{else} \end{cases}", "({ mtable(mtr((a) (b > 0)) mtr((− a) (else))))"),
+        (r"\underbrace{a + b}_{c}", "munder(munder((a + b) ⏟) c)"),
+        (r"\mathbb R^{n}, f'", "msup(ℝ n) , msup(f ′)"),
+    ],
+)
+def test_the_structure_of_a_formula(latex, made):
+    def shown(element):
+        inside = " ".join(map(shown, element)) or element.text or ""
+        named = element.tag not in ("mrow", "mi", "mn", "mo", "mtd", "mtext")
+        return f"{element.tag}({inside})" if named else f"({inside})" if element.tag == "mrow" else inside
+
+    assert shown(ET.fromstring(mathml(latex)))[6:-2] == made
+
+
+def test_signs_and_functions_have_the_space_of_their_place():
+    made = mathml(r"-a = -b - c \sin q")
+    assert re.findall(r'<mo form="(\w+)">−', made) == ["prefix", "prefix", "infix"]
+    assert made.count("<mspace") == 2
+    assert "<mspace" not in mathml(r"(\sin(q))")
 
 
 @pytest.mark.parametrize(("latex", "sign"), [(r"\dot q", "\u02d9"), (r"\hat a", "\u02c6"), (r"\tilde a", "\u02dc")])
@@ -75,9 +121,12 @@ def test_accents_are_accents(latex, sign):
     assert mover[1].text == sign
 
 
-def test_latex_that_cannot_be_read_stays_as_it_was_typed():
-    assert mathml(r"\left( a < b") == r"<code>\left( a &lt; b</code>"
+@pytest.mark.parametrize(
+    "latex", [r"\left( a < b", r"\nosuch{x}", "a}", "{a", "a^2^3", r"\mathrm{\tau}", r"\begin{x}\end{x}"]
+)
+def test_latex_that_is_not_supported_stays_as_it_was_typed(latex):
+    assert mathml(latex) == f"<code>{latex.replace('<', '&lt;')}</code>"
 
 
 def test_the_name_of_a_function_is_one_word_whatever_it_is_made_of():
-    assert "<mtext>of_joint</mtext>" in mathml(r"\operatorname{of\_joint}(x) h")
+    assert "<mi>of_joint</mi>" in mathml(r"\operatorname{of\_joint}(x) h")

@@ -16,27 +16,27 @@ def test_a_graph_that_cannot_be_simulated_says_why(proved, monkeypatch):
         raise StartError("start: out of reach")
 
     monkeypatch.setattr("dmframe.config.graph.simulate", refuse)
-    found = measure(proved.experiment, proved.diagram, proved.verdict)
+    found = measure(proved.graph, proved.verdict)
     assert found.sentence.endswith("The graph could not be simulated: start: out of reach.")
     assert (found.facts, found.figure) == ((), "")
 
 
 def test_a_run_that_diverged_is_reported_with_its_state(proved, monkeypatch):
-    run = proved.experiment.until(0.1).simulate(proved.diagram)
+    run = proved.graph.until(0.1).simulate(proved.diagram)
     states = {label: rows.copy() for label, rows in run.states.items()}
     states["arm.dq"][-1] = 1e200
     blown = replace(run, states=states, divergence=Divergence("arm", "dq", 0, 0.1))
     monkeypatch.setattr("dmframe.config.graph.simulate", lambda *_, **__: blown)
     with np.errstate(all="ignore"):
-        found = measure(proved.experiment, proved.diagram, proved.verdict)
+        found = measure(proved.graph, proved.verdict)
     assert found.facts[0][1].endswith("the run diverged: `arm.dq` is no longer finite")
     assert found.numbers["diverged"] is True
     assert found.numbers["V"][-1] is None
 
 
 def test_in_continuous_time_the_report_blames_no_sampling(continuous):
-    graph = continuous.experiment.until(0.3)
-    found = measure(graph, continuous.diagram, continuous.verdict)
+    graph = continuous.graph.until(0.3)
+    found = measure(graph, continuous.verdict)
     assert "the simulation differs from the theorem's loop by the integration error only" in found.sentence
     assert "sampling" not in found.sentence
 

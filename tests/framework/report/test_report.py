@@ -209,7 +209,7 @@ def test_a_report_is_written_by_its_ending(silent, tmp_path, gathered, ending):
 
 def test_a_report_says_how_it_came_about(proved, silent, tmp_path, gathered):
     write_report(tmp_path / "r.md", [replace(proved, seed=3), replace(silent, seed=3)])
-    file = silent.experiment.document.name
+    file = silent.graph.document.name
     words = ["dmframe", "verify", "arm2_joint", file, "--set", "arm2_joint:duration=0.2"]
     words += ["--seed", "3", "--report", "r.md"]
     assert gathered == [{"command": words, "seed": 3}] * 2

@@ -127,7 +127,7 @@ class Scripts:
 
 def driver(arm: Arm) -> UniversalRobot:
     graph = dm.load("ur10_fast")
-    made = kind_of("ur:arm")[0].make("arm", graph, graph.diagram, Options(1.0))
+    made = kind_of("ur:arm")[0].make("arm", graph, Options(1.0))
     assert isinstance(made, UniversalRobot)
     made._linked = arm.linked
     return made
@@ -274,9 +274,9 @@ def test_the_script_uses_registers_that_no_fieldbus_has_and_stops_in_the_thread_
 def test_addresses_and_arms_are_checked() -> None:
     panda = dm.load("panda_full")
     with pytest.raises(ValueFault, match="expected the address of an arm"):
-        kind_of("ur")[0].make("", panda, panda.diagram, Options(1.0))
+        kind_of("ur")[0].make("", panda, Options(1.0))
     with pytest.raises(DriveError, match="expected the joints of a UR in their order, found panda_joint1"):
-        kind_of("ur:x")[0].make("x", panda, panda.diagram, Options(1.0))
+        kind_of("ur:x")[0].make("x", panda, Options(1.0))
 
 
 @pytest.mark.parametrize("kind", ["M", "U"])

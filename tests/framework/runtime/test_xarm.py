@@ -135,7 +135,7 @@ class Arm:
 
 
 def driver(graph: dm.Graph, arm: Arm) -> XArm:
-    made = kind_of("xarm:arm")[0].make("arm", graph, graph.diagram, Options(1.0))
+    made = kind_of("xarm:arm")[0].make("arm", graph, Options(1.0))
     assert isinstance(made, XArm)
     made._opened, made._linked = lambda _: arm, lambda host, port: arm
     return made
@@ -287,13 +287,13 @@ def test_versions_joints_clocks_and_addresses_are_checked(graph: dm.Graph, tmp_p
         driver(graph, small).connect()
     kind = kind_of("xarm")[0]
     with pytest.raises(ValueFault, match="expected the address of an arm, xarm:192"):
-        kind.make("", graph, graph.diagram, Options(1.0))
+        kind.make("", graph, Options(1.0))
     late = graph_of(tmp_path, "8 ms")
     with pytest.raises(DriveError, match="a clock of 5 ms or a multiple, the period of the arm's reports, found 8 ms"):
-        kind.make("x", late, late.diagram, Options(1.0))
+        kind.make("x", late, Options(1.0))
     ur = dm.load("ur10_fast")
     with pytest.raises(DriveError, match="the joints of an xArm, joint1 to joint7, in their order, found shoulder"):
-        kind.make("x", ur, ur.diagram, Options(1.0))
+        kind.make("x", ur, Options(1.0))
 
 
 def test_without_the_package_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,8 @@ from dmframe import plotting
 from dmframe.study import execute, report, tune_page
 from dmframe.study.execute import State, run_study
 from dmframe.study.executor import InProcess
-from dmframe.study.plan import Study, load_study
+from dmframe.study.plan import Study
+from dmframe.study.read import load_study
 
 ARM = """\
 dmframe: 1

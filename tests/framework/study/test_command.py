@@ -23,7 +23,7 @@ from dmframe.graph.load import load
 from dmframe.results.metrics import tracking_error
 from dmframe.study.execute import State
 from dmframe.study.packing import packed, unpacked
-from dmframe.study.plan import load_study
+from dmframe.study.read import load_study
 
 pytestmark = pytest.mark.usefixtures("without_v")
 

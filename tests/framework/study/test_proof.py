@@ -21,8 +21,9 @@ from dmframe.study.box import COVERAGE, box_of
 from dmframe.study.design import Spread
 from dmframe.study.drawn import HOLDS, OPEN, _Samples, held_at
 from dmframe.study.findings import Findings
-from dmframe.study.plan import Study, load_study
+from dmframe.study.plan import Study
 from dmframe.study.proof import proofs_of
+from dmframe.study.read import load_study
 from dmframe.study.report import reported
 from dmframe.study.varied import Factor
 

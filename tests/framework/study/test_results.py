@@ -23,8 +23,9 @@ from dmframe.study.answer import WORTH, ReportData, lead, summary
 from dmframe.study.figures import figures_of, plain_marks
 from dmframe.study.findings import event_of, findings_of
 from dmframe.study.numbers import between, percent
-from dmframe.study.plan import Study, load_study
-from dmframe.study.report import write_report
+from dmframe.study.plan import Study
+from dmframe.study.read import load_study
+from dmframe.study.report import reported
 from dmframe.study.results import Results
 from dmframe.study.sheet import names_of
 from dmframe.study.statistics import Quantile
@@ -86,6 +87,10 @@ def page(
         return place, words(drawn)
 
     return made
+
+
+def write_report(*where: Any, **options: Any) -> Path:
+    return reported(*where, **options).page
 
 
 def write(parent: Path, figures: Figures = steady, text: str = "", chunk: int = 64, drop: int = 0) -> Path:

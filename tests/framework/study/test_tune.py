@@ -27,7 +27,8 @@ from dmframe.study import tune as tuning_module
 from dmframe.study.cautions import near_end
 from dmframe.study.design import Spread
 from dmframe.study.objective import Statistic
-from dmframe.study.plan import Study, load_study
+from dmframe.study.plan import Study
+from dmframe.study.read import load_study
 from dmframe.study.trials import JOURNAL, Trial, dominates, front_of
 from dmframe.study.tune import Tuning, load_tuning
 from dmframe.study.tune_figures import figures_of

@@ -22,7 +22,7 @@ def followed(plant: Plant, commands: np.ndarray) -> np.ndarray:
 def test_it_moves_as_the_simulation_does(engine: str, ticks: int) -> None:
     held = graph("ur10_fast")
     run = held.run(ticks * 0.008, progress=False).recording
-    plant = Plant(held, held.diagram, 0.008, engine=engine)  # type: ignore[arg-type]
+    plant = Plant(held, 0.008, engine=engine)  # type: ignore[arg-type]
     assert plant.engine == engine
     found = followed(plant, run["inverse.dq_c"][:ticks])
     assert np.max(np.abs(found - run["arm.q"][: ticks + 1])) < 1e-14
@@ -32,13 +32,13 @@ def test_another_arm_would_be_noticed() -> None:
     held = graph("ur10_fast")
     run = held.run(0.8, progress=False).recording
     other = held.set({"arm.viscous": [5, 5, 2.01]})
-    found = followed(Plant(other, other.diagram, 0.008), run["inverse.dq_c"][:100])
+    found = followed(Plant(other, 0.008), run["inverse.dq_c"][:100])
     assert np.max(np.abs(found - run["arm.q"][:101])) > 1e-8
 
 
 def test_a_shorter_cycle_takes_the_same_steps() -> None:
     held = graph("ur10_fast")
-    slow, fast = (Plant(held, held.diagram, cycle) for cycle in (0.008, 0.002))
+    slow, fast = (Plant(held, cycle) for cycle in (0.008, 0.002))
     command = np.array([0.1, -0.1, 0.2])
     assert slow.move(command)
     for _ in range(4):
@@ -48,13 +48,13 @@ def test_a_shorter_cycle_takes_the_same_steps() -> None:
 
 def test_a_cycle_that_no_step_divides_is_cut_into_shorter_ones() -> None:
     held = graph("ur10_fast")
-    plant = Plant(held, held.diagram, 0.0025)
+    plant = Plant(held, 0.0025)
     assert (plant.steps, plant.step) == (3, 0.0025 / 3)
 
 
 def test_what_is_not_finite_moves_nothing() -> None:
     held = graph("ur10_fast")
-    plant = Plant(held, held.diagram, 0.002)
+    plant = Plant(held, 0.002)
     before = plant.q.copy()
     assert not plant.move(np.array([np.nan, 0, 0]))
     assert np.array_equal(plant.q, before)

@@ -18,12 +18,12 @@ extern "C" void * malloc(std::size_t size)
   return __libc_malloc(size);
 }
 
-std::shared_ptr<controller_interface::ChainableControllerInterface> stand_in_loaded();
+std::shared_ptr<controller_interface::ChainableControllerInterface> created_controller();
 
 int main(int count, char ** words)
 {
   using controller_interface::return_type;
-  auto controller = stand_in_loaded();
+  auto controller = created_controller();
   controller_interface::ControllerInterfaceParams told;
   told.controller_name = "law";
   told.update_rate = told.controller_manager_update_rate = static_cast<unsigned int>(std::atoi(words[1]));

@@ -1,3 +1,3 @@
 // A stand-in: a loader makes the class by this function.
 #define PLUGINLIB_EXPORT_CLASS(Class, Base) \
-  std::shared_ptr<Base> stand_in_loaded() { return std::make_shared<Class>(); }
+  std::shared_ptr<Base> created_controller() { return std::make_shared<Class>(); }

@@ -1,0 +1,392 @@
+"""The verdict on a seeded fault in a closed loop, compared with numbers that do not come from the certifier."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any, NamedTuple
+from unittest import mock
+
+import casadi as ca
+from closed_loops import FULL, Built, known_blocks, loops, negative_in_numbers, same_field, true_in_numbers
+from seeded_faults import LIBRARY, Mutant, mutated_block
+
+from dmframe.block import AbstractBlock, Signals
+from dmframe.block.adapting import AdaptingBlock
+from dmframe.block.model import BlockModel, Recalled, model_block, signals_of, symbols_in
+from dmframe.block.steady import collected, stated_equations
+from dmframe.certificate import Certificate
+from dmframe.certify import Verdict, claim_of, verify
+from dmframe.certify.assemble import assembled
+from dmframe.certify.steady import hold_claims
+from dmframe.diagram import Diagram
+from dmframe.errors import DmframeError
+from dmframe.port import Side
+from dmframe.prove.export import digest
+from dmframe.prove.identity import identity
+from dmframe.prove.reals import doubt
+from dmframe.robot.bodies import Body
+from dmframe.robot.symbolic import SymbolicRobot
+from dmframe.text import Text
+
+OUTCOMES = {
+    "refuted": "the certifier refutes it",
+    "no diagram": "the diagram or the claim cannot be built, or is defined nowhere",
+    "condition": "the identity is true, and a condition fails",
+    "units": "the identity is true, every condition holds, and units do not agree",
+    "equivalent": "the identity is true, and numbers agree",
+    "unchanged": "the block's expressions are unchanged in every closed loop that holds it",
+    "survived": "proved, though numbers show another dV/dt or a term below zero, or with conclusions that are new",
+}
+
+
+@dataclass(frozen=True)
+class Result:
+    """What becomes of a fault in one closed loop."""
+
+    mutant: Mutant
+    loop: str
+    outcome: str
+    reason: str
+
+
+@contextlib.contextmanager
+def patched(mutant: Mutant) -> Iterator[None]:
+    """The library with one function replaced in every module and class that holds it."""
+    name = mutant.original.__name__
+
+    def holders(of: Any) -> list[Any]:
+        modules = [module for module_name, module in sys.modules.items() if module_name.startswith("dmframe")]
+        return [each for each in (*modules, SymbolicRobot, Body, AdaptingBlock) if vars(each).get(name) is of]
+
+    found = holders(mutant.original)
+    assert found
+    try:
+        for holder in found:
+            setattr(holder, name, mutant.function)
+        yield
+    finally:
+        for holder in holders(mutant.function):  # a module that was imported meanwhile has it too
+            setattr(holder, name, mutant.original)
+
+
+def unlabelled(stated: Mapping[str, Certificate], laws: Any) -> dict[str, Certificate]:
+    """Certificates with a number for each name."""
+    del laws
+
+    def counted(certificate: Certificate) -> Certificate:
+        driven = tuple(
+            replace(item, of=tuple(Text(str(k)) for k in range(len(item.bounded)))) for item in certificate.driven
+        )
+        return replace(certificate, driven=driven)
+
+    return {name: counted(certificate) for name, certificate in stated.items()}
+
+
+@contextlib.contextmanager
+def nothing_printed() -> Iterator[None]:
+    """Without the printed laws, which would refuse some faults before the exact test, and without conclusions."""
+    with (
+        mock.patch("dmframe.certify.claim.printed_laws", return_value={}),
+        mock.patch("dmframe.certify.claim.labelled", unlabelled),
+        mock.patch("dmframe.certify.assumed._named", return_value=Text()),
+        mock.patch("dmframe.certify.verify.statements_of", return_value=[]),
+        mock.patch("dmframe.certify.verify.hypotheses", return_value=[]),
+    ):
+        yield
+
+
+class _Only(dict[str, AbstractBlock]):
+    """Blocks by name, of which an iteration gives those of some types."""
+
+    def __init__(self, blocks: Mapping[str, AbstractBlock], unchanged: Sequence[type[AbstractBlock]]) -> None:
+        super().__init__(blocks)
+        self._unchanged = unchanged
+
+    def items(self) -> Any:
+        """The blocks of other types than the unchanged ones."""
+        return [(name, block) for name, block in super().items() if type(block) not in self._unchanged]
+
+
+@contextlib.contextmanager
+def reusing(honest: Diagram) -> Iterator[None]:
+    """The models of blocks whose classes are those of a diagram without faults are its models.
+
+    That unchanged certificates do not depend on numbers (`hold_claims`) is not checked once more.
+    """
+    kinds = [type(block) for block in honest.blocks.values()]
+    robots = {id(model.robot): model.robot for model in honest.models.values() if model.robot is not None}
+
+    def model(name: str, block: AbstractBlock, *rest: Any) -> BlockModel:
+        known = honest.models[name]
+        return known if type(known.block) is type(block) else model_block(name, block, *rest)
+
+    def hold(diagram: Diagram, truths: Any) -> None:
+        hold_claims(replace(diagram, blocks=_Only(diagram.blocks, kinds)), truths)
+
+    with (
+        mock.patch("dmframe.diagram.diagram.model_block", model),
+        mock.patch("dmframe.certify.claim.hold_claims", hold),
+    ):
+        if len(robots) != 1:
+            yield
+            return
+        with mock.patch("dmframe.diagram.diagram._symbolic", return_value=next(iter(robots.values()))):
+            yield
+
+
+class Statement(NamedTuple):
+    """What a loop's blocks of one type state, as CasADi writes it.
+
+    `claimed` has the certificate, conditions and starts; `concluded` the stable linear subsystems, from which
+    conclusions alone are drawn.
+    """
+
+    law: str
+    claimed: str
+    concluded: str
+
+
+def statement(loop: Built, kind: str, block: type[AbstractBlock]) -> Statement | None:
+    """None where it cannot be evaluated, or has other symbols than that of the block without faults."""
+    texts = list[Statement]()
+    for name, (of, values) in loop.specs.items():
+        if of == kind:
+            try:
+                texts.append(Statement(*(_written(loop, name, each) for each in _stated(loop, name, block(**values)))))
+            except Exception:
+                return None
+    return Statement(*("\n".join(each) for each in zip(*texts, strict=True)))
+
+
+def _written(loop: Built, name: str, stated: Any) -> str:
+    expressions, rest = collected(stated)
+    return "\n".join([*rest, ca.Function("stated", _symbols(loop, name), list(expressions)).serialize()])
+
+
+def _stated(loop: Built, name: str, block: AbstractBlock) -> tuple[Any, Any, Any]:
+    u, x, p, truth = _signals(loop, name)
+    certificate = block.composed_certificate(u, x, p, truth)
+    fields = {} if certificate is None else dict(vars(certificate))
+    driven = fields.pop("driven", ())
+    equations, conditions = block.composed_equations(u, x, p), list(block.composed_conditions(p, truth))
+    return stated_equations(equations), (fields, conditions, block.composed_start(u, p, truth)), driven
+
+
+@cache
+def _signals(loop: Built, name: str) -> tuple[Signals, Signals, Signals, Signals]:
+    """Symbols of a block without faults, with a robot that keeps its answers."""
+    diagram = loop.diagram
+    model = diagram.models[name]
+    robot = None if model.robot is None else Recalled(model.robot)
+    u, x, p = signals_of(name, model.inputs, model.states, {**model.parameters, **model.starts}, robot)
+    sizes = {
+        port.name: (*diagram.sizes.of(port.shape), 1)[:2] for port in model.block.truth if diagram.sizes.knows(port)
+    }
+    truth = {port: ca.SX.sym(f"truth.{port}", *size) for port, size in sizes.items()}
+    return u, x, p, Signals(name, "truths", truth)
+
+
+@cache
+def _symbols(loop: Built, name: str) -> list[Any]:
+    expressions, _ = collected(_stated(loop, name, loop.diagram.models[name].block))
+    return list(ca.symvar(ca.veccat(*expressions)))
+
+
+@cache
+def unchanged_statement(loop: Built, kind: str) -> Statement | None:
+    """That of the block without faults."""
+    return statement(loop, kind, known_blocks()[kind])
+
+
+_JUDGED = dict[tuple[str, Statement], Result]()
+"""Results by loop and statement: two faults with the same expressions have one verdict."""
+
+
+UNCHANGED = "the block's expressions are unchanged"
+SAME_RATES = "the rates are unchanged"
+UNCALLED = "no closed loop calls the function"
+SAME_LAW = "the certificate differs, dV/dt is true all the same"
+
+
+def tried(mutant: Mutant, everywhere: bool = False) -> list[Result]:
+    """The first closed loop in which a fault changes a certificate or a rate, or the last one; `everywhere`: all."""
+    found = list[Result]()
+    for loop in homes(mutant, loops(), everywhere):
+        found.append(_judged_once(mutant, loop))
+        if not everywhere and found[-1].reason not in (UNCHANGED, SAME_RATES):
+            return found[-1:]
+    return (found if everywhere else found[-1:]) or [Result(mutant, "", "unchanged", UNCALLED)]
+
+
+def _judged_once(mutant: Mutant, loop: Built) -> Result:
+    if mutant.owner in LIBRARY:
+        return judged(mutant, loop)
+    own = unchanged_statement(loop, mutant.owner)
+    stated = statement(loop, mutant.owner, mutated_block(known_blocks()[mutant.owner], mutant))
+    if stated is None or own is None:
+        return judged(mutant, loop)
+    if stated == own:
+        return Result(mutant, loop.name, "unchanged", UNCHANGED)
+    key = loop.name, stated
+    if key not in _JUDGED:
+        _JUDGED[key] = concluded(mutant, loop) if stated[:2] == own[:2] else judged(mutant, loop)
+    reason = _JUDGED[key].reason
+    reason = SAME_LAW if stated.law == own.law and reason == SAME_RATES else reason
+    return replace(_JUDGED[key], mutant=mutant, reason=reason)
+
+
+def concluded(mutant: Mutant, loop: Built) -> Result:
+    """A fault that only conclusions depend on: none may be new.
+
+    That a signal which the fault names is bounded is not counted: this is decided from the loop, not from the name.
+    """
+    with reusing(loop.diagram):
+        try:
+            verdict = verify(loop.build({mutant.owner: mutant}, mutated_block), trials=1)
+        except DmframeError as error:
+            return Result(mutant, loop.name, "no diagram", error.text)
+    if verdict.outcome != "proved":
+        units = str(verdict.reason).startswith("the units")
+        return Result(mutant, loop.name, "units" if units else "condition", str(verdict.reason))
+    if new := new_conclusions(verdict, verdict_without_faults(loop)):
+        return Result(mutant, loop.name, "survived", f"new conclusions: {', '.join(new)}")
+    return Result(mutant, loop.name, "equivalent", "only conclusions depend on it, and none is new")
+
+
+@cache
+def verdict_without_faults(loop: Built) -> Verdict:
+    """That of the loop itself."""
+    return verify(loop.diagram, trials=1)
+
+
+def new_conclusions(verdict: Verdict, before: Verdict) -> list[str]:
+    """What is concluded of a signal or a state that another verdict names, and not concluded there."""
+    named = {str(item.signal) for item in before.statements}
+    known = [(str(item.signal), item.says, set(map(str, item.assumes))) for item in before.statements]
+    found = [
+        f"{item.signal} {item.says}"
+        for item in verdict.statements
+        if item.signal in named
+        and not any(
+            (item.signal, item.says) == (signal, says) and assumes <= set(map(str, item.assumes))
+            for signal, says, assumes in known
+        )
+    ]
+    if verdict.states and before.states:
+        found += [f"{label} is bounded" for label in verdict.states.bounded if label not in before.states.bounded]
+    return found
+
+
+def judged(mutant: Mutant, loop: Built) -> Result:
+    """What becomes of a fault in one closed loop."""
+    block = mutant.owner in known_blocks()
+    with reusing(loop.diagram) if block else patched(mutant), nothing_printed():
+        try:
+            diagram = loop.build({mutant.owner: mutant} if block else {}, mutated_block)
+            if block and known_blocks()[mutant.owner].side is Side.SOURCE and _free_of_sources(diagram):
+                return Result(mutant, loop.name, "equivalent", "trajectories and their derivatives are free")
+            claim = assembled(claim_of(diagram))
+            if not identity(claim, trials=1, seed=0).zero and not doubt(claim, 0):  # `verify` looks for the block, too
+                return Result(mutant, loop.name, "refuted", "the residual is not zero")
+            if not block and digest(claim) == _digest_without_faults(loop) and same_field(diagram, loop.diagram):
+                return Result(mutant, loop.name, "equivalent", SAME_RATES)
+            verdict = verify(diagram, trials=1)
+        except DmframeError as error:
+            return Result(mutant, loop.name, "no diagram", error.text)
+        except Exception as error:  # a fault in the library may raise any error; that of a block is a `DmframeError`
+            if block:
+                raise
+            return Result(mutant, loop.name, "no diagram", repr(error))
+        return Result(mutant, loop.name, *_outcome(diagram, verdict, loop))
+
+
+def _free_of_sources(diagram: Diagram) -> bool:
+    """True where nothing in the claim depends on a source's equations, so that no fault in them can matter."""
+    claim = claim_of(diagram)
+    sources = {name for name, block in diagram.blocks.items() if block.side is Side.SOURCE}
+    own = {s for p in claim.loop.parameters if p.label.split(".")[0] in sources for s in symbols_in([p.symbol])}
+    moves = claim.flow.rates_of(symbols_in([claim.V])) if not claim.over_samples else claim.sample.next
+    held = [claim.V, *moves.values(), *(x for part in claim.parts for x in part.certificate.pieces)]
+    return not (own | symbols_in([claim.loop.time])) & symbols_in(held)
+
+
+@cache
+def _digest_without_faults(loop: Built) -> str:
+    with nothing_printed():
+        return digest(assembled(claim_of(loop.diagram)))
+
+
+def _outcome(diagram: Diagram, verdict: Verdict, loop: Built) -> tuple[str, str]:
+    reason = str(verdict.reason)
+    if verdict.outcome == "refuted":
+        return "refuted", reason
+    if verdict.claim is None or verdict.test is None:
+        return "no diagram", reason
+    try:
+        if not true_in_numbers(diagram, verdict.claim):
+            return "survived", f"dV/dt is another one in numbers; {reason}"
+    except FloatingPointError as error:
+        return "survived" if verdict.outcome == "proved" else "condition", f"{error}; {reason}"
+    if verdict.outcome == "proved":
+        negative = set(negative_in_numbers(diagram, verdict.claim)) - set(negative_without_faults(loop))
+        if negative:
+            return "survived", f"below zero in numbers: {', '.join(sorted(negative))}"
+        unchanged = same_field(diagram, loop.diagram)
+        return "equivalent", SAME_RATES if unchanged else "the rates differ, dV/dt is true all the same"
+    if diagram.unit_faults and verdict.test.zero and all(item.holds for item in verdict.conditions):
+        return "units", reason
+    return ("condition" if verdict.test.zero else "equivalent"), reason
+
+
+@cache
+def negative_without_faults(loop: Built) -> tuple[str, ...]:
+    """Terms below zero at sampled states of a loop without faults, such as one that is positive by assumption."""
+    with nothing_printed():
+        return tuple(negative_in_numbers(loop.diagram, claim_of(loop.diagram)))
+
+
+def homes(mutant: Mutant, available: Sequence[Built], everywhere: bool = False) -> Iterator[Built]:
+    """The closed loops that hold a block of this type, or call a function of the library, the cheapest first.
+
+    Of those that call a function one for each number of joints, unless `everywhere`: an arm in a plane makes most of
+    its rotations invisible.
+    """
+    kind, joints = mutant.owner, set[int]()
+    fitting = [loop for loop in available if kind in LIBRARY or kind in loop.types]
+    fitting = [loop for loop in fitting if (FULL in loop.name) == (kind == "gain")] or fitting
+    for loop in sorted(fitting, key=cost):
+        if kind in LIBRARY and not everywhere:
+            if loop.robot.n in joints or not called(loop, mutant.original):
+                continue
+            joints.add(loop.robot.n)
+        yield loop
+
+
+@cache
+def cost(loop: Built) -> int:
+    """Instructions of a loop's rates."""
+    moving = loop.diagram.loop
+    rates = ca.veccat(*(variable.own_rate for variable in moving.variables if variable.own_rate is not None))
+    return int(ca.Function("rates", ca.symvar(rates), [rates]).n_nodes())
+
+
+def called(loop: Built, function: Any) -> bool:
+    """True where the loop's diagram or claim calls a function of the library."""
+    return function.__code__ in _calls(loop)
+
+
+@cache
+def _calls(loop: Built) -> frozenset[Any]:
+    found = set[Any]()
+    before = sys.getprofile()
+    sys.setprofile(lambda frame, event, _: found.add(frame.f_code) if event == "call" else None)
+    try:
+        with nothing_printed():
+            assembled(claim_of(loop.build()))
+    finally:
+        sys.setprofile(before)
+    return frozenset(found)
