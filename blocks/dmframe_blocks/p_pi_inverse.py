@@ -63,11 +63,12 @@ class PPiInverse(AdaptingBlock):
     .. math::
 
         S &= \tfrac12 |e + K_c E|^2_{K K_I/K_c} + \tfrac12 |e|^2_{K \bar M + K K_c K_D + K_c B}
-             + \tfrac12 |w_f - 1/f|^2_{K_f/\Lambda_f} + \dots               \tag{8} \\
+             + \tfrac12 |w_f - 1/f|^2_{K_f/\Lambda_f} + \tfrac12 |w - 1/K_f|^2_{K_f/\Lambda} \\
+          &\quad + \tfrac12 |w_r - K_P/(K_v f)|^2_{K_f/\Lambda_r}
+             + \tfrac12 |w_c - (K_v k_p + K_i f)/(K_v f)|^2_{K_f/\Lambda_c}
+             + \tfrac12 |w_z - K_I/(K_v f)|^2_{K_f/\Lambda_z}             \tag{8} \\
         \dot S &= -s^\top (K K_D + B) s - e^\top K \bar M K_c e
              - \sigma^\top (K u - \tau_{dc} - B \sigma)                   \tag{9}
-
-    where the dots stand for the errors of the other four scales, weighed alike.
 
     S does not contain the command. With :math:`z_2 = q_c - q_r - M \dot q / K_f`,
 

@@ -38,13 +38,13 @@ class PPiServo(AbstractBlock):
 
     The servo integrates the velocity command, :math:`q_c = q(0) + \int \dot q_c`, and reports the result, usually
     called the target position. :math:`q_{step}` is zero unless positions are commanded: see `position_interface`. With
-    a `velocity_filter`, :math:`\dot q_f` replaces :math:`\dot q` in (1). With a `torque_lag`, (3) is the demanded
-    voltage :math:`u_d`, and :math:`u_a` acts:
+    a `velocity_filter`, :math:`\dot q_f` replaces :math:`\dot q` in (1). With a `torque_lag`, :math:`u_a` is
+    the voltage instead of (3):
 
     .. math::
 
         \ddot q_f    &= (\dot q - \dot q_f) / \mathrm{velocity\_filter}   \tag{4} \\
-        \dot u_a     &= (u_d - u_a) / \mathrm{torque\_lag}            \tag{5}
+        \dot u_a     &= (K_v e_v + K_i \xi - u_a) / \mathrm{torque\_lag}            \tag{5}
 
     Initially the integrator holds the robot against gravity: :math:`\xi(0) = g(q)/(K K_i)`.
 
