@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -123,11 +124,11 @@ def _tried(graph: dm.Graph, label: str, values: Sequence[Any], until: float) -> 
 
 
 def _figures(run: dm.Run) -> tuple[str, str, str]:
-    error = run.summary["error"]
+    error = run.error
     ended = "" if run.divergence is None else f"diverges at {run.divergence.time:.3g} s"
     if error is None:
         return "", "", ended or "nothing to follow"
-    return (*(_figure(error["rms_by_eighth"][k], error["unit"]) for k in (0, -1)), ended)
+    return _figure(error.rms_by_eighth[0], error.unit), _figure(error.rms_final, error.unit), ended
 
 
 def _number(value: Any) -> str:
@@ -135,4 +136,4 @@ def _number(value: Any) -> str:
 
 
 def _figure(value: float | None, unit: str) -> str:
-    return "-" if value is None else f"{value:.3g} {unit}"
+    return "-" if value is None or not math.isfinite(value) else f"{value:.3g} {unit}"

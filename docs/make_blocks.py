@@ -15,7 +15,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
-import dmframe as dm
 from dmframe.block import AbstractBlock, AdaptingBlock
 from dmframe.block.prose import about
 from dmframe.catalogue import block_modules, block_types, graphs
@@ -35,7 +34,7 @@ from dmframe.report.references import reference
 from dmframe.text import text_of
 
 sys.path.insert(0, str(Path(__file__).parent))
-from block_examples import Example, diagram_of, example, trials
+from block_examples import Example, diagram_of, example, loaded, trials
 from make_notation import meanings
 
 FAMILIES: Final = {
@@ -284,8 +283,7 @@ def _used(name: str, shown: Example | None) -> Iterator[str]:
     if shown is None:
         yield f"No packaged graph holds a `{name}`."
         return
-    title = str(_listed()[shown.graph]["title"])
-    yield f"The smallest packaged graph with it is `{shown.graph}`: {title}."
+    yield f"The smallest packaged graph with it is `{shown.graph}`: {loaded(shown.graph).title}."
     yield f"```yaml\n{graphs()[shown.graph].read_text(encoding='utf-8').rstrip()}\n```"
     if diagram_of(shown.graph).loop.noises:
         yield "It draws random numbers, and so has no live page."
@@ -293,11 +291,6 @@ def _used(name: str, shown: Example | None) -> Iterator[str]:
         yield f"```{{live}} {shown.graph}\n```"
     if shown.others:
         yield f"It is in {', '.join(f'`{other}`' for other in shown.others)} too."
-
-
-@cache
-def _listed() -> dict[str, Any]:
-    return dict(dm.graphs().facts)
 
 
 def _what_if(kind: type[AbstractBlock], shown: Example) -> Iterator[str]:

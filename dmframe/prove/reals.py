@@ -8,7 +8,7 @@ proved to be other than zero at some real point, and by more than the rounding o
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from typing import Final, final
 
@@ -81,6 +81,9 @@ Numbers = list[list[arb]]
 class Balls:
     """The ring of real balls; what is not defined on a whole ball is not a number, and so is all that needs it.
 
+    One object holds one number, so that a number is equal to itself although its ball has a width: the point inside of
+    a box, compared with what the box makes of it.
+
     Parameters
     ----------
     number
@@ -107,9 +110,21 @@ class Balls:
         return value**exponent
 
     def call(self, name: str, *arguments: arb) -> arb:
-        """A function's value."""
-        found: arb = RULES[BY_NAME[name].code](*map(arb, arguments))
+        """A function's value; the larger and the smaller of two numbers is one of the two objects."""
+        operands = [each if isinstance(each, arb) else arb(each) for each in arguments]
+        if name in _ORDERED and (chosen := _ORDERED[name](*operands)) is not None:
+            return chosen
+        if name in _OF_ITSELF and operands[0] is operands[1] and operands[0].is_finite():
+            return _OF_ITSELF[name]
+        found: arb = RULES[BY_NAME[name].code](*operands)
         return found
+
+
+_ORDERED: Final[Mapping[str, Callable[[arb, arb], arb | None]]] = {
+    "fmin": lambda a, b: a if a < b else b if b < a else None,
+    "fmax": lambda a, b: a if a > b else b if b > a else None,
+}
+_OF_ITSELF: Final = {"eq": ONE, "le": ONE, "ne": ZERO, "lt": ZERO}
 
 
 @final

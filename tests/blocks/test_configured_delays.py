@@ -23,7 +23,7 @@ from dmframe_blocks.sampled_inverse import SampledInverse
 def verdict(delay: int = 0, **between: dict[str, Any]) -> Verdict:
     graph = sampled_arm2(servo="pid", replay=2, delay=delay)
     graph["blocks"] |= between
-    return verify(dm.load(graph).diagram)
+    return verify(dm.load(graph).diagram, trials=1)
 
 
 def line(samples: int = 1, **options: Any) -> dict[str, Any]:

@@ -22,7 +22,7 @@ VISCOUS = (
 
 
 def proof(name: str, *overrides: str) -> Verdict:
-    return verify(Graph.read(name, overrides).diagram)
+    return verify(Graph.read(name, overrides).diagram, trials=1)
 
 
 def test_left_out_the_friction_is_that_of_the_papers_structure() -> None:

@@ -339,7 +339,7 @@ class ByHand:
 
 
 def test_the_packaged_loop_is_the_one_written_by_hand() -> None:
-    graph, ticks = Graph.read("ur10_pose", [f"dynamics.Gamma={GAIN}", f"path.breath={BREATH}"]), 150
+    graph, ticks = Graph.read("ur10_pose", [f"dynamics.Gamma={GAIN}", f"path.breath={BREATH}"]), 75
     solver = Solver(method="cvodes", tolerance=1e-10)
     theirs = simulate(graph.diagram, ticks * T, clock=T, solver=solver, start=graph.start)
     mine = ByHand().run(np.array(graph.start["q"], dtype=float), ticks)

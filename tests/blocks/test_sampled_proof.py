@@ -28,7 +28,7 @@ def verdict(maker: dict[str, Any] = PID, arm: dict[str, Any] | None = None, **in
     graph["blocks"]["arm"] |= arm or {}
     if samples := inverse.get("delay"):
         graph["blocks"]["line"] = {"type": "transport_delay", "samples": samples}
-    return verify(dm.load(graph).diagram)
+    return verify(dm.load(graph).diagram, trials=1)
 
 
 @pytest.mark.parametrize(

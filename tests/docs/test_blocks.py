@@ -122,7 +122,9 @@ def test_what_happens_with_another_value_is_what_a_run_gives(dynamics: str) -> N
     rows = re.findall(r"^\| x (\S+) \| (\S+) \| (\S+) rad \| (\S+) rad \|", dynamics, re.MULTILINE)
     assert [row[0] for row in rows] == ["0.25", "0.5", "1", "2", "4"]
     assert [float(row[1]) for row in rows] == [1.25, 2.5, 5, 10, 20]
-    error = dm.load("pendulum").set({"dynamics.Gamma": 20}).run(20).summary["error"]["rms_by_eighth"]
+    run = dm.load("pendulum").set({"dynamics.Gamma": 20}).run(20)
+    assert run.error is not None
+    error = run.error.rms_by_eighth
     assert rows[-1][2:] == (f"{error[0]:.3g}", f"{error[-1]:.3g}")
     assert float(rows[-1][3]) < float(rows[0][3])
 

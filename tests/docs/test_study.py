@@ -79,10 +79,10 @@ def test_what_the_page_says_of_the_two_forms_agrees_with_the_data(study: ModuleT
     stable = [p for p in first if min(first[p], second[p]) < math.inf]
     assert [sum(p[0] == task for p in stable) for task in study.TASKS] == [40, 42]
     assert [sum(second[p] < first[p] for p in stable if p[0] == task) for task in study.TASKS] == [32, 13]
-    everywhere = {
-        form: sum(min(study.ratios(rows, form, gains)[p] for gains in study.MAPPED) >= 1 for p in study.mapped())
-        for form in study.FORMS
-    }
+    everywhere = dict[str, int]()
+    for form in study.FORMS:
+        ratios = [study.ratios(rows, form, gains) for gains in study.MAPPED]
+        everywhere[form] = sum(min(of_gains[p] for of_gains in ratios) >= 1 for p in study.mapped())
     assert everywhere == {"velocity": 7, "position": 1}
 
 

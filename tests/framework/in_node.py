@@ -13,8 +13,10 @@ import pytest
 
 import dmframe as dm
 import dmframe.page
+from dmframe.block.model import SYMBOLIC
 from dmframe.graph.graph import Graph
 from dmframe.page.content import content_of
+from dmframe.page.periods import stable_periods
 
 WEB: Final = Path(dmframe.page.__file__).parent / "web"
 DRIVER: Final = Path(__file__).parent / "page" / "drive.mjs"
@@ -28,8 +30,11 @@ def content(name: str) -> dict[str, Any]:
 
 def content_of_graph(graph: Graph, *, periods: bool = False) -> dict[str, Any]:
     """A graph's page as data; with `periods`, which take seconds, what it says of its clock."""
-    page = graph.page(periods=periods)
-    return content_of(page.graph, page.verdict, page.periods)
+    verdict, found = graph.verify().verdict, None
+    if periods:
+        with SYMBOLIC:
+            found = stable_periods(graph.diagram, graph.clock, verdict, graph.start)
+    return content_of(graph, verdict, found)
 
 
 def answered(content: dict[str, Any], *, web: Path = WEB, **questions: Any) -> dict[str, Any]:

@@ -82,7 +82,7 @@ def test_a_box_has_a_row_an_element_and_two_columns() -> None:
 
 
 NESTED = st.recursive(
-    st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=4),
+    st.none() | st.booleans() | st.floats() | st.integers() | st.text("a1.-e[ ]\n\0µ²…", max_size=4),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=2), inner, max_size=2),
     max_leaves=6,
 )

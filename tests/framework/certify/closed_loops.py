@@ -188,6 +188,7 @@ def _loops() -> Iterator[Built]:
             for servo, source in zip(("PI", "PID"), sources[task], strict=True):
                 yield loop_of(robot, task, servo, source=source, boxes=robot.n == 3)
     yield _fitted(robots[0])
+    yield _robust(robots[0])
     yield from _full(robots[0])
     yield _posture(load("arm2", axes="x"))
     further = (_contact(robots[0]), _loaded(robots[0]), _grasping(robots[0]))
@@ -205,6 +206,20 @@ def _fitted(robot: Any) -> Loop:
         "task": ("observed_tracking", {"gamma": 2}),
     }
     return Loop(f"{robot.name} fitted kinematics PI", robot, {**known, **fitted})
+
+
+ADAPTATION = frozenset(("R", "forgetting", "leak", "error_leak", "dead_zone"))
+"""Parameters that change the law of an estimate."""
+
+
+def _robust(robot: Any) -> Loop:
+    """Leaks and a dead zone, which no default graph has."""
+    known = loop_of(robot, "joint", "PI").specs
+    options: dict[str, Spec] = {
+        "dynamics": ("dynamic_compensator", {"Gamma": 1, "leak": 0.2, "dead_zone": 0.1}),
+        "inverse": ("pi_inverse", {**known["inverse"][1], "error_leak": 0.3}),
+    }
+    return Loop(f"{robot.name} leaks and dead zone PI", robot, {**known, **options})
 
 
 def _posture(robot: Any) -> Loop:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, NamedTuple
 from unittest import mock
 
 import casadi as ca
-from closed_loops import FULL, Built, known_blocks, loops, negative_in_numbers, same_field, true_in_numbers
+from closed_loops import ADAPTATION, FULL, Built, known_blocks, loops, negative_in_numbers, same_field, true_in_numbers
 from seeded_faults import LIBRARY, Mutant, mutated_block
 
 from dmframe.block import AbstractBlock, Signals
@@ -353,17 +353,23 @@ def homes(mutant: Mutant, available: Sequence[Built], everywhere: bool = False) 
     """The closed loops that hold a block of this type, or call a function of the library, the cheapest first.
 
     Of those that call a function one for each number of joints, unless `everywhere`: an arm in a plane makes most of
-    its rotations invisible.
+    its rotations invisible. Of those that adapt, one for each set of options.
     """
-    kind, joints = mutant.owner, set[int]()
+    kind, seen = mutant.owner, set[Hashable]()
     fitting = [loop for loop in available if kind in LIBRARY or kind in loop.types]
     fitting = [loop for loop in fitting if (FULL in loop.name) == (kind == "gain")] or fitting
     for loop in sorted(fitting, key=cost):
         if kind in LIBRARY and not everywhere:
-            if loop.robot.n in joints or not called(loop, mutant.original):
+            case = options_of(loop) if kind == "adapting" else loop.robot.n
+            if case in seen or not called(loop, mutant.original):
                 continue
-            joints.add(loop.robot.n)
+            seen.add(case)
         yield loop
+
+
+def options_of(loop: Built) -> frozenset[str]:
+    """The parameters by which its blocks' adaptation differs from the gradient law."""
+    return frozenset(name for _, values in loop.specs.values() for name in values if name in ADAPTATION)
 
 
 @cache

@@ -204,9 +204,7 @@ def test_with_a_residual_a_weight_that_may_grow_gives_no_ultimate_bound() -> Non
 # What the conclusions, or the equations themselves, send to zero is assumed in vain.
 
 
-def weighed(
-    states: str, rates: Any, weight: Any, spent: Any, also: Any = None, start: Any = None, **sources: Any
-) -> Verdict:
+def weighted(states: str, rates: Any, weight: Any, spent: Any, also: Any = None, **sources: Any) -> Diagram:
     """X with an assumed weight in V and another in dV/dt; `also` is another square of V and of the dissipation."""
 
     def claim(x: Any, u: Any, p: Any) -> Certificate:
@@ -215,7 +213,11 @@ def weighed(
             storage, dissipation = [*storage, also(x)[0]], [*dissipation, also(x)[1]]
         return Certificate(storage=tuple(storage), dissipation=tuple(dissipation))
 
-    return verify(scalar_loop(states, lambda x, u, p: rates(x), claim, **sources), start=start or {})
+    return scalar_loop(states, lambda x, u, p: rates(x), claim, **sources)
+
+
+def weighed(*given: Any, start: Any = None, **options: Any) -> Verdict:
+    return verify(weighted(*given, **options), start=start or {})
 
 
 def dip(t: Any) -> Any:
@@ -325,13 +327,12 @@ def test_a_weight_that_stays_above_zero_may_be_assumed_to(name: str) -> None:
 
 
 def test_a_weight_that_is_assumed_names_what_decides_that_it_stays_above_zero() -> None:
-    given, options = STAYS["one that settles above zero"]
-    verdict = weighed(*given, **options)
-    assert verdict.claim is not None
-    found = dict(kept_above(verdict.claim, Numbers(verdict.claim, {})))
+    given, _ = STAYS["one that settles above zero"]
+    claim = claim_of(weighted(*given))
+    found = dict(kept_above(claim, Numbers(claim, {})))
     assert [name.partition(" stays")[2] for name in found] == [" above a positive constant"] * len(found)
     starts = {str(symbol) for reads in found.values() for symbol in ca.symvar(reads)}
-    assert str(ca.symvar(verdict.claim.starts["toy.w"])[0]) in starts
+    assert str(ca.symvar(claim.starts["toy.w"])[0]) in starts
 
 
 def test_a_run_warns_when_an_assumed_weight_is_not_above_zero() -> None:

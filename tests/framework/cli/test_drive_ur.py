@@ -63,6 +63,7 @@ def off_the_run() -> float:
     return float(np.abs(x - run["arm.x"][: len(x)]).max())
 
 
+@pytest.mark.usefixtures("without_v")
 def test_it_follows_the_run_and_its_log_is_played_again_identically(dmframe: Any) -> None:
     host = own_host()
     serve = [sys.executable, "-m", "dmframe", "robot", "ur10_fast", "--host", host, "--series", "cb3"]
@@ -147,6 +148,7 @@ def test_when_a_client_is_killed_the_arm_comes_to_rest() -> None:
         assert held.listeners == [trace]  # its connections are gone
 
 
+@pytest.mark.usefixtures("without_v")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_brings_the_arm_to_rest_gently_and_all_files_are_there(
     dmframe: Any, arm: VirtualRobot, number: signal.Signals
@@ -203,7 +205,7 @@ def test_what_must_be_there_before_an_arm_is_driven(
         assert arm.cycles == 0
     monkeypatch.setattr(rehearse, "conditions", lambda *_: [Condition("nothing, the ideal robot", {})])
     monkeypatch.setattr(rehearse, "LONGEST", 0.4)
-    assert dmframe("rehearse", "ur10_fast", "--limits", "arm.yaml").status == 0
+    assert dmframe("rehearse", "ur10_fast", "--limits", "arm.yaml", "--ramp", "0").status == 0
     said = dmframe(*rehearsed)
     assert said.status == 0, said.err
     assert dmframe(*rehearsed, "--force", "--set", "task.gamma=0.9").status == 2  # another graph

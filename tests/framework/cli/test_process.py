@@ -24,7 +24,7 @@ QUICK = (
     "content.measure = lambda *_: Measured('Not measured.')\n"
 )
 """Before a report that is only to be there: it leaves out its longest sections."""
-LONG = ("run", "arm2_joint", "--until", "2000 s", "--no-plots", "--out", "mine")
+LONG = ("run", "pendulum", "--until", "2000 s", "--no-plots", "--out", "mine")
 FILES = {"graph.yaml", "provenance.json", "seal.json", "signals.nc", "summary.json"}
 
 
@@ -232,8 +232,9 @@ def test_ctrl_c_leaves_a_complete_folder_with_what_was_computed(number: int, tmp
     assert data["interrupted"] is True
     import xarray
 
-    signals = xarray.open_dataset(tmp_path / "mine" / "signals.nc", engine="h5netcdf")
-    assert 1 < signals["time"].size < 500_000
+    time = xarray.open_dataset(tmp_path / "mine" / "signals.nc", engine="h5netcdf")["time"]
+    assert time.size > 1
+    assert 0 < time[-1] < 1000
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
 
 

@@ -95,7 +95,7 @@ def test_a_law_of_projection_counts(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_another_process_finds_the_same() -> None:
-    code = "from dmframe.config import Graph.read; print(Graph.read('ur10_full').diagram.fingerprint)"
+    code = "from dmframe.graph.graph import Graph; print(Graph.read('ur10_full').diagram.fingerprint)"
     environment = {**os.environ, "PYTHONHASHSEED": "7"}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
     assert done.stdout.strip() == Graph.read("ur10_full").diagram.fingerprint

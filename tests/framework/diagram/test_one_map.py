@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass, replace
 from fractions import Fraction
@@ -39,6 +40,7 @@ from dmframe.simulate import simulate
 
 ROOT = Path(dmframe.__file__).parent
 RAW = {"own_rate", "own_next", "own_second"}
+RAW_NAME = re.compile("|".join(RAW))
 States = ClassVar[tuple[State, ...]]
 T = 0.1
 
@@ -47,8 +49,8 @@ def test_no_other_room_reads_what_a_state_moves_by() -> None:
     found = [
         f"{file.relative_to(ROOT)}:{node.lineno} {node.attr}"
         for file in sorted(ROOT.rglob("*.py"))
-        if file.parent != ROOT / "diagram"
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if file.parent != ROOT / "diagram" and RAW_NAME.search(text := file.read_text(encoding="utf-8"))
+        for node in ast.walk(ast.parse(text))
         if isinstance(node, ast.Attribute) and node.attr in RAW
     ]
     assert not found

@@ -4,6 +4,8 @@ import random
 from functools import cache
 from itertools import combinations
 
+import pytest
+
 from dmframe.drawing.layout import lay_out, segments
 from dmframe.drawing.netlist import Box, Netlist, Pin, columns
 from dmframe.port import Side
@@ -35,6 +37,9 @@ def random_netlist(seed: int) -> Netlist:
     return Netlist(boxes, {end: tuple(targets) for end, targets in nets.items()})
 
 
+each_netlist = pytest.mark.parametrize("seeds", [range(20), range(20, 60)], ids=str)
+
+
 @cache
 def laid_out(seed: int):
     return lay_out(random_netlist(seed))
@@ -61,8 +66,9 @@ def crosses(piece, item):
     )
 
 
-def test_wires_cross_no_box_and_lie_on_no_other_wire():
-    for seed in range(60):
+@each_netlist
+def test_wires_cross_no_box_and_lie_on_no_other_wire(seeds):
+    for seed in seeds:
         layout = laid_out(seed)
         pieces = list(segments(layout))
         for end, begin, finish in pieces:
@@ -72,8 +78,9 @@ def test_wires_cross_no_box_and_lie_on_no_other_wire():
             assert one == other or overlap(first, second) <= 0, (seed, one, other)
 
 
-def test_boxes_do_not_overlap_and_every_net_is_in_one_piece():
-    for seed in range(60):
+@each_netlist
+def test_boxes_do_not_overlap_and_every_net_is_in_one_piece(seeds):
+    for seed in seeds:
         check_boxes_and_nets(laid_out(seed), seed)
 
 
@@ -101,8 +108,9 @@ def on(point, piece):
     return min(a, c) <= x <= max(a, c) and min(b, d) <= y <= max(b, d)
 
 
-def test_the_plant_stands_right_of_the_wall_and_the_rest_left_of_it():
-    for seed in range(60):
+@each_netlist
+def test_the_plant_stands_right_of_the_wall_and_the_rest_left_of_it(seeds):
+    for seed in seeds:
         layout = laid_out(seed)
         sides = {item.box.side is Side.PLANT for item in layout.placed.values()}
         assert (layout.wall is not None) == (sides == {True, False}), seed

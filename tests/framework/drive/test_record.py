@@ -165,7 +165,7 @@ def test_a_record_of_another_robot_clock_or_of_some_samples_is_reported(tmp_path
         run = dm.load(name).set(changed).run(5 * 0.008, engine="interpreted", progress=False)
         run.save(tmp_path / str(k), plots=False)
         with pytest.raises(MissingError, match=message):
-            graph().replay(tmp_path / str(k))
+            graph().replay(tmp_path / str(k), engine="interpreted")
 
 
 def test_a_damaged_record_is_reported(tmp_path: Path) -> None:

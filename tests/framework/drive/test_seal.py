@@ -45,14 +45,19 @@ def flipped(content: bytes, bit: int) -> bytes:
     return content[: bit // 8] + bytes([content[bit // 8] ^ (1 << bit % 8)]) + content[bit // 8 + 1 :]
 
 
-def test_one_flipped_bit_of_any_file_is_reported_with_the_files_name(log: Path) -> None:
+@pytest.mark.parametrize(("bits", "plots"), [(2, False), (8, True)], ids=["data", "data and figures"])
+def test_one_flipped_bit_of_any_file_is_reported_with_the_files_name(
+    bits: int, plots: bool, drive: Run, tmp_path: Path
+) -> None:
+    log = drive.save(tmp_path / "log", plots=plots, formats=["svg"])
     files, random = sorted(path for path in log.iterdir()), np.random.default_rng(0)
-    assert {"signals.nc", "graph.yaml", "summary.json", "provenance.json", "seal.json", "error.svg"} <= {
-        path.name for path in files
-    }
+    names = {"signals.nc", "graph.yaml", "summary.json", "provenance.json", "seal.json"} | (
+        {"error.svg"} if plots else set()
+    )
+    assert {path.name for path in files} >= names
     for path in files:
         whole = path.read_bytes()
-        for bit in random.integers(0, 8 * len(whole), 8):
+        for bit in random.integers(0, 8 * len(whole), bits):
             path.write_bytes(flipped(whole, int(bit)))
             with pytest.raises(MissingError, match=f"expected unchanged files: {path.name}"):
                 again(log)

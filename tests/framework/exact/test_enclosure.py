@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from fractions import Fraction
+from typing import Any
 
 import casadi as ca
 import mpmath
@@ -72,13 +73,16 @@ def test_a_square_encloses_the_exact_one_and_is_never_negative(a: float, wide: f
 
 def outside(low: float, high: float, x: float) -> list[str]:
     """Which of sine and cosine at x lies outside the enclosure of the angles from `low` to `high`."""
-    found = Enclosure(np.asarray(low), np.asarray(high)).sin_cos()
+    return beyond(Enclosure(np.asarray(low), np.asarray(high)).sin_cos(), x)
+
+
+def beyond(found: Sequence[Enclosure], x: float, place: Any = ()) -> list[str]:
+    """Which of sine and cosine at x lies outside the enclosures at a place of their arrays."""
     with mpmath.workprec(200):
         exact = (mpmath.sin(mpmath.mpf(x)), mpmath.cos(mpmath.mpf(x)))
         pairs = zip(("sin", "cos"), found, exact, strict=True)
-        return [
-            name for name, e, value in pairs if not mpmath.mpf(float(e.lower)) <= value <= mpmath.mpf(float(e.upper))
-        ]
+        ends = [(name, float(e.lower[place]), float(e.upper[place]), value) for name, e, value in pairs]
+        return [name for name, lower, upper, value in ends if not mpmath.mpf(lower) <= value <= mpmath.mpf(upper)]
 
 
 @settings(max_examples=200)
@@ -145,7 +149,9 @@ def test_an_operation_without_an_enclosure_is_refused() -> None:
 
 def inward() -> list[str]:
     """What the checks above find over many angles."""
-    return [name for x in np.linspace(-20, 20, 997) for name in outside(x, x, x)]
+    angles = np.linspace(-20, 20, 997)
+    found = Enclosure(angles, angles).sin_cos()
+    return [name for place, x in enumerate(angles) for name in beyond(found, float(x), place)]
 
 
 def test_an_end_that_is_rounded_inward_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:

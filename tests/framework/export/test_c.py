@@ -89,6 +89,15 @@ def test_sanitizers_find_nothing(name: str, main: str) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@cache
+def controller_object() -> str:
+    """Path of the compiled controller, without the program that replays it."""
+    out = Path(mkdtemp(prefix="compiled-")) / "ur10_fast.o"
+    words = [str(GCC), *STRICT, *PLAIN, "-c", "ur10_fast.c", "-o", str(out)]
+    subprocess.run(words, cwd=exported("ur10_fast"), check=True)
+    return str(out)
+
+
 @needs_gcc
 @pytest.mark.parametrize("array", ["dm_commands", "dm_state", "dm_measured"])
 def test_one_wrong_bit_is_found(array: str, tmp_path: Path) -> None:
@@ -98,7 +107,8 @@ def test_one_wrong_bit_is_found(array: str, tmp_path: Path) -> None:
     assert number is not None
     turned = f"{int(number.group(1), 16) ^ 1:04x}"
     (folder / "samples.h").write_text(text[: number.start(1)] + turned + text[number.end(1) :], encoding="utf-8")
-    done = said(compiled(folder, *STRICT, *PLAIN))
+    (folder / "ur10_fast.c").write_text('#include "ur10_fast.h"\n', encoding="utf-8")
+    done = said(compiled(folder, *STRICT, *PLAIN, controller_object()))
     assert done.returncode == 1
     assert "different bits" in done.stdout
 

@@ -24,12 +24,22 @@ pytestmark = pytest.mark.skipif(GCC is None, reason="needs gcc")
 PLAIN = ("-ffp-contract=off", "-fno-tree-vectorize")
 Kind = Literal["fmi2", "fmi3"]
 KINDS: tuple[Kind, ...] = ("fmi2", "fmi3")
+NAME = "joint_tracking_pi"
+"""For what holds of the units of any graph."""
 
 
 @cache
 def exported(name: str, kind: Kind) -> tuple[Path, Path]:
     controller, robot = dm.load(name).export(Path(mkdtemp(prefix="units-")) / name, kind)
     return controller, robot
+
+
+@cache
+def extracted(file: Path) -> tuple[Any, str]:
+    """A unit's description and its files, which its instances only read."""
+    folder = mkdtemp(prefix="unit-")
+    fmpy.extract(str(file), folder)
+    return fmpy.read_model_description(str(file)), folder
 
 
 class Unit:
@@ -39,9 +49,8 @@ class Unit:
         from fmpy.fmi2 import FMU2Slave
         from fmpy.fmi3 import FMU3Slave
 
-        self.kind, self.folder = kind, mkdtemp(prefix="unit-")
-        self.description = fmpy.read_model_description(str(file))
-        fmpy.extract(str(file), self.folder)
+        self.kind = kind
+        self.description, folder = extracted(file)
         self.at = dict[str, list[int]]()
         self.sizes, self.causality = dict[str, int](), dict[str, list[str]]()
         for item in self.description.modelVariables:
@@ -53,7 +62,7 @@ class Unit:
                 kinds.append(label)
         self.fmu: Any = {"fmi2": FMU2Slave, "fmi3": FMU3Slave}[kind](
             guid=self.description.guid,
-            unzipDirectory=self.folder,
+            unzipDirectory=folder,
             modelIdentifier=self.description.coSimulation.modelIdentifier,
             instanceName=self.description.modelName,
         )
@@ -108,7 +117,7 @@ def coupled(name: str, kind: Kind, ticks: int, start: dict[str, np.ndarray] | No
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", ["ur10_fast", "joint_tracking_pi"])
+@pytest.mark.parametrize("name", ["ur10_fast", NAME])
 def test_coupled_they_are_the_simulation_to_the_last_bit(
     name: str, kind: Kind, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -142,7 +151,7 @@ def test_a_robot_that_starts_elsewhere_is_met_where_it_is(kind: Kind) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_robot_shows_where_it_starts_to_one_who_looks_only_when_it_is_initialised(kind: Kind) -> None:
-    robot = Unit(exported("joint_tracking_pi", kind)[1], kind)
+    robot = Unit(exported(NAME, kind)[1], kind)
     robot.initialise()
     robot.fmu.exitInitializationMode()
     q = robot.get("arm.q")
@@ -152,7 +161,7 @@ def test_a_robot_shows_where_it_starts_to_one_who_looks_only_when_it_is_initiali
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_saved_state_is_returned_to(kind: Kind) -> None:
-    robot = Unit(exported("ur10_fast", kind)[1], kind)
+    robot = Unit(exported(NAME, kind)[1], kind)
     robot.initialise()
     robot.fmu.exitInitializationMode()
     robot.set("inverse.dq_c", np.array([0.1, -0.1, 0.2]))
@@ -185,7 +194,7 @@ def test_a_saved_state_is_returned_to(kind: Kind) -> None:
 def test_what_it_cannot_do_it_refuses(kind: Kind, change: str, value: float) -> None:
     from fmpy.fmi1 import FMICallException
 
-    unit = Unit(exported("ur10_fast", kind)[0], kind)
+    unit = Unit(exported(NAME, kind)[0], kind)
     unit.initialise()
     unit.fmu.exitInitializationMode()
     label = unit.causality.get(change, [""])[0]
@@ -202,7 +211,7 @@ def test_what_it_cannot_do_it_refuses(kind: Kind, change: str, value: float) -> 
 def test_a_step_is_neither_taken_twice_nor_left_out(kind: Kind) -> None:
     from fmpy.fmi1 import FMICallException
 
-    unit = Unit(exported("ur10_fast", kind)[1], kind)
+    unit = Unit(exported(NAME, kind)[1], kind)
     unit.initialise()
     unit.fmu.exitInitializationMode()
     unit.step(0.0, 0.008)
@@ -216,7 +225,7 @@ def test_a_step_is_neither_taken_twice_nor_left_out(kind: Kind) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_description_of_another_is_refused(kind: Kind) -> None:
-    unit = Unit(exported("ur10_fast", kind)[0], kind)
+    unit = Unit(exported(NAME, kind)[0], kind)
     unit.fmu.guid = "{another}"
     if kind == "fmi3":
         unit.fmu.instantiationToken = "{another}"
@@ -250,7 +259,7 @@ def compiled(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_units_are_reported_in_those_of_si() -> None:
-    with zipfile.ZipFile(exported("ur10_fast", "fmi3")[1]) as archive:
+    with zipfile.ZipFile(exported(NAME, "fmi3")[1]) as archive:
         root = ElementTree.fromstring(archive.read("modelDescription.xml"))
     units = {item.get("name"): item[0].attrib for item in root.iter("Unit")}
     assert units["N m s/rad"] == {"kg": "1", "m": "2", "s": "-1", "rad": "-1"}

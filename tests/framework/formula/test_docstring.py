@@ -175,9 +175,12 @@ def test_an_integral_of_a_state_is_checked_against_its_rate(faults):
     assert any("rate of w" in text for text in faults("\\int -", "\\int ", law=right))
 
 
-@pytest.mark.parametrize("name", list(block_types()))
+KINDS = block_types()
+
+
+@pytest.mark.parametrize("name", list(KINDS))
 def test_the_docstrings_of_all_packaged_blocks_state_what_they_compute(name):
-    assert [fault.text for fault in check_docstring(block_types()[name])] == []
+    assert [fault.text for fault in check_docstring(KINDS[name])] == []
 
 
 def test_a_graph_with_a_block_whose_docstring_is_wrong_is_refused(tmp_path):

@@ -31,13 +31,20 @@ from dmframe_blocks.adaptive_kinematics import links, tool
 from dmframe_blocks.regressor import heavy
 from dmframe_blocks.sampled_inverse import SampledInverse
 
+KINDS = block_types()
 
-@pytest.mark.parametrize("name", list(block_types()))
-def test_every_block_type_prints_or_says_that_it_needs_a_graph(name):
-    found = plainest(block_types()[name])
+
+def ports_of(kind):
+    return {port.name for port in (*kind.inputs, *kind.outputs, *kind.states, *kind.truth)} | set(kind.model_fields)
+
+
+@pytest.mark.parametrize("name", list(KINDS))
+def test_every_block_type_prints_each_symbol_defined_or_says_that_it_needs_a_graph(name):
+    found = plainest(KINDS[name])
     assert found is not None or name == "waypoints"
     if found is not None:
         assert found[1].matrices
+        check_symbols(found[1], ports_of(KINDS[name]))
 
 
 def names(node, kind):
@@ -50,16 +57,14 @@ def names(node, kind):
     return [node] * isinstance(node, kind) + inside
 
 
-@pytest.mark.parametrize("name", list(block_types()))
-def test_every_symbol_of_a_law_is_defined_and_none_by_itself(name):
-    """Read off the trees: no packaged block leaves an expression out, and no two things of a law share a name."""
-    kind = block_types()[name]
-    ports = {port.name for port in (*kind.inputs, *kind.outputs, *kind.states, *kind.truth)}
-    for read, _ in variants(kind):
-        check_symbols(read.law(), ports | set(kind.model_fields))
+@pytest.mark.parametrize("name", list(KINDS))
+def test_every_symbol_of_an_options_law_is_defined_and_none_by_itself(name):
+    for read, _ in variants(KINDS[name]):
+        check_symbols(read.law(), ports_of(KINDS[name]))
 
 
 def check_symbols(law, given):
+    """Read off the trees: no packaged block leaves an expression out, and no two things of a law share a name."""
     known = given | {line.name for line in law.lines}
     defined = {sign for sign, _ in where(law.lines)}
     for line in law.lines:
@@ -77,7 +82,7 @@ def check_symbols(law, given):
 
 
 def test_the_block_that_does_not_stand_with_its_defaults_prints_every_way_in_which_it_does():
-    kind = block_types()["filtered_regressor"]
+    kind = KINDS["filtered_regressor"]
     label, law = plainest(kind)
     assert label == "Gamma_b"
     lines = {line.name: line.right.text for line in (*law.outputs, *law.rates, *law.definitions)}
@@ -92,7 +97,7 @@ def test_the_block_that_does_not_stand_with_its_defaults_prints_every_way_in_whi
 
 
 def test_an_option_that_needs_another_one_is_shown_with_it():
-    assert "forgetting with R" in dict(options_of(block_types()["adaptive_kinematics"]))
+    assert "forgetting with R" in dict(options_of(KINDS["adaptive_kinematics"]))
 
 
 def test_what_prints_as_a_word_takes_the_parameters_that_it_says():
@@ -105,16 +110,16 @@ def test_what_prints_as_a_word_takes_the_parameters_that_it_says():
 
 
 def test_a_start_that_is_the_truth_and_an_error_leaves_the_error():
-    law = law_of_type(block_types()["adaptive_kinematics"], leak=0.1)
+    law = law_of_type(KINDS["adaptive_kinematics"], leak=0.1)
     assert [term.whole.text for term in law.excess] == ["|start_error|^2_(task_weight leak/(2 Gamma_k))"]
 
 
 def test_one_function_has_one_sign():
     """tanh(v / v_0) of a lemma is phi; a dead zone in a lemma is beyond, with its width."""
-    law = law_of_type(block_types()["manipulator"])
+    law = law_of_type(KINDS["manipulator"])
     assert [term.whole.text for term in law.dissipation] == ["(dq - dq_ref)' coulomb (phi(dq) - phi(dq_ref))"]
     assert "tanh(q̇/v_0)" in dict(where(law.lines))["φ(q̇)"]
-    law = law_of_type(block_types()["indirect_adaptation"], dead_zone=0.1)
+    law = law_of_type(KINDS["indirect_adaptation"], dead_zone=0.1)
     assert law.dissipation[0].whole.text == "(Y_d a_d_hat - tau_d)' beyond(Y_d a_d_hat - tau_d, dead_zone)"
 
 
@@ -149,24 +154,24 @@ PAPER = {
 
 @pytest.mark.parametrize("name", PAPER)
 def test_a_law_prints_as_the_paper_writes_it(name):
-    law = law_of_type(block_types()[name])
+    law = law_of_type(KINDS[name])
     found = {line.name: line.right.text for line in (*law.outputs, *law.rates, *law.definitions)}
     assert {key: found[key] for key in PAPER[name]} == PAPER[name]
 
 
 def test_energies_print_with_their_weights():
-    law = law_of_type(block_types()["task_observer"])
+    law = law_of_type(KINDS["task_observer"])
     assert [term.vector.text for term in law.dissipation] == ["J_hat'(x_o - x)/2 + s/beta"]
     assert law.dissipation[0].weight.text == "beta"
     assert law.consumption.whole.text == "|s|^2/beta"
-    pid = law_of_type(block_types()["pid_inverse"])
+    pid = law_of_type(KINDS["pid_inverse"])
     assert [term.vector.text for term in pid.storage][2:] == ["w - 1/K_star", "w_P - K_P/K_D", "w_I - K_I/K_D"]
     assert pid.storage[2].weight.text == "K_star/Lambda"
     assert pid.storage[2].whole.unicode == "|w − 1/K_⋆|²_(K_⋆/Λ)"
 
 
 def test_an_option_prints_exactly_when_it_is_switched_on():
-    block = block_types()["dynamic_compensator"]
+    block = KINDS["dynamic_compensator"]
     rate = {line.name: line.right.text for line in law_of_type(block).rates}["a_d_hat"]
     assert "leak" not in rate
     leaking = {line.name: line.right.text for line in law_of_type(block, leak=0.1).rates}["a_d_hat"]

@@ -165,7 +165,7 @@ def test_short_texts_and_pages_for_a_notebook(pendulum: dm.Graph, found: Verific
     things: list[Any] = [pendulum, run, found, analysis, pendulum.draw(), dm.compare([run]), dm.blocks(), dm.robots()]
     for thing in things:
         assert len(repr(thing)) < 1500 if isinstance(thing, type(dm.blocks())) else len(repr(thing)) < 400
-    for thing in (*things[:4], *things[5:], pendulum.blocks["dynamics"], dm.blocks()["circle"], run.plot()):
+    for thing in (*things[:4], *things[5:], pendulum.blocks["dynamics"], dm.blocks()["circle"], run.plot("arm.q")):
         page = thing._repr_html_()
         assert "<" in page
         assert "None" not in page
@@ -175,6 +175,13 @@ def test_short_texts_and_pages_for_a_notebook(pendulum: dm.Graph, found: Verific
     assert pendulum.title in pendulum._repr_html_()
     for name in pendulum.blocks:
         assert name in pendulum._repr_html_()
+
+
+def test_the_default_figures_of_a_run_are_a_page_for_a_notebook(pendulum: dm.Graph) -> None:
+    figures = pendulum.run().plot()
+    page = figures._repr_html_()
+    assert page.count("<img") == len(figures) > 1
+    assert "None" not in page
 
 
 def test_a_title_that_is_a_script_stands_as_text(pendulum: dm.Graph) -> None:

@@ -7,6 +7,7 @@ import random
 import subprocess
 import sys
 from dataclasses import replace
+from fractions import Fraction
 from functools import cache
 from typing import Any
 
@@ -190,3 +191,15 @@ def test_a_matrix_times_its_inverse_is_one() -> None:
     inverse = inverse_of(trial, W)
     product = [[sum(W[i][k] * inverse[k][j] for k in range(4)) % trial.prime for j in range(4)] for i in range(4)]
     assert product == [[int(i == j) for j in range(4)] for i in range(4)]
+
+
+def test_a_real_point_inside_its_box_is_known_to_be_there() -> None:
+    ring, third, fifth = Balls(), ball(Fraction(1, 3)), ball(Fraction(1, 5))
+    inside = ring.call("fmin", ring.call("fmax", third, ball(0)), ball(1))
+    assert third.rad() > 0
+    assert [ring.call(name, third, inside) for name in ("eq", "le", "ne", "lt")] == [1, 1, 0, 0]
+    assert ring.call("eq", third, ring.call("fmax", third, fifth)) == 1
+    assert ring.call("eq", third, ring.call("fmin", third, fifth)) == 0
+    assert not ring.call("eq", third, fifth + (third - fifth)).is_finite()  # equal, and no object says so
+    nothing = ball(1) / ball(0)
+    assert not ring.call("eq", nothing, nothing).is_finite()

@@ -101,10 +101,15 @@ def test_wrong_calls_are_reported() -> None:
         Controller(diagram, 0.002, start=graph.start, engine="fast")  # type: ignore[arg-type]
 
 
+@cache
+def tuned(engine: Any) -> Controller:
+    return dm.load("ur10_fast_tuned").controller(engine=engine)
+
+
 @pytest.mark.parametrize("engine", ["compiled", "interpreted"])
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e308])
 def test_a_sample_that_is_not_finite_is_refused_and_spoils_nothing(engine: Any, bad: float) -> None:
-    controller = dm.load("ur10_fast_tuned").controller(engine=engine)
+    controller = tuned(engine)
     good = {label: np.full_like(array, 0.1) for label, array in controller.measured.items()}
     for label, value in good.items():
         controller.measured[label][:] = value

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -125,8 +126,13 @@ class Scripts:
         pass
 
 
+@cache
+def fast() -> dm.Graph:
+    return dm.load("ur10_fast")
+
+
 def driver(arm: Arm) -> UniversalRobot:
-    graph = dm.load("ur10_fast")
+    graph = fast()
     made = kind_of("ur:arm")[0].make("arm", graph, Options(1.0))
     assert isinstance(made, UniversalRobot)
     made._linked = arm.linked
@@ -134,7 +140,7 @@ def driver(arm: Arm) -> UniversalRobot:
 
 
 def test_a_drive_follows_stops_and_lets_go() -> None:
-    arm, graph = Arm(), dm.load("ur10_fast")
+    arm, graph = Arm(), fast()
     found = driven(graph, driver(arm), 50, ramp=0.1)
     assert found.stop is None
     assert [script.split("(")[0] for script in arm.scripts] == ["def dmframe_follow"]
@@ -168,7 +174,7 @@ def test_the_slider_and_what_the_trajectory_limiter_does_are_multiplied() -> Non
     ],
 )
 def test_what_the_arm_reports_is_named(changed: dict[str, Any], message: str) -> None:
-    arm, graph = Arm(), dm.load("ur10_fast")
+    arm, graph = Arm(), fast()
     calls = []
 
     def after() -> str:
@@ -182,7 +188,7 @@ def test_what_the_arm_reports_is_named(changed: dict[str, Any], message: str) ->
 
 
 def test_a_silent_arm_is_lost_and_a_stop_is_sent_by_the_other_port() -> None:
-    arm, graph = Arm(), dm.load("ur10_fast")
+    arm, graph = Arm(), fast()
     calls = []
 
     def after() -> str:
@@ -197,7 +203,7 @@ def test_a_silent_arm_is_lost_and_a_stop_is_sent_by_the_other_port() -> None:
 
 
 def test_it_is_moved_with_the_held_joints_where_the_graph_has_them() -> None:
-    arm, graph = Arm(), dm.load("ur10_fast")
+    arm, graph = Arm(), fast()
     arm.values["actual_q"] = arm.values["target_q"] = Q + 0.1
     found = driven(graph, driver(arm), 3, ramp=0.1, start=Q[:3])
     assert found.stop is None
@@ -214,7 +220,7 @@ def test_it_is_moved_with_the_held_joints_where_the_graph_has_them() -> None:
 
 
 def test_an_arm_that_is_not_admitted_gets_no_script_and_one_on_its_way_is_stopped_at_once() -> None:
-    arm, graph = Arm(), dm.load("ur10_fast")
+    arm, graph = Arm(), fast()
     arm.values["safety_mode"] = 3
     assert str(driven(graph, driver(arm), 3).stop) == "robot: protective stop"
     assert arm.scripts == []

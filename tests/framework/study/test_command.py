@@ -41,20 +41,19 @@ grid:
 
 ARM = """\
 dmframe: 1
-title: A planar arm with a block of its own
-robot: arm2
+title: A pendulum with a block of its own
+robot: pendulum
 clock: 4 ms
 duration: 1 s
-start: {q: [0.5, 0.5]}
+start: {q: [0.5]}
 blocks:
-  path:     {type: "own.py:Mine", center: [0.5, 0.3], radius: 0.1, rate: 1 rad/s}
-  geometry: {type: kinematics}
-  task:     {type: known_tracking, gamma: 0.8}
+  path:     {type: "own.py:Mine", center: [0.8], amplitude: 0.5, rate: 1 rad/s}
+  task:     {type: joint_tracking, alpha_bar: 2}
   model:    {type: regressor, friction: [viscous]}
   dynamics: {type: dynamic_compensator, Gamma: 1}
   inverse:  {type: pi_inverse, Lambda: 0.01, Lambda_I: 1, w_I: 2}
-  servo:    {type: pi_servo, K_P: [60, 30], K_I: [240, 120]}
-  arm:      {type: manipulator, viscous: [1, 0.5]}
+  servo:    {type: pi_servo, K_P: 60, K_I: 240}
+  arm:      {type: manipulator, viscous: 1}
 """
 
 Dmframe = Callable[..., Any]
@@ -67,8 +66,8 @@ def mine(tmp_path: Path) -> Path:
     (folder / "mine").mkdir(parents=True)
     (folder / "study.yaml").write_text(STUDY, encoding="utf-8")
     (folder / "mine" / "arm.yaml").write_text(ARM, encoding="utf-8")
-    source = Path(__file__).parents[3] / "blocks" / "dmframe_blocks" / "circle.py"
-    text = source.read_text(encoding="utf-8").replace("class Circle(", "class Mine(")
+    source = Path(__file__).parents[3] / "blocks" / "dmframe_blocks" / "sinusoid.py"
+    text = source.read_text(encoding="utf-8").replace("class Sinusoid(", "class Mine(")
     (folder / "mine" / "own.py").write_text(text, encoding="utf-8")
     return folder / "study.yaml"
 
