@@ -170,6 +170,7 @@ class SampledInverse(AbstractBlock):
         Output("q_start", "n", "rad"),
         Output("epsilon", "n", "rad/s"),
         Output("guarded"),
+        Output("slope", "n", optional=True),
     )
     truth = (
         Input("K", "n", "N m/V"),
@@ -241,6 +242,7 @@ class SampledInverse(AbstractBlock):
     supervised: bool = False
     echoed: bool = False
     time_stamps: bool = False
+    forecasts: bool = False
 
     @model_validator(mode="after")
     def _fits(self) -> SampledInverse:
@@ -297,10 +299,16 @@ class SampledInverse(AbstractBlock):
             slow, next_slow = y_slow - averaged.answer(psi_slow, theta_new), {"psi_slow": psi_slow, "y_slow": y_slow}
         for k in range(1, self.delay + 1):
             start, slow = self._predicted(k, x, p, theta_new, start, slow, u.T)
-        safe = averaged.safe(self._slope(p, theta_new, start.q, u.T), p.margin)
+        S = self._slope(p, theta_new, start.q, u.T)
+        safe = averaged.safe(S, p.margin)
         dq_c = self._command(u, x, p, theta_new, start, slow, safe)
+        forecast = {}
+        if self.forecasts:
+            rise = 1 + averaged.damping(theta_new, v, p.robot.friction_velocity, u.T) + safe * ca.diag(S)
+            forecast["slope"] = (1 + averaged.share(theta_new, u.T)) / ca.fmax(0.3, rise)
         return Equations(
             outputs={
+                **forecast,
                 "dq_c": dq_c,
                 "q_start": start.q,
                 "epsilon": g - averaged.answer(h, x.theta),
