@@ -34,5 +34,5 @@ def _column_for(key: str, name: str, true: SX) -> Inequality:
         "eq. (5)",
         strict=False,
         otherwise=f"the plant has {name} ({owners}), and the regressor has no column for it: "
-        + ("set rotor: true in a regressor" if key == "rotor" else f"add {key} to friction"),
+        + ("set rotors: true in a regressor" if key == "rotor" else f"add {key} to friction"),
     )

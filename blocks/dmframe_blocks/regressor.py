@@ -42,7 +42,7 @@ class Regressor(AbstractBlock):
     starts at the gravity torque that the servo holds at rest.
 
     :math:`a_d` contains ten inertial parameters per link (mass, first moments, inertia about the joint frame), then,
-    with `rotor`, the rotors' inertia, then the elements of B and of D according to `friction`.
+    with `rotors`, the rotors' inertia, then the elements of B and of D according to `friction`.
     :math:`\phi(v) = \tanh(v / v_0)` smooths the sign, in the plant too. If `gravity` is apart, masses and first moments
     appear twice, for motion and for gravity; the initial estimates then assume that the servo compensates no gravity.
 
@@ -52,7 +52,7 @@ class Regressor(AbstractBlock):
         Friction that the compensator estimates with the inertial parameters; by default viscous, as in eq. (5).
         It must include each kind that the plant has; an estimate of a kind that the plant does not have converges
         towards zero under excitation.
-    rotor : true or false
+    rotors : true or false
         Also estimate the inertia of each joint's rotor, :math:`I_r`, with the columns
         :math:`\mathrm{diag}(\ddot q_{ref})`. It is required if the plant has `rotor`.
     gravity : together or apart
@@ -95,7 +95,7 @@ class Regressor(AbstractBlock):
     )
 
     friction: tuple[Friction, ...] = ("viscous",)
-    rotor: bool = False
+    rotors: bool = False
     gravity: Literal["together", "apart"] = "together"
     bias: bool = False
     nominal: Scalar | None = NonNegative(default=None)
@@ -170,14 +170,14 @@ class Regressor(AbstractBlock):
 
     def conditions(self, p: Signals, truth: Signals) -> tuple[Condition, ...]:
         """The regressor has a column for each kind of friction of the plant, and for its rotors."""
-        return columns_for(self.friction, truth, rotor=self.rotor)
+        return columns_for(self.friction, truth, rotor=self.rotors)
 
     def _links(self, p: Signals, truth: Signals) -> SX:
         """The inertial parameters of all links."""
         return with_held(p.robot.inertia, truth.a_held) if "a_held" in truth else p.robot.inertia
 
     def _parameters(self, chain: SerialChain) -> DynamicParameters:
-        kinds = (*self.friction, "rotor") if self.rotor else self.friction
+        kinds = (*self.friction, "rotor") if self.rotors else self.friction
         return DynamicParameters(chain, kinds, self.gravity == "apart", self.bias)
 
 
