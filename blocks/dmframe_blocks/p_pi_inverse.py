@@ -27,9 +27,7 @@ from dmframe.block import (
     Square,
     State,
     TrueValue,
-    Written,
     named,
-    sentence,
 )
 
 
@@ -70,12 +68,13 @@ class PPiInverse(AdaptingBlock):
         \dot S &= -s^\top (K K_D + B) s - e^\top K \bar M K_c e
              - \sigma^\top (K u - \tau_{dc} - B \sigma)                   \tag{9}
 
-    S does not contain the command. With :math:`z_2 = q_c - q_r - M \dot q / K_f`,
+    S does not contain the command. With :math:`z_2 = q_c - M \dot q / K_f`,
 
-    :math:`\dot z = z_2 + r_1` and
-    :math:`\dot z_2 = -\frac{K_i k_p}{K_v f} z - \frac{K_v k_p + K_i f}{K_v f} z_2 + r_2`
-    is a linear subsystem with the poles :math:`-k_p/f` and :math:`-K_i/K_v`. Its inputs r are bounded if f is 1. With
-    another f, :math:`r_2` contains :math:`(1 - f) K_i q_r / (K_v f)`: the command is bounded if the joint angles are.
+    :math:`\dot z = z_2 - q + r_1` and
+    :math:`\dot z_2 = \frac{1}{K_v f} (-K_i k_p z - (K_v k_p + K_i f) z_2 + (K_v k_p + K_i) q) + r_2`
+    is a stable linear subsystem with the poles :math:`-k_p/f` and :math:`-K_i/K_v`; r is bounded. The command and z are
+    bounded if the joint angles q are. A path of the joints implies this; otherwise it is an assumption, for each f,
+    since (5) and (6) read absolute angles: unlike with `pid_inverse`, whole turns of a joint change the loop.
 
     Parameters
     ----------
@@ -94,8 +93,9 @@ class PPiInverse(AdaptingBlock):
 
     Notes
     -----
-    Not for: a servo without feed-forward, f = 0, in which the command acts through its integral only; the true scales
-    are then infinite.
+    With f = 1 in all joints the servo is a PID servo, and `pid_inverse` needs two scales less and no bound of q. The
+    theorem does not cover a filter of the servo's velocity or a lag of its torque. Not for: a servo without
+    feed-forward, f = 0, in which the command acts through its integral only; the true scales are then infinite.
 
     References
     ----------
@@ -175,7 +175,7 @@ class PPiInverse(AdaptingBlock):
         K, k_p, K_v, K_i, f, B = truth.K, truth.k_p, truth.K_v, truth.K_i, truth.f, truth.B
         K_f, K_P, K_I, M_bar = named("K_f", K * K_v * f), K_v * k_p + K_i, K_i * k_p, self._M_bar(p, truth)
         dq_ref = self._reference(u, x, p)
-        e, sigma, h = u.q - x.q_r, named("sigma", u.dq - dq_ref), u.q_c - x.q_r
+        e, sigma = u.q - x.q_r, named("sigma", u.dq - dq_ref)
         integral = (f * u.q_c - u.q - truth.xi) / k_p + x.z
         rest = K_v * k_p + K_i * f
         return Certificate(
@@ -195,10 +195,11 @@ class PPiInverse(AdaptingBlock):
             supply=-ca.dot(sigma, K * truth.u - u.tau_dc - B * sigma),
             driven=(
                 Driven(
-                    vectors=(x.z, h - truth.momentum / K_f),
+                    vectors=(x.z, u.q_c - truth.momentum / K_f),
                     rates=((0, 1), (-K_I / (K_v * f), -rest / (K_v * f))),
-                    bounded=(x.z, h),
-                    otherwise=(self._angles(),),
+                    bounded=(x.z, u.q_c),
+                    otherwise=(Assumption("the joint angles q stay bounded", "(9)"),),
+                    inputs=(-u.q, K_P / (K_v * f) * u.q),
                 ),
             ),
         )
@@ -212,11 +213,6 @@ class PPiInverse(AdaptingBlock):
 
     def _reference(self, u: Signals, x: Signals, p: Signals) -> SX:
         return u.dq_r - p.K_c * (u.q - x.q_r)
-
-    def _angles(self) -> Condition:
-        """What bounds the command if f is not 1."""
-        f = Written("f", "f", "f")
-        return Assumption(sentence("the joint angles q stay bounded, since {f} is not 1 in all joints", f=f), "(9)")
 
     def _M_bar(self, p: Signals, truth: Signals) -> SX:
         K_P, K_I = truth.K_v * truth.k_p + truth.K_i, truth.K_i * truth.k_p

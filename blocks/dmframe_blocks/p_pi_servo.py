@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import final
+from typing import ClassVar, final
 
 from dmframe.block import (
     SX,
@@ -69,9 +69,9 @@ class PPiServo(AbstractBlock):
 
     Notes
     -----
-    A proof needs a servo without filter and lag: with either, `verify` does not apply. The cascade is continuous; a
-    cycle of 1 ms acts, to first order, like half a millisecond more of `torque_lag`. Not for: a servo with anti-windup,
-    or with acceleration feed-forward.
+    The theorem of `p_pi_inverse` covers :math:`f > 0` without filter and lag. With either, `verify` states that no
+    theorem applies. The cascade is continuous; a cycle of 1 ms acts, to first order, like half a millisecond more of
+    `torque_lag`. Not for: a servo with anti-windup, or with acceleration feed-forward.
 
     References
     ----------
@@ -101,6 +101,7 @@ class PPiServo(AbstractBlock):
         State("u_a", "n", "V", optional=True),
     )
     truth = (Input("g", "n", "N m"), Input("K", "n", "N m/V"))
+    unproved: ClassVar[str] = "no theorem covers its velocity_filter or torque_lag"
 
     k_p: Diagonal = Positive("n", "1/s")
     K_v: Diagonal = Positive("n", "V s/rad")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +12,9 @@ import scipy
 from numpy.typing import NDArray
 
 import dmframe as dm
+from dmframe.certify import verify
+from dmframe.diagram import Diagram
+from dmframe_blocks.p_pi_inverse import PPiInverse
 from dmframe_plants.arm2 import closed_form
 
 K_P, K_V, K_I = 20.0, np.array([60.0, 30.0]), np.array([240.0, 120.0])
@@ -69,14 +74,68 @@ def test_the_servo_moves_the_textbooks_arm_as_scipy_says(f: float, filtered: flo
         np.testing.assert_allclose(state[:2], q[k + 1], rtol=0, atol=1e-6)
 
 
-def test_the_inverse_is_proved_where_the_servo_has_feed_forward_alone(tmp_path: Path) -> None:
-    """Theorem 4 with five scales; without feed-forward, filter or lag there is no claim."""
-    verdict = graph(tmp_path, SERVO + ", feed_forward: 0.8}", INVERSE).verify()
-    assert verdict.proved
-    assert graph(tmp_path, SERVO + ", feed_forward: 0}", INVERSE).verify().outcome == "not applicable"
+ANGLES = "the joint angles q stay bounded"
+
+
+@pytest.mark.parametrize("f", [0.8, 1.0])
+def test_the_inverse_is_proved_for_each_share(f: float, tmp_path: Path) -> None:
+    """A path of the joints bounds their angles."""
+    found = graph(tmp_path, SERVO + f", feed_forward: {f}}}", INVERSE).verify()
+    assert found.proved
+    assert {"z", "q_c", "xi", "q"} <= {item.signal for item in found.verdict.statements if item.says == "is bounded"}
+    assert ANGLES not in {item.text for item in found.verdict.assumptions}
+    assert "q - q_d" in {item.signal for item in found.verdict.statements if item.says == "goes to zero"}
+
+
+@pytest.mark.parametrize("f", [0.9, 1.0])
+def test_where_the_task_does_not_bound_the_joint_angles_this_is_assumed(f: float) -> None:
+    found = dm.load("known_tracking_p_pi").set({"servo.feed_forward": f}).verify()
+    assert found.proved
+    bounded = {item.signal: item.assumes for item in found.verdict.statements if item.says == "is bounded"}
+    assert {signal for signal, assumed in bounded.items() if assumed == (ANGLES,)} == {"z", "q_c", "xi", "q"}
+    assert ANGLES in {item.text for item in found.verdict.assumptions}
+
+
+def test_nothing_is_proved_without_feed_forward_or_with_a_filter_or_a_lag(tmp_path: Path) -> None:
+    assert graph(tmp_path, SERVO + ", feed_forward: 0}", INVERSE).verify().outcome == "not_applicable"
     for option in ("velocity_filter: 1 ms", "torque_lag: 1 ms"):
         lagging = graph(tmp_path, SERVO + f", {option}}}", INVERSE).verify()
-        assert (lagging.outcome, lagging.proved) == ("not applicable", False)
+        assert (lagging.outcome, lagging.proved) == ("not_applicable", False)
+        assert "no theorem covers its velocity_filter or torque_lag" in lagging.verdict.reason
+
+
+@pytest.mark.parametrize("row", ["w_f", "w", "w_r", "w_c", "w_z"])
+def test_a_wrong_sign_in_any_row_of_the_adaptation_is_refuted(row: str, tmp_path: Path) -> None:
+    class Wrong(PPiInverse):  # type: ignore[misc]
+        """With a fault, and no law in prose."""
+
+        def direction(self, u: Any, x: Any, p: Any, sigma: Any) -> Any:
+            """One sign changed."""
+            own = super().direction(u, x, p, sigma)
+            return {**own, row: -own[row]}
+
+    sound = graph(tmp_path, SERVO + ", feed_forward: 0.8}", INVERSE)
+    given = {key: value for key, value in sound.blocks["inverse"].model_dump().items() if value is not None}
+    blocks = {**sound.blocks, "inverse": Wrong(**given)}
+    verdict = verify(Diagram.build(blocks, sound.file.wires, sound.robot))
+    assert verdict.outcome == "refuted"
+
+
+def test_a_wrong_true_value_is_refuted(tmp_path: Path) -> None:
+    """w_c is not w_r: with (K_v k_p + K_i)/(K_v f) for both, the balance holds for f = 1 only."""
+
+    class Wrong(PPiInverse):  # type: ignore[misc]
+        """With a fault, and no law in prose."""
+
+        def certificate(self, u: Any, x: Any, p: Any, truth: Any) -> Any:
+            """One true value for two estimates."""
+            own = super().certificate(u, x, p, truth)
+            return replace(own, estimates={**own.estimates, "w_c": own.estimates["w_r"]})
+
+    sound = graph(tmp_path, SERVO + ", feed_forward: 0.8}", INVERSE)
+    given = {key: value for key, value in sound.blocks["inverse"].model_dump().items() if value is not None}
+    blocks = {**sound.blocks, "inverse": Wrong(**given)}
+    assert verify(Diagram.build(blocks, sound.file.wires, sound.robot)).outcome == "refuted"
 
 
 def test_v_does_not_rise_in_continuous_time_and_the_error_falls(tmp_path: Path) -> None:
