@@ -154,7 +154,7 @@ class AveragedServo:
         @operation
         def changing(psi: Any) -> Any:
             """The row with zeros for its constants."""
-            return psi * self._placed(1, 1, 0, 1, 1, *self._each_more(1))
+            return psi * self._placed(1, 1, 0, 1, 1, *self.of_p_pi(1, 1))
 
         return changing
 
@@ -237,7 +237,7 @@ class AveragedServo:
             """The matrix whose row i is w times the momentum of joint i for unit velocities, by its own estimates."""
             n, still = self.chain.n, ca.SX.zeros(self.chain.n)
             units = ca.horzsplit(momenta, momenta.shape[1] // n)
-            rows = (self._row(still, still, still, Y, still, still, *self._each_more(still)) for Y in units)
+            rows = (self._row(still, still, still, Y, still, still, *self.of_p_pi(still, still)) for Y in units)
             return ca.horzcat(*(self._sums(psi * theta) for psi in rows))
 
         return inertia
@@ -283,9 +283,9 @@ class AveragedServo:
 
         return damping
 
-    def _each_more(self, value: Any) -> list[Any]:
-        """A value for each of the further columns of a P-PI servo."""
-        return [value] * len(self._more)
+    def of_p_pi(self, k_u: Any, k_q: Any) -> tuple[Any, ...]:
+        """What belongs to the further columns of a P-PI servo; empty for the others."""
+        return (k_u, k_q) if self._more else ()
 
     @property
     def _more(self) -> tuple[str, ...]:

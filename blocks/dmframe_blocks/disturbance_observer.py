@@ -58,7 +58,8 @@ class DisturbanceObserver(AbstractBlock):
     alpha : scalar, >= 0, <= 1
         Gain of the level; by default the lag of the last sample; 0 to observe nothing.
     beta : scalar, > 0
-        Gain of the trend; by default there is none. The filter (2), (3) is stable if :math:`\beta` is below :math:`4 - 2 \alpha`.
+        Gain of the trend; by default there is none. The filter (2), (3) is stable if :math:`\beta` is below
+        :math:`4 - 2 \alpha`.
     delay : 0, 1 or 2
         Whole samples from a command to its effect. It must be correct: if it is 0 and the delay is one sample, the loop
         diverges with :math:`\alpha = 1`.

@@ -51,9 +51,9 @@ class SampledTracking(AbstractBlock):
     :math:`1 - T \gamma \sigma^2` in the directions of the singular values, or by :math:`1 - T \Lambda`. The motion of
     the path causes no error.
 
-    *Gain from margins.* If the joints move by the command, multiplied by a constant gain g that is unknown, and m samples
-    later than predicted, the error obeys :math:`\Delta x_{k+1} = \Delta x_k - T \Lambda g \Delta x_{k-m}`, which is
-    stable if and only if :math:`0 < T \Lambda g < 2 \sin(\pi / (4 m + 2))`. With `gain_margin` in place of Lambda
+    *Gain from margins.* If the joints move by the command, multiplied by a constant gain g that is unknown, and m
+    samples later than predicted, then :math:`\Delta x_{k+1} = \Delta x_k - T \Lambda g \Delta x_{k-m}`, which is stable
+    if and only if :math:`0 < T \Lambda g < 2 \sin(\pi / (4 m + 2))`. With `gain_margin` in place of Lambda
 
     .. math::
 
