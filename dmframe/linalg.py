@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, final
 
 import casadi as ca
@@ -53,6 +54,15 @@ def ldl(A: Any) -> tuple[Any, list[Any]]:
     L : SX (n, n), unit lower triangular
     d : list of n SX scalars
     """
+    A = ca.SX(A)
+    L, *d = _factorisation(tuple(A.sparsity().compress())).call([A])
+    return L, d
+
+
+@lru_cache(maxsize=64)
+def _factorisation(of: tuple[int, ...]) -> Any:
+    """L and the elements of d for one pattern of zeros; called on SX, their row operations are CasADi's own."""
+    A = ca.SX.sym("A", ca.Sparsity.compressed(of))
     n = A.shape[0]
     L, weighed = ca.SX.eye(n), ca.SX(n, n)  # weighed = L diag(d)
     d: list[Any] = []
@@ -63,7 +73,7 @@ def ldl(A: Any) -> tuple[Any, list[Any]]:
         if j + 1 < n:
             L[j + 1 :, j] = column[1:] / d[j]
             weighed[j + 1 :, j] = L[j + 1 :, j] * d[j]
-    return L, d
+    return ca.Function("factorisation", [A], [L, *d])
 
 
 @operation
@@ -77,19 +87,27 @@ def solve_spd(A: Any, b: Any) -> Any:
     b : SX (n, columns)
     """
     L, d = _factors(A)
-    n = A.shape[0]
-    lower = [[L[i, j] for j in range(i)] for i in range(n)]
-    rows = ca.vertsplit(ca.SX(b))  # one matrix, changed in place, would be copied at each change
-    for i in range(n):
-        for j in range(i):
-            if lower[i][j].nnz():
-                rows[i] = rows[i] - lower[i][j] * rows[j]
-    rows = [row / pivot for row, pivot in zip(rows, d, strict=True)]
-    for i in reversed(range(n)):
-        for j in range(i + 1, n):
-            if lower[j][i].nnz():
-                rows[i] = rows[i] - lower[j][i] * rows[j]
-    return ca.vertcat(*rows)
+    right = ca.SX(b)
+    patterns = (tuple(item.sparsity().compress()) for item in (L, right))
+    return _substitution(*patterns).call([L, ca.vertcat(*d), right])[0]
+
+
+@lru_cache(maxsize=64)
+def _substitution(of_factor: tuple[int, ...], of_right: tuple[int, ...]) -> Any:
+    """Forward and back substitution for one pattern of zeros: called on SX, its n^2 row operations are CasADi's own."""
+    L, b = (ca.SX.sym(name, ca.Sparsity.compressed(of)) for name, of in (("L", of_factor), ("b", of_right)))
+    n = L.shape[0]
+    d = ca.SX.sym("d", n)
+    rows, rest = list[Any](), b  # one matrix, changed in place, would be copied at each change
+    for j in range(n):
+        rows.append(rest[0, :])
+        rest = rest[1:, :] - L[j + 1 :, j] @ rows[j]
+    rows = [row / pivot for row, pivot in zip(rows, ca.vertsplit(d), strict=True)]
+    for i in reversed(range(n - 1)):
+        for product in ca.vertsplit(ca.diag(L[i + 1 :, i]) @ ca.vertcat(*rows[i + 1 :])):
+            if product.nnz():
+                rows[i] = rows[i] - product
+    return ca.Function("substitution", [L, d, b], [ca.vertcat(*rows)])
 
 
 def _factors(A: Any) -> tuple[Any, Sequence[Any]]:

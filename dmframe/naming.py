@@ -193,10 +193,11 @@ def operation(function: Callable[..., Expression]) -> Callable[..., Expression]:
     name = f"{function.__module__}.{function.__qualname__}".replace(".", "_").replace("<locals>", "")
 
     @functools.cache
-    def node(*shapes: tuple[int, int]) -> Any:
-        symbols = [ca.SX.sym(f"a{place}", *shape) for place, shape in enumerate(shapes)]
+    def node(*patterns: tuple[int, ...]) -> Any:
+        given = [ca.Sparsity.compressed(pattern) for pattern in patterns]  # an identity matrix keeps its zeros
+        symbols = [ca.SX.sym(f"a{place}", pattern) for place, pattern in enumerate(given)]
         # numbered, since functions of other files may have the same name
-        sizes = "_".join([*(f"{rows}x{columns}" for rows, columns in shapes), str(len(_operations))])
+        sizes = "_".join([*(f"{rows}x{columns}" for rows, columns in (x.shape for x in given)), str(len(_operations))])
         # CasADi's names have only letters, digits and single underscores
         label = "_".join(part for part in f"{name}_{sizes}".split("_") if part)
         register(label, Operation(function.__name__, said=said_of(function), function=function))
@@ -207,7 +208,7 @@ def operation(function: Callable[..., Expression]) -> Callable[..., Expression]:
         if not any(isinstance(argument, ca.MX) for argument in arguments):
             return function(*arguments)
         given = [expression_of(argument) for argument in arguments]
-        return call(node(*(argument.shape for argument in given)), [as_mx(argument) for argument in given])
+        return call(node(*(tuple(item.sparsity().compress()) for item in given)), [as_mx(item) for item in given])
 
     return wrapped
 

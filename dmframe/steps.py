@@ -17,7 +17,7 @@ import casadi as ca
 
 from dmframe.condition import SX
 from dmframe.fields import Expressions
-from dmframe.prove.rules import Rule, Taken, taken
+from dmframe.prove.rules import Column, Rule, Taken, taken
 from dmframe.terms import Square
 
 
@@ -64,42 +64,38 @@ class _Taking(Expressions):
     @property
     def moves(self) -> Mapping[str, SX]:
         """The states at the next sample."""
-        return {name: ca.vertcat(*numbers) for name, numbers in self._taken[0].moves.items()}
+        return {name: ca.vertcat(*numbers) for name, numbers in self._taken.moves.items()}
 
     @property
     def change(self) -> SX:
         """Change of the storage over all steps, without the decrease due to the box and to forgetting."""
-        return 2 * self._taken[0].moved
+        return 2 * self._taken.moved
 
     @property
     def decrease(self) -> SX:
         """What the storage loses, never negative."""
-        return 2 * self._taken[0].lost
+        return 2 * self._taken.lost
 
     @property
     def residual(self) -> SX:
         """What the storage gains by what the rows do not explain, never negative."""
-        return 2 * self._taken[0].gained
+        return 2 * self._taken.gained
 
-    @property
-    def divisors(self) -> Sequence[SX]:
-        """What the steps divide by, positive."""
-        return self._taken[1]
+    def taken_in(self, ring: Any, parts: Mapping[str, Column]) -> Taken:
+        """What the steps come to in a ring, from the numbers of `named`, dense and column-major."""
+        given: Any = self
+        names = self.names
+        return taken(ring, Rule(self.rule, names[0], names[-1], given.parts, len(given.rows), bool(given.box)), parts)
 
     @cached_property
-    def _taken(self) -> tuple[Taken, Sequence[SX]]:
-        ring, given = _Scalars(), self  # type: _Scalars, Any
+    def _taken(self) -> Taken:
         elements = {name: ca.vertsplit(ca.vec(ca.densify(ca.SX(x)))) for name, x in self.named.items()}
-        rule = Rule(self.rule, self.names[0], self.names[-1], given.parts, len(given.rows), bool(given.box))
-        return taken(ring, rule, elements), ring.divisors
+        return self.taken_in(_Scalars(), elements)
 
 
 @final
 class _Scalars:
-    """The ring of scalar expressions; it collects what it divides by."""
-
-    def __init__(self) -> None:
-        self.divisors = list[SX]()
+    """The ring of scalar expressions."""
 
     def number(self, value: Fraction | int) -> SX:
         """A number."""
@@ -111,7 +107,6 @@ class _Scalars:
 
     def inverse(self, value: SX) -> SX:
         """1 / value."""
-        self.divisors.append(value)
         return 1 / value
 
     def call(self, name: str, *arguments: SX) -> SX:

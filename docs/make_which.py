@@ -64,6 +64,10 @@ LEARNT: Final = {
     "w": "servo",
     "w_P": "servo",
     "w_I": "servo",
+    "w_f": "servo",
+    "w_r": "servo",
+    "w_c": "servo",
+    "w_z": "servo",
 }
 """States that are estimates of constants."""
 
@@ -122,7 +126,7 @@ def followed(diagram: Diagram) -> str:
 def servo(diagram: Diagram) -> str:
     """The kind of the closed servo, by its block's name."""
     types = [diagram.type_of(name) for name, block in diagram.blocks.items() if block.side is Side.PLANT]
-    return next((kind.removesuffix("_servo").upper() for kind in types if kind.endswith("_servo")), "none")
+    return next((kind.removesuffix("_servo").upper().replace("_", "-") for kind in types if kind.endswith("_servo")), "none")
 
 
 def units_taken(diagram: Diagram) -> list[str]:

@@ -90,7 +90,7 @@ class PidInverse(AdaptingBlock):
 
     Notes
     -----
-    Not for: a PI velocity servo; see `pi_inverse`.
+    Not for: a PI velocity servo; see `pi_inverse`; a P-PI cascade; see `p_pi_inverse`.
 
     References
     ----------

@@ -217,9 +217,10 @@ class _Assembly:
     def _gains(self, symbols: Symbols) -> list[Group]:
         """The controller's parameters that V, its dissipation, or the steps of an estimate hold."""
         of = self._of
-        steps = [item for part in of.parts for item in part.certificate.steps]
-        held = symbols_in([of.V, *(item for part in of.parts for item in (part.dissipation, part.excess))])
-        held |= symbols_in(ca.SX(piece) for item in steps for piece in (*item.constant.values(), *item.box))
+        stated = [part.certificate for part in of.parts]
+        made = [term.value for item in stated for term in (*item.dissipation, *item.excess)]
+        made += [ca.SX(x) for item in stated for steps in item.steps for x in steps.named.values()]
+        held = symbols_in([of.V, *made])
         controllers = {name for name, block in of.diagram.blocks.items() if block.side is Side.CONTROLLER}
         return [
             group

@@ -8,8 +8,8 @@ open direction only through sines, cosines and other bounded functions is bounde
 2. a combination of states whose rate is zero keeps its value;
 3. what a stable linear equation drives (`Driven`) is bounded, if its remainder does not move with any open direction;
 4. and so on, until nothing more follows. Then what is driven by an input of which nothing is known (`Driven.inputs`) is
-   bounded too, by what its block assumes of that input, if its remainder without it does not move. A signal that does
-   not move with what is still open is bounded.
+   bounded too, by what its block assumes of that input, if its remainder without it does not move; so is that input. A
+   signal that does not move with what is still open is bounded.
 
 Each "does not move" is decided exactly, in a random prime field: `dmframe.exact.shift`. Parameters have the graph's own
 numbers there: with other numbers, a combination may close that this graph leaves open. That trajectories, with the
@@ -89,6 +89,7 @@ class Closure:
         self._known = Echelon(self._shift.prime, self._columns)
         self.driving: list[tuple[str, Driven]] = []
         self.given: list[tuple[str, Driven]] = []
+        self.without: list[Variable] = []  # open states before the first input was assumed bounded
         self.assumed: list[tuple[str, Driven]] = []
         self.missed: list[tuple[str, Driven]] = []
         self.tapes = list[tuple[Sequence[Group], Tape]]()
@@ -276,12 +277,13 @@ class Closure:
                 continue
             found = next((item for item in waiting if self._follows(*item)), None)
             if found is None:
+                self.without = self.without or self.open_states()
                 found = next((item for item in waiting if self._follows_if(*item)), None)
             if found is None:
                 break
             waiting = [item for item in waiting if item is not found]
             self.driving.append(found)
-            vectors += found[1].vectors
+            vectors += (*found[1].vectors, *(found[1].inputs if found in self.given else ()))
         self.missed = waiting
 
     def _grow(self, vectors: Sequence[SX]) -> bool:
@@ -361,13 +363,32 @@ class Closure:
 
         An input that is made of what is driven would assume what follows from it.
         """
-        if not item.inputs or symbols_in(item.inputs) & symbols_in(item.vectors):
+        if not item.inputs or self._contained(item):
             return False
         rests = [rest - own for rest, own in zip(self.remainders(block, item), item.inputs, strict=True)]
         if not (all(self.bounds(rests)) and is_stable(item, self._numbers)):
             return False
         self.given.append((block, item))
         return True
+
+    def _contained(self, item: Driven) -> bool:
+        """True if bounded states in the inputs would bound what is driven; tested if both have symbols in common."""
+        read = symbols_in(item.inputs)
+        if not read & symbols_in(item.vectors):
+            return False
+        known, start = self._known, 0
+        self._known = Echelon(self._shift.prime, self._columns)
+        for row in known.rows:
+            self._known.add(row)
+        for variable in self._variables:
+            size = variable.symbol.numel()
+            if read & symbols_in([variable.symbol]):
+                for column in range(start, start + size):
+                    self._known.add([int(column == k) for k in range(self._columns)])
+            start += size
+        moves = self._moves([ca.vec(ca.densify(vector)) for vector in item.vectors])
+        self._known = known
+        return not all(map(all, moves))
 
     def remainders(self, block: str, driven: Driven) -> Iterator[SX]:
         """What is left of each equation of a block next to its stable linear part."""

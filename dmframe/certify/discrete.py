@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Any, Final
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final, final
 
 import casadi as ca
 
@@ -16,13 +16,13 @@ from dmframe.certify.delays import decided_delays, delay_conditions
 from dmframe.certify.form import stepping
 from dmframe.certify.hypotheses import BETWEEN, of_the_plant, undefined
 from dmframe.certify.memories import triangle_starts
-from dmframe.certify.points import at_random_point
+from dmframe.certify.points import in_random_field, outputs_at
 from dmframe.certify.projections import outside
 from dmframe.certify.risky import risky
 from dmframe.certify.statements import Statement
 from dmframe.certify.symbols import Symbols
 from dmframe.diagram.closed_loop import stack
-from dmframe.exact import Tape
+from dmframe.exact import Tape, Trial
 from dmframe.text import Label, Text, Written, joined, listed_text, name_of, sentence
 
 SIGNS = sentence("{V} is positive, what it loses and gains not negative")
@@ -195,9 +195,18 @@ def _domains(claim: Claim, symbols: Symbols, seed: int) -> Iterator[Assumption]:
     """
     for part in claim.parts:
         wanted = list(_needed(claim, part, symbols))
-        norms = [size for item in part.certificate.steps for size in item.divisors]
-        tape = Tape.from_function(symbols.function("domains", [stack(wanted), stack(norms)]))
-        values, known = at_random_point(tape, symbols, seed)
+        steps = part.certificate.steps
+        given = [x for item in steps for x in item.named.values()]
+        tape = Tape.from_function(symbols.function("domains", [stack(wanted), *(ca.densify(ca.SX(x)) for x in given)]))
+
+        def found(trial: Trial, tape: Tape = tape, steps: Sequence[Steps] = steps) -> tuple[list[int], set[int]]:
+            values, *numbers = outputs_at(tape, symbols, trial)
+            divisors, left = _Dividing(trial), iter(numbers)
+            for item in steps:
+                item.taken_in(divisors, {name: next(left) for name in item.named})
+            return values, divisors.residues
+
+        values, known = in_random_field("domains", seed, found)
         left = stack(x for x, value in zip(wanted, values, strict=True) if value not in known)
         moving = [g.label for g in symbols.groups if g.kind != "parameter" and ca.depends_on(left, g.symbol)]
         if moving:
@@ -208,6 +217,20 @@ def _domains(claim: Claim, symbols: Symbols, seed: int) -> Iterator[Assumption]:
             text += "stays where these are defined, whatever {moving}{more} do"
             named = joined(list(map(Label, moving[:SHOWN])))
             yield Assumption(sentence(text, block=part.block, moving=named, more=more), "its equations need it")
+
+
+@final
+class _Dividing:
+    """The ring of a trial; it collects the residues that it divides by."""
+
+    def __init__(self, trial: Trial) -> None:
+        self._trial, self.residues = trial, set[int]()
+        self.number, self.reduced, self.call = trial.number, trial.reduced, trial.call
+
+    def inverse(self, value: int) -> int:
+        """1 / value; raises `ZeroDivision`."""
+        self.residues.add(self._trial.reduced(value))
+        return self._trial.inverse(value)
 
 
 def _needed(claim: Claim, part: Part, symbols: Symbols) -> Iterator[SX]:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
+from typing import TypeVar
 
 from dmframe.certify.symbols import Group, Symbols
 from dmframe.errors import ValueFault
 from dmframe.exact import Tape, Trial, ZeroDivision, random_prime
 from dmframe.prove.identity import ATTEMPTS, BITS
+
+T = TypeVar("T")
 
 
 def residues(trial: Trial, group: Group) -> list[int]:
@@ -19,11 +23,20 @@ def residues(trial: Trial, group: Group) -> list[int]:
 
 def at_random_point(tape: Tape, symbols: Symbols, seed: int) -> list[list[int]]:
     """The outputs of a function of all symbols; raises `ValueFault` where it is nowhere defined."""
+    return in_random_field(tape.name, seed, lambda trial: outputs_at(tape, symbols, trial))
+
+
+def outputs_at(tape: Tape, symbols: Symbols, trial: Trial) -> list[list[int]]:
+    """The outputs of a function of all symbols at a random point of one field; raises `ZeroDivision`."""
+    return tape.evaluate([residues(trial, group) for group in symbols.groups], trial)
+
+
+def in_random_field(name: str, seed: int, found: Callable[[Trial], T]) -> T:
+    """What is found in the first random field in which no denominator vanishes; raises `ValueFault` after some."""
     rng = random.Random(seed + 3)
     for _ in range(ATTEMPTS):
-        trial = Trial(random_prime(rng, BITS), rng)
         try:
-            return tape.evaluate([residues(trial, group) for group in symbols.groups], trial)
+            return found(Trial(random_prime(rng, BITS), rng))
         except ZeroDivision:
             continue
-    raise ValueFault(f"exact test of {tape.name}: a denominator vanishes at every random point")
+    raise ValueFault(f"exact test of {name}: a denominator vanishes at every random point")

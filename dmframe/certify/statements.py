@@ -189,8 +189,10 @@ def _states(claim: Claim, closure: Closure, stated: set[str]) -> list[Statement]
     known = _vectors(claim)
     before = [vector for name, vector in known.items() if name in stated]
     left = {variable.label for variable in closure.open_states()}
+    assumed = tuple(dict.fromkeys(text for texts in _given(closure).values() for text in texts))
+    later = {variable.label for variable in closure.without} if assumed else set()
     return [
-        Statement(_state_name(claim, variable, known), "is bounded", CLOSED)
+        Statement(_state_name(claim, variable, known), "is bounded", CLOSED, assumed if variable.label in later else ())
         for variable in claim.loop.plant
         if variable.label not in left and not any(_equal(variable.symbol, vector) for vector in before)
     ]

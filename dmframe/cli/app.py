@@ -325,7 +325,7 @@ def regressor(
     free: Annotated[str | None, typer.Option(metavar="J1,J2,...", help="The joints that move.")] = None,
     hold: Annotated[list[str], typer.Option(metavar="JOINT=ANGLE", help="A locked joint with its angle.")] = NOTHING,
     tool: Annotated[str | None, typer.Option(metavar="FRAME", help="The tool's frame.")] = None,
-    friction: Annotated[str, typer.Option(metavar="KINDS", help="viscous, coulomb, or viscous,coulomb.")] = "",
+    friction: Annotated[str, typer.Option(metavar="KINDS", help="Some of viscous,coulomb,rotor.")] = "",
 ) -> int:
     """Regressor of a robot: parameters, entries, code, proofs, and difference from Pinocchio."""
     from dmframe.cli.options import angles, refuse, words

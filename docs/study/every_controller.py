@@ -20,7 +20,7 @@ from dmframe.units import plain
 FOLDER = Path(__file__).parent
 PAGE, TABLE = FOLDER / "every_controller.md", FOLDER / "every_controller.csv"
 RUNS, SECONDS = 10_000, 20.0
-VARIED = {"servo": ("K_D", "K_P", "K_I"), "friction": ("viscous", "coulomb")}
+VARIED = {"servo": ("K_D", "K_P", "K_I", "K_v", "K_i"), "friction": ("viscous", "coulomb")}
 BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
 HEADS = ("graph", "varied", "runs", "diverged", "at_most", "unit", "median", "q99", "proved")
 

@@ -33,6 +33,12 @@ SERVOS = {
         "{type: pid_servo, K_D: 80, K_P: 176, K_I: 56}",
         ["inverse.w", "inverse.w_P", "inverse.w_I"],
     ),
+    "p_pi": (
+        "{type: p_pi_inverse, K_c: 0.8, Lambda_f: 0.1, Lambda: 0.01, Lambda_r: 1, Lambda_c: 2, Lambda_z: 3, w: 0.01,"
+        " w_r: 20, w_c: 19, w_z: 30}",
+        "{type: p_pi_servo, k_p: 20, K_v: 80, K_i: 800, feed_forward: 0.7}",
+        ["inverse.w_f", "inverse.w", "inverse.w_r", "inverse.w_c", "inverse.w_z"],
+    ),
 }
 KAPPA = 0.37
 COMBINATIONS = [(robot, task, servo) for robot in ROBOTS for task in ("task", "joint") for servo in SERVOS]

@@ -216,6 +216,30 @@ def test_the_pid_inverse_is_eqs_32_to_39(tie: str, reference: str, dq_r: list[fl
     close(found["d(w_I)"], [0.4, 1.6])
 
 
+def test_the_p_pi_inverse_is_its_own_1_to_7() -> None:
+    given = {"K_c": 0.5, "Lambda_f": 5, "Lambda": 2, "Lambda_r": 3, "Lambda_c": 4, "Lambda_z": 6}
+    state = {
+        "q_r": [1, 1],
+        "z": [0.2, -0.4],
+        "w_f": [2, 1],
+        "w": [0.1, 0.2],
+        "w_r": [2, 3],
+        "w_c": [4, 1],
+        "w_z": [5, 6],
+    }
+    found = answer("p_pi_inverse", given, q=[2, 1], q_c=[1.5, 0], dq_r=[1.5, 2], dq=[1.5, 1], tau_dc=[10, 20], **state)
+    close(found["dq_ref"], [1, 2])
+    close(found["sigma"], [0.5, -1])
+    close(found["dq_c"], [2 + 1 + 2 - 6 - 1, 2 + 4 + 3 - 0 + 2.4])
+    close(found["d(q_r)"], [1.5, 2])
+    close(found["d(z)"], [0.5, -1])
+    close(found["d(w_f)"], [-5 * 1 * 0.5, 5 * 2 * 1])
+    close(found["d(w)"], [-10, 40])
+    close(found["d(w_r)"], [-3 * 1 * 0.5, 3 * 1 * 1])
+    close(found["d(w_c)"], [4 * 1.5 * 0.5, 0])
+    close(found["d(w_z)"], [6 * 0.2 * 0.5, 6 * 0.4])
+
+
 def test_the_pi_servo_is_eq_6() -> None:
     given = {"K_P": [10, 20], "K_I": [30, 40]}
     found = answer("pi_servo", given, q=[1, 1], dq=[1, 2], dq_c=[0.5, 3], q_c=[0.9, 0.8], i=[0.1, -0.1])

@@ -10,7 +10,7 @@ from dmframe_blocks.pid_inverse import PidInverse
 def test_parameters_notes_and_sources_are_read_from_their_sections():
     law = about(PidInverse)
     assert law.parameters["Lambda_P"] == law.parameters["Lambda_I"] == "Adaptation gains of the ratios $w_P$ and $w_I$."
-    assert law.notes == "Not for: a PI velocity servo; see `pi_inverse`."
+    assert law.notes == "Not for: a PI velocity servo; see `pi_inverse`; a P-PI cascade; see `p_pi_inverse`."
     assert law.source == "[WangTAC2020] eqs. (32)-(39), Theorem 4 and Remark 5."
 
 

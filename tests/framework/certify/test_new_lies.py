@@ -120,6 +120,34 @@ def test_what_is_assumed_of_an_input_is_that_it_stays_bounded_and_what_it_is_mad
     assert text in {item.text for item in verdict.assumptions}
 
 
+def mixed(inputs: Callable[[Any], Any]) -> Verdict:
+    """The driven sum w + v has a state in common with its input 3 v; w' = -w + v and v' = v."""
+
+    def claim(x: Any, u: Any, p: Any) -> Certificate:
+        otherwise = (Assumption("v stays bounded", "a test"),)
+        vectors = (x.w + x.v,)
+        item = Driven(vectors, ((ca.SX(-1),),), vectors, otherwise=otherwise, inputs=(inputs(x),))
+        return Certificate((Square(x.y),), (Square(x.y),), driven=(item,))
+
+    return verify(scalar_loop("y v w", lambda x, u, p: {"y": -x.y, "v": x.v, "w": -x.w + x.v}, claim))
+
+
+def test_an_input_may_read_a_state_of_what_it_drives_if_it_alone_does_not_bound_that() -> None:
+    verdict = mixed(lambda x: 3 * x.v)
+    assert "w + v" in says(verdict, "is bounded")
+    assert verdict.states is not None
+    assert verdict.states.open == ()
+
+
+@pytest.mark.parametrize("power", [1, 3])
+def test_an_input_whose_states_bound_what_it_drives_bounds_nothing(power: int) -> None:
+    """The same input, with w in it: to assume it bounded would assume what follows."""
+    verdict = mixed(lambda x: 3 * x.v + (x.w + x.v) ** power)
+    assert "w + v" not in says(verdict, "is bounded")
+    assert verdict.states is not None
+    assert {"toy.v", "toy.w"} <= set(verdict.states.open)
+
+
 # A matrix that can never have full row rank takes no error to zero.
 
 
