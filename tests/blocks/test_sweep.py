@@ -43,6 +43,7 @@ BETWEEN = """
   encoder:  {type: encoder, step: 47.94 urad}
   readings: {type: measurement_delay}
   way:      {type: transport_delay}
+  error:    {type: command_gain, gain: 1.1}
   limits:   {type: command_limits}
   ramp:     {type: command_ramp, acceleration: 4}
   friction: {type: friction_compensation, coulomb: 0.1}
@@ -55,6 +56,10 @@ BETWEEN = """
 LOADED = EXAMPLES["setpoint"].replace("manipulator}", "loaded_manipulator, payload: [1], payload_at: [1]}")
 EXAMPLES |= dict.fromkeys(re.findall(r"type: (\w+)", BETWEEN), LOADED + BETWEEN[1:])
 EXAMPLES["loaded_manipulator"] = LOADED
+EXAMPLES["epicycles"] = EXAMPLES["setpoint"].replace(
+    "setpoint, x_d: [0.5, 0.4]",
+    "epicycles, center: [0.5, 0.4], radius: [0.05, 0.02], rate: [1, -2], phase: [0, 1], stop: 1, every: 1 s",
+)
 EXAMPLES["turning"] = (
     EXAMPLES["setpoint"] + "  attitude: {type: turning, orientation: [0, 90 deg, 0], axis: [1, 0, 0]}\n"
 )

@@ -38,6 +38,7 @@ RADIANS: Final[Mapping[str, str]] = {
     "direct_adaptation": "leak error_leak",
     "dynamic_compensator": "leak error_leak",
     "elastic_joints": "inertia",
+    "epicycles": "radius",
     "encoder": "step noise window time_constant",
     "filtered_adaptation": "leak error_leak",
     "filtered_regressor": "bandwidth weight Gamma_b",
