@@ -30,6 +30,7 @@ from dmframe.cli.arguments import (
     robot_names,
 )
 from dmframe.cli.catalogue import blocks, graphs, learn, new, robots, schema
+from dmframe.cli.races import race
 from dmframe.cli.robots import drive, export, rehearse, replay, robot
 from dmframe.cli.streams import tell
 from dmframe.cli.studies import study, tune
@@ -70,7 +71,7 @@ def common(
 
 
 command: Callable[..., Any]
-for command in (study, tune, graphs, robots, new):
+for command in (study, tune, race, graphs, robots, new):
     app.command()(command)
 
 
