@@ -58,6 +58,8 @@ class Plant:
         Joints that are fixed, by their angles [rad]; the others move.
     viscous, coulomb, v_0
         Friction of each joint: B dq + D tanh(dq / v_0) [N m].
+    sticking, slow, per_torque
+        More friction: (sticking exp(-(dq / slow)^2) + per_torque |tau|) tanh(dq / v_0) [N m].
     rotor
         Inertia of each rotor about its joint's axis [kg m^2].
     mass_scale
@@ -73,6 +75,9 @@ class Plant:
     viscous: Array
     coulomb: Array
     v_0: float
+    sticking: float = 0.0
+    slow: float = 0.05
+    per_torque: float = 0.0
     rotor: Sequence[float] = ()
     mass_scale: Mapping[str, float] = field(default_factory=dict)
     loads: Sequence[Load] = ()
@@ -109,7 +114,7 @@ class Plant:
         def torques(_: Any, now: Any) -> None:
             dq, rates = now.qvel, now.ctrl.reshape(-1, n)
             tau, rates[:] = self.servo.law(now.qpos, dq, now.act.reshape(-1, n), command)
-            now.qfrc_applied[:] = tau - self.viscous * dq - self.coulomb * np.tanh(dq / self.v_0)
+            now.qfrc_applied[:] = tau - self.friction(dq, tau)
 
         for k in range(ticks + 1):
             while stages and stages[0][0] <= k * T + 1e-9:
@@ -128,6 +133,13 @@ class Plant:
             finally:
                 mujoco.set_mjcb_control(None)
         return found
+
+    def friction(self, dq: Array, tau: Array) -> Array:
+        """The torque of all friction [N m] at a servo's torque."""
+        dry = self.coulomb
+        if self.sticking or self.per_torque:
+            dry = dry + self.sticking * np.exp(-((dq / self.slow) ** 2)) + self.per_torque * np.abs(tau)
+        return self.viscous * dq + dry * np.tanh(dq / self.v_0)
 
     def _moved(self, model: Any, before: Any, q: Sequence[float], step: float) -> Any:
         """The data of a model, at the state of another, or at rest at q."""
