@@ -59,7 +59,8 @@ lint: setup
 setup: $(STAMP)
 
 # An older pip takes twice as long to find what is locked. Bytecode is compiled here, on all cores: without it, as where
-# PYTHONDONTWRITEBYTECODE is set, each command takes longer.
+# PYTHONDONTWRITEBYTECODE is set, each command takes longer. MuJoCo is for tests/in_mujoco alone and has no wheel on some
+# platforms; it is the one package of the tests that is not locked.
 $(STAMP): pyproject.toml requirements.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 	  echo "dmframe needs Python 3.11 or later, found $$($(PYTHON) --version 2>&1); name another: make PYTHON=python3.12" >&2; \
@@ -68,6 +69,7 @@ $(STAMP): pyproject.toml requirements.lock
 	$(PIP) --no-compile --upgrade "pip>=25.1"
 	$(PIP) --no-compile --require-hashes -r requirements.lock
 	$(PIP) --no-deps --no-build-isolation --editable .
+	$(PIP) --no-compile --only-binary :all: --group mujoco || echo "no wheel of MuJoCo: tests/in_mujoco is skipped" >&2
 	$(BIN)/python -m compileall -qq -j 0 -x '$(NOT_IMPORTED)' $(VENV) dmframe blocks plants || true
 	touch $@
 

@@ -15,7 +15,7 @@ import inspect
 import pkgutil
 import sys
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
@@ -153,34 +153,49 @@ def loaded_digest(module: ModuleType | None) -> str | None:
     return found if isinstance(found, str) else None
 
 
-def graphs() -> dict[str, Path]:
-    """Packaged graphs by name."""
+def _packaged(folder: str) -> dict[str, Path]:
+    """YAML files in a folder of the registered packages, by name."""
     found = dict[str, Path]()
     for package in packages():
-        for folder in package.__path__:
-            found |= {path.stem: path for path in sorted(Path(folder, "graphs").glob("*.yaml"))}
+        for place in package.__path__:
+            found |= {path.stem: path for path in sorted(Path(place, folder).glob("*.yaml"))}
     return dict(sorted(found.items()))
+
+
+def graphs() -> dict[str, Path]:
+    """Packaged graphs by name."""
+    return _packaged("graphs")
 
 
 def find_graph(name: str) -> Path:
     """The file of a graph: a path, or the name of a packaged one."""
+    return _found(name, "graph", graphs)
+
+
+def races() -> dict[str, Path]:
+    """Packaged races of control laws, by name."""
+    return _packaged("races")
+
+
+def find_race(name: str) -> Path:
+    """The file of a race: a path, or the name of a packaged one."""
+    return _found(name, "race", races)
+
+
+def _found(name: str, noun: str, packaged: Callable[[], dict[str, Path]]) -> Path:
     path = expanded(name)
     probed(path)
     if path.suffix in (".yaml", ".yml") or is_file(path):
         return path
-    known = graphs()
+    known = packaged()
     if name not in known:
-        raise UnknownNameError(name, "graph", name, known)
+        raise UnknownNameError(name, noun, name, known)
     return known[name]
 
 
 def realities() -> dict[str, Path]:
     """Packaged sets of channel models (delays, noise, limits between controller and robot), by name."""
-    found = dict[str, Path]()
-    for package in packages():
-        for folder in package.__path__:
-            found |= {path.stem: path for path in sorted(Path(folder, "realities").glob("*.yaml"))}
-    return dict(sorted(found.items()))
+    return _packaged("realities")
 
 
 def find_reality(name: str) -> Path:

@@ -64,6 +64,7 @@ class InverseDynamics(AbstractBlock):
     truth = (
         Input("B", "n", "N m s/rad"),
         Input("D", "n", "N m"),
+        Input("I_r", "n", "kg m^2"),
         Input("g_share"),
     )
 
@@ -80,11 +81,13 @@ class InverseDynamics(AbstractBlock):
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
         """(1) contains no friction and all of gravity, so the plant must be the same."""
-        lacking = (
+        lacking = [
             ("the plant has no viscous friction", truth.B),
             ("the plant has no Coulomb friction", truth.D),
             ("the maker compensates no gravity", 1 - truth.g_share),
-        )
+        ]
+        if "I_r" in truth:
+            lacking.append(("the plant has no rotor inertia", truth.I_r))
         otherwise = "what the plant has beyond the links of (1) has to be estimated: see `dynamic_compensator`"
         return tuple(
             Inequality(says, -rest * rest, "eq. (3)", strict=False, otherwise=otherwise) for says, rest in lacking

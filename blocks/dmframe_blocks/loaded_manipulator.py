@@ -31,7 +31,7 @@ from dmframe.block import (
     solve_spd,
 )
 from dmframe_blocks._loads import with_body
-from dmframe_blocks.manipulator import Manipulator
+from dmframe_blocks.manipulator import Manipulator, moved
 
 
 @final
@@ -64,6 +64,9 @@ class LoadedManipulator(AbstractBlock):
         Viscous friction of the joints.
     coulomb : diagonal (n,), N m, >= 0
         Coulomb friction, :math:`D`.
+    rotor : diagonal (n,), kg m^2, >= 0
+        Inertia of each joint's rotor and gear about the joint: that of the rotor times the square of the gear ratio. By
+        default there is none.
     K : diagonal (n,), N m/V, > 0
         Motor constant: torque per volt.
     maker_gravity : scalar, >= 0
@@ -92,6 +95,7 @@ class LoadedManipulator(AbstractBlock):
     payload_at: Vector | None = Real("*", "s", default=None, spread=False)
     viscous: Diagonal = NonNegative("n", "N m s/rad", default=0.0)
     coulomb: Diagonal = NonNegative("n", "N m", default=0.0)
+    rotor: Diagonal | None = NonNegative("n", "kg m^2", default=None)
     K: Diagonal = Positive("n", "N m/V", default=1.0)
     maker_gravity: Scalar = NonNegative(default=0.0)
     maker_viscous: Diagonal = NonNegative("n", "N m s/rad", default=0.0)
@@ -114,7 +118,7 @@ class LoadedManipulator(AbstractBlock):
         carried = p.maker_gravity * robot.gravity_torque(x.q)
         moving = robot.inverse_dynamics(x.q, x.dq, x.dq, ca.DM.zeros(robot.n), a) - carried
         friction = self._viscous(p) * x.dq + p.coulomb * robot.coulomb(x.dq)
-        ddq = solve_spd(robot.mass_matrix(x.q, a), p.K * u.u + u.tau_ext - friction - moving)
+        ddq = solve_spd(moved(p, x.q, a), p.K * u.u + u.tau_ext - friction - moving)
         return Equations(
             outputs={
                 "q": x.q,
@@ -128,6 +132,7 @@ class LoadedManipulator(AbstractBlock):
                 "D": p.coulomb,
                 "g_share": 1 - p.maker_gravity,
                 "load": load,
+                **({"I_r": p.rotor} if "rotor" in p else {}),
             },
             rates={"q": x.dq, "dq": ddq},
         )
@@ -137,16 +142,18 @@ class LoadedManipulator(AbstractBlock):
         if "payload" in p:
             return None
         robot, (_, a) = p.robot, self._loaded(u, p)
-        true = {"momentum": robot.mass_matrix(x.q, a) @ x.dq, "a_held": u.a_load}
+        true = {"momentum": moved(p, x.q, a) @ x.dq, "a_held": u.a_load}
         if "sigma" not in truth:
             return Certificate(truth=true)
         sigma, B, carried = truth.sigma, self._viscous(p), p.maker_gravity * robot.gravity_torque(x.q)
         reference = robot.inverse_dynamics(x.q, x.dq, truth.dq_ref, truth.ddq_ref, a) - carried
-        friction = B * truth.dq_ref + p.coulomb * robot.coulomb(truth.dq_ref)
+        others = B * truth.dq_ref + p.coulomb * robot.coulomb(truth.dq_ref)
+        if "rotor" in p:
+            others += p.rotor * truth.ddq_ref
         return Certificate(
-            storage=(Square(sigma, robot.mass_matrix(x.q, a)),),
+            storage=(Square(sigma, moved(p, x.q, a)),),
             dissipation=(Lemma(p.coulomb, x.dq, truth.dq_ref, robot.friction_velocity),),
-            supply=ca.dot(sigma, p.K * u.u + u.tau_ext - B * sigma - reference - friction),
+            supply=ca.dot(sigma, p.K * u.u + u.tau_ext - B * sigma - reference - others),
             truth=true,
         )
 

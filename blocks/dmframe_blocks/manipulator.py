@@ -42,6 +42,10 @@ class Manipulator(AbstractBlock):
     are :math:`g = (1 - \mathrm{maker\_gravity})\, g_{full}(q)` and
     :math:`B = \mathrm{viscous} - \mathrm{maker\_viscous}`.
 
+    With `rotor`, :math:`M(q) + \mathrm{diag}(I_r)` replaces :math:`M(q)` everywhere, :math:`I_r` being the rotors'
+    inertia, and :math:`\tau_r` contains :math:`I_r \ddot q_{ref}`. The product with the angular velocity of the links
+    (gyroscopic torque of the rotors) is neglected, as usual for large gear ratios.
+
     :math:`\phi(v) = \tanh(v / v_0)` smooths the sign of Coulomb friction; :math:`v_0`, the robot's `friction_velocity`,
     is the same in plant and regressor. With :math:`\sigma = \dot q - \dot q_{ref}`, and the torque along the reference
     :math:`\tau_r = M(q) \ddot q_{ref} + C(q, \dot q) \dot q_{ref} + B \dot q_{ref} + D\, \phi(\dot q_{ref}) + g`,
@@ -61,6 +65,9 @@ class Manipulator(AbstractBlock):
         Viscous friction of the joints.
     coulomb : diagonal (n,), N m, >= 0
         Coulomb friction, :math:`D`.
+    rotor : diagonal (n,), kg m^2, >= 0
+        Inertia of each joint's rotor and gear about the joint: that of the rotor times the square of the gear ratio. By
+        default there is none.
     K : diagonal (n,), N m/V, > 0
         Motor constant: torque per volt.
     maker_gravity : scalar, >= 0
@@ -96,6 +103,7 @@ class Manipulator(AbstractBlock):
         Output("B", "n", "N m s/rad"),
         Output("D", "n", "N m"),
         Output("g_share"),
+        Output("I_r", "n", "kg m^2", optional=True),
     )
     states = (State("q", "n", "rad"), State("dq", "n", "rad/s"))
     truth = (
@@ -106,6 +114,7 @@ class Manipulator(AbstractBlock):
 
     viscous: Diagonal = NonNegative("n", "N m s/rad", default=0.0)
     coulomb: Diagonal = NonNegative("n", "N m", default=0.0)
+    rotor: Diagonal | None = NonNegative("n", "kg m^2", default=None)
     K: Diagonal = Positive("n", "N m/V", default=1.0)
     maker_gravity: Scalar = NonNegative(default=0.0)
     maker_viscous: Diagonal = NonNegative("n", "N m s/rad", default=0.0)
@@ -115,7 +124,7 @@ class Manipulator(AbstractBlock):
         robot = p.robot
         moving = robot.inverse_dynamics(x.q, x.dq, x.dq, ca.DM.zeros(robot.n), gravity_share=1 - p.maker_gravity)
         friction = self._viscous(p) * x.dq + p.coulomb * robot.coulomb(x.dq)
-        ddq = solve_spd(robot.mass_matrix(x.q), p.K * u.u + u.tau_ext - friction - moving)
+        ddq = solve_spd(moved(p, x.q), p.K * u.u + u.tau_ext - friction - moving)
         return Equations(
             outputs={
                 "q": x.q,
@@ -128,6 +137,7 @@ class Manipulator(AbstractBlock):
                 "B": self._viscous(p),
                 "D": p.coulomb,
                 "g_share": 1 - p.maker_gravity,
+                **({"I_r": p.rotor} if "rotor" in p else {}),
             },
             rates={"q": x.dq, "dq": ddq},
         )
@@ -135,20 +145,28 @@ class Manipulator(AbstractBlock):
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(2) and (3); no storage without a sliding variable, as in the torque-based framework."""
         robot = p.robot
-        true = {"momentum": robot.mass_matrix(x.q) @ x.dq, "a_held": ca.DM.zeros(10)}
+        true = {"momentum": moved(p, x.q) @ x.dq, "a_held": ca.DM.zeros(10)}
         if "sigma" not in truth:
             return Certificate(truth=true)
         sigma = truth.sigma
         share = 1 - p.maker_gravity
         reference = robot.inverse_dynamics(x.q, x.dq, truth.dq_ref, truth.ddq_ref, gravity_share=share)
         B = self._viscous(p)
-        friction = B * truth.dq_ref + p.coulomb * robot.coulomb(truth.dq_ref)
+        others = B * truth.dq_ref + p.coulomb * robot.coulomb(truth.dq_ref)
+        if "rotor" in p:
+            others += p.rotor * truth.ddq_ref
         return Certificate(
-            storage=(Square(sigma, robot.mass_matrix(x.q)),),
+            storage=(Square(sigma, moved(p, x.q)),),
             dissipation=(Lemma(p.coulomb, x.dq, truth.dq_ref, robot.friction_velocity),),
-            supply=ca.dot(sigma, p.K * u.u + u.tau_ext - B * sigma - reference - friction),
+            supply=ca.dot(sigma, p.K * u.u + u.tau_ext - B * sigma - reference - others),
             truth=true,
         )
 
     def _viscous(self, p: Signals) -> SX:
         return p.viscous - p.maker_viscous
+
+
+def moved(p: Signals, q: SX, a: SX | None = None) -> SX:
+    """The mass matrix of the links, and of the rotors if the plant has them."""
+    M = p.robot.mass_matrix(q, a)
+    return M + ca.diag(p.rotor) if "rotor" in p else M

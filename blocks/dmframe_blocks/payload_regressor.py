@@ -60,6 +60,7 @@ class PayloadRegressor(AbstractBlock):
         Input("g_share"),
         Input("B", "n", "N m s/rad"),
         Input("D", "n", "N m"),
+        Input("I_r", "n", "kg m^2"),
     )
 
     gravity: Literal["known", "share"] = "known"

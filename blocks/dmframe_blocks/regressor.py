@@ -41,10 +41,10 @@ class Regressor(AbstractBlock):
     The initial estimates may be the fraction `nominal` of the model's inertial parameters, with zero friction; the bias
     starts at the gravity torque that the servo holds at rest.
 
-    :math:`a_d` contains ten inertial parameters per link (mass, first moments, inertia about the joint frame), then the
-    elements of B and of D according to `friction`; :math:`\phi(v) = \tanh(v / v_0)` smooths the sign, in the plant too.
-    If `gravity` is apart, masses and first moments appear twice, for motion and for gravity; the initial estimates then
-    assume that the servo compensates no gravity.
+    :math:`a_d` contains ten inertial parameters per link (mass, first moments, inertia about the joint frame), then,
+    with `rotors`, the rotors' inertia, then the elements of B and of D according to `friction`.
+    :math:`\phi(v) = \tanh(v / v_0)` smooths the sign, in the plant too. If `gravity` is apart, masses and first moments
+    appear twice, for motion and for gravity; the initial estimates then assume that the servo compensates no gravity.
 
     Parameters
     ----------
@@ -52,6 +52,9 @@ class Regressor(AbstractBlock):
         Friction that the compensator estimates with the inertial parameters; by default viscous, as in eq. (5).
         It must include each kind that the plant has; an estimate of a kind that the plant does not have converges
         towards zero under excitation.
+    rotors : true or false
+        Also estimate the inertia of each joint's rotor, :math:`I_r`, with the columns
+        :math:`\mathrm{diag}(\ddot q_{ref})`. It is required if the plant has `rotor`.
     gravity : together or apart
         Whether gravity has the same parameters as the motion, or separate ones, for a servo that may already compensate
         a part of gravity.
@@ -85,12 +88,14 @@ class Regressor(AbstractBlock):
     truth = (
         Input("B", "n", "N m s/rad"),
         Input("D", "n", "N m"),
+        Input("I_r", "n", "kg m^2"),
         Input("tau_bias", "n", "N m"),
         Input("g_share"),
         Input("a_held", "10"),
     )
 
     friction: tuple[Friction, ...] = ("viscous",)
+    rotors: bool = False
     gravity: Literal["together", "apart"] = "together"
     bias: bool = False
     nominal: Scalar | None = NonNegative(default=None)
@@ -108,6 +113,7 @@ class Regressor(AbstractBlock):
         given: dict[Part, list[list[list[Fraction]]]] = {
             "inertial": links,
             "weighing": [[row[:WEIGHING] for row in link[:WEIGHING]] for link in links],
+            "rotor": rest,
             "viscous": rest,
             "coulomb": rest,
             "bias": rest,
@@ -125,6 +131,7 @@ class Regressor(AbstractBlock):
         robot, a_d = p.robot, self._parameters(p.robot.chain)
         columns: dict[Part, SX] = {
             "inertial": robot.regressor(u.q, u.dq, u.dq_ref, u.ddq_ref),
+            "rotor": ca.diag(u.ddq_ref),
             "viscous": ca.diag(u.dq_ref),
             "coulomb": ca.diag(robot.coulomb(u.dq_ref)),
             "bias": ca.DM.eye(robot.n),
@@ -139,6 +146,7 @@ class Regressor(AbstractBlock):
             start: dict[Part, SX] = {
                 "inertial": p.nominal * robot.inertia,
                 "weighing": p.nominal * heavy(robot.inertia),
+                "rotor": none,
                 "viscous": none,
                 "coulomb": none,
                 "bias": -p.nominal * robot.gravity_torque(u.q),
@@ -152,23 +160,25 @@ class Regressor(AbstractBlock):
         The manufacturer's servo compensates gravity of the robot's own links only.
         """
         a_d, names = self._parameters(p.robot.chain), {"viscous": "B", "coulomb": "D", "bias": "tau_bias"}
+        rotors = truth.I_r if "I_r" in truth else ca.DM.zeros(p.robot.n)
         true: dict[Part, SX] = {part: getattr(truth, names[part]) for part in a_d.parts if part in names}
-        true["inertial"] = self._links(p, truth)
+        true |= {"inertial": self._links(p, truth), "rotor": rotors}
         if a_d.gravity_apart:
             own = truth.g_share * heavy(p.robot.inertia)
             true["weighing"] = with_held(own, truth.a_held, heavy) if "a_held" in truth else own
         return Certificate(truth={"a_d": ca.vertcat(*a_d.in_order(true))})
 
     def conditions(self, p: Signals, truth: Signals) -> tuple[Condition, ...]:
-        """The regressor has a column for each kind of friction of the plant."""
-        return columns_for(self.friction, truth)
+        """The regressor has a column for each kind of friction of the plant, and for its rotors."""
+        return columns_for(self.friction, truth, rotor=self.rotors)
 
     def _links(self, p: Signals, truth: Signals) -> SX:
         """The inertial parameters of all links."""
         return with_held(p.robot.inertia, truth.a_held) if "a_held" in truth else p.robot.inertia
 
     def _parameters(self, chain: SerialChain) -> DynamicParameters:
-        return DynamicParameters(chain, self.friction, self.gravity == "apart", self.bias)
+        kinds = (*self.friction, "rotor") if self.rotors else self.friction
+        return DynamicParameters(chain, kinds, self.gravity == "apart", self.bias)
 
 
 @operation

@@ -178,6 +178,7 @@ class SampledInverse(AbstractBlock):
         Input("K_I", "n", ANY),
         Input("B", "n", "N m s/rad"),
         Input("D", "n", "N m"),
+        Input("I_r", "n", "kg m^2"),
         Input("i", "n", ANY),
         Input("q", "n", "rad"),
         Input("dq", "n", "rad/s"),

@@ -22,6 +22,7 @@ from dmframe.diagram.parts import Parts
 from dmframe.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault, raise_all
 from dmframe.results.metrics import TurnError, goal_of, rms_by_eighth, tracking_error, turn_error, turn_of
 from dmframe.simulate import Recording, simulate_many
+from dmframe.simulate.block_starts import once
 from dmframe.simulate.engine import Choice, worth
 from dmframe.simulate.keep import Log, apart_of
 from dmframe.simulate.many import cores
@@ -139,18 +140,25 @@ class Batch:
     def _parts(self) -> Parts:
         """Functions of a tick with the measured signals as outputs."""
         recorded = stack([expression for _, expression in self.channels.values()])
-        return build_parts(self.diagram.loop, self.prepared.clock, recorded)
+        clock, loop = self.prepared.clock, self.diagram.loop
+        key = ("measured", clock is None, *self.channels)
+        found: Parts = once(loop.derived, key, lambda: build_parts(loop, clock, recorded))
+        return found
 
     def simd(self, step: Step) -> SimdLoop | None:
-        """Machine code for a step's method, compiled once; None if it cannot be compiled."""
-        method = step.solver.method
+        """Machine code for a step's method, compiled once for all clocks; None if it cannot be compiled."""
+        method, own = step.solver.method, replace(step, parts=self._parts)
         if method not in self._compiled:
-            self._compiled[method] = compiled(replace(step, parts=self._parts))
+            key = ("simd", method, self.prepared.clock is None, *self.channels)
+            code, notice = once(self.diagram.loop.derived, key, lambda: compiled(own))
+            self._compiled[method] = code and replace(code, step=own), notice
         return self._compiled[method][0]
 
     @cached_property
     def _slope(self) -> Any:
-        return slope_of(self.prepared.step.rate)
+        loop, step = self.diagram.loop, self.prepared.step
+        timed = ca.depends_on(stack(loop.rates_of(loop.flowing)), loop.period)  # then it is another one on each clock
+        return once(loop.derived, ("slope", step.period if timed else None), lambda: slope_of(step.rate))
 
     def _in_simd(self, runs: int) -> bool:
         prepared = self.prepared

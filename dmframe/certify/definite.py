@@ -16,6 +16,7 @@ from dmframe.certify.symbols import symbols_of
 from dmframe.diagram import Diagram
 from dmframe.diagram.projection import Bodies
 from dmframe.linalg import ldl
+from dmframe.parameter import specs
 from dmframe.prove.definite import pivots
 from dmframe.robot.parameters import INERTIAL
 from dmframe.robot.pseudo_inertia import parameters_of, pseudo_inertia
@@ -37,7 +38,8 @@ def body_pivots(diagram: Diagram) -> SX:
 def is_mass_matrix(claim: Claim, weight: SX) -> bool:
     """True for a weight that is, identically, the mass matrix of the diagram's robot at a state of its plant.
 
-    The last link may hold a load, a source's ten parameters: then it is one if the load is a body, see `load_in`.
+    The last link may hold a load, a source's ten parameters: then it is one if the load is a body, see `load_in`. A
+    diagonal of parameters that are not negative, such as rotors, may be added to it.
     """
     return _matched(claim, weight) is not None
 
@@ -65,9 +67,21 @@ def _matched(claim: Claim, weight: SX) -> str | None:
             held = symbols_in([inertia])
             if held and not held & used:  # a mass matrix is linear in the inertia of its bodies, and not zero
                 continue
-            if symbols.vanishes("difference", weight - robot.mass_matrix(q, inertia)):
+            rest = weight - robot.mass_matrix(q, inertia)
+            if any(symbols.vanishes("difference", rest - ca.diag(rotors)) for rotors in _rotors(claim, weight)):
                 return label
     return None
+
+
+def _rotors(claim: Claim, weight: SX) -> Iterator[SX]:
+    """None, then each column of parameters in the weight that are declared not to be negative."""
+    size, used, blocks = weight.shape[0], symbols_in([weight]), claim.diagram.blocks
+    yield ca.SX(size, 1)
+    for parameter in claim.diagram.loop.parameters:
+        block, _, name = parameter.label.partition(".")
+        spec = specs(type(blocks[block])).get(name) if block in blocks else None
+        if spec and spec.sign and parameter.symbol.shape == (size, 1) and used & symbols_in([parameter.symbol]):
+            yield parameter.symbol
 
 
 def is_mass_matrix_of_bodies(claim: Claim, matrix: SX) -> bool:

@@ -30,6 +30,7 @@ from dmframe.cli.arguments import (
     robot_names,
 )
 from dmframe.cli.catalogue import blocks, graphs, learn, new, robots, schema
+from dmframe.cli.races import race
 from dmframe.cli.robots import drive, export, rehearse, replay, robot
 from dmframe.cli.streams import tell
 from dmframe.cli.studies import study, tune
@@ -70,7 +71,7 @@ def common(
 
 
 command: Callable[..., Any]
-for command in (study, tune, graphs, robots, new):
+for command in (study, tune, race, graphs, robots, new):
     app.command()(command)
 
 
@@ -324,7 +325,7 @@ def regressor(
     free: Annotated[str | None, typer.Option(metavar="J1,J2,...", help="The joints that move.")] = None,
     hold: Annotated[list[str], typer.Option(metavar="JOINT=ANGLE", help="A locked joint with its angle.")] = NOTHING,
     tool: Annotated[str | None, typer.Option(metavar="FRAME", help="The tool's frame.")] = None,
-    friction: Annotated[str, typer.Option(metavar="KINDS", help="viscous, coulomb, or viscous,coulomb.")] = "",
+    friction: Annotated[str, typer.Option(metavar="KINDS", help="Some of viscous,coulomb,rotor.")] = "",
 ) -> int:
     """Regressor of a robot: parameters, entries, code, proofs, and difference from Pinocchio."""
     from dmframe.cli.options import angles, refuse, words

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import final
+from typing import Any, final
 
 import casadi as ca
 import numpy as np
@@ -65,6 +65,11 @@ class ClosedLoop:
     def constants(self) -> frozenset[int]:
         """Identities of the parameters' scalar symbols."""
         return frozenset(symbols_in(parameter.symbol for parameter in self.parameters))
+
+    @cached_property
+    def derived(self) -> dict[Any, Any]:
+        """Functions that were derived from this loop, by a key of the module that made them."""
+        return {}
 
     @property
     def variables(self) -> tuple[Variable, ...]:

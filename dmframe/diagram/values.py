@@ -94,6 +94,8 @@ def changed_numbers(blocks: Mapping[str, AbstractBlock], others: Mapping[str, Ab
                 return None
             if spec.form == "gain" and np.ndim(old) != np.ndim(new):  # a matrix has other symbols than a diagonal
                 return None
+            if np.ndim(old) == np.ndim(new) and np.shape(old) != np.shape(new):  # a list of another length
+                return None
             changed[f"{name}.{key}"] = new
     return changed
 

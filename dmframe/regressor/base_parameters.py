@@ -75,7 +75,7 @@ def base_parameters(chain: SerialChain, friction: Collection[str] = (), *, symbo
     Parameters
     ----------
     chain : the robot
-    friction : any of "viscous", "coulomb"
+    friction : any of "viscous", "coulomb", and "rotor" for the inertia of each joint's rotor
     symbolic : False leaves `BaseParameters.symbolic` in decimal numbers, which is quicker
 
     Raises `UnknownNameError` for another kind of friction, `RobotError` if the fractions of two primes never agree.

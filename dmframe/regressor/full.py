@@ -38,14 +38,16 @@ class FullRegressor:
 
 
 def full_regressor(chain: SerialChain, friction: Collection[str] = ()) -> FullRegressor:
-    r"""The Slotine-Li regressor of :math:`M\ddot q_r + C\dot q_r + g + B\dot q_r + D\varphi(\dot q_r)`, eq. (5).
+    r"""The Slotine-Li regressor of :math:`(M + I_r)\ddot q_r + C\dot q_r + g + B\dot q_r + D\varphi(\dot q_r)`, (5).
 
-    q_r-dot is `dq_ref`; friction columns are diag(dq_ref) and diag(phi(dq_ref)), phi the robot's smooth sign.
+    q_r-dot is `dq_ref`. Columns of the joints: rotors diag(ddq_ref), friction diag(dq_ref) and diag(phi(dq_ref)), phi
+    the robot's smooth sign.
     """
     parameters, robot = DynamicParameters(chain, friction), SymbolicRobot(chain)
     signals = [ca.SX.sym(name, chain.n) for name in SIGNALS]
     columns: dict[Part, Any] = {
         "inertial": robot.regressor(*signals),
+        "rotor": ca.diag(signals[3]),
         "viscous": ca.diag(signals[2]),
         "coulomb": ca.diag(robot.coulomb(signals[2])),
     }

@@ -12,8 +12,8 @@ from dmframe.robot.chain import SerialChain
 def listing(chain: SerialChain, base: BaseParameters) -> str:
     """Table of base parameters: number, value in the robot's model, and linear combination.
 
-    Values are in kg, kg m and kg m^2; friction, which the model lacks, shows a dash. Below the table are the lengths in
-    the combinations, and the parameters that do not affect any motion.
+    Values are in kg, kg m and kg m^2; friction and rotors, which the model lacks, show a dash. Below the table are the
+    lengths in the combinations, and the parameters that do not affect any motion.
     """
     values = base.parameters.values
     rows = [

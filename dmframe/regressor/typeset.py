@@ -20,7 +20,7 @@ from dmframe.robot.parameters import DynamicParameters, Part
 from dmframe.robot.symbolic import SymbolicRobot
 
 MOST_JOINTS: Final = 3
-_FRICTION: Final[dict[Part, str]] = {"viscous": "dq_ref", "coulomb": "phi"}
+_FRICTION: Final[dict[Part, str]] = {"rotor": "ddq_ref", "viscous": "dq_ref", "coulomb": "phi"}
 
 
 @final
@@ -71,7 +71,7 @@ def write_out(chain: SerialChain, friction: Collection[str] = (), keep: Sequence
 
     Parameters
     ----------
-    friction : any of "viscous", "coulomb", as columns of Y_d
+    friction : any of "viscous", "coulomb", "rotor", as columns of Y_d
     keep : columns of Y_d, such as `BaseParameters.independent`; all by default
 
     Raises `ValueFault` for a larger robot, `UnknownNameError` for another kind of friction.

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from dmframe.robot.chain import SerialChain
 
 Friction = Literal["viscous", "coulomb"]
-Part = Literal["inertial", "weighing", "viscous", "coulomb", "bias"]
+Part = Literal["inertial", "weighing", "rotor", "viscous", "coulomb", "bias"]
 T = TypeVar("T")
 
 
@@ -45,6 +45,7 @@ WEIGHING: Final = 4
 _UNITS: Final = {"m": "kg", "mc": "kg m", "I": "kg m^2"}
 # A joint's: the name and, at a revolute joint, the unit.
 _OF_JOINTS: Final[Mapping[Part, tuple[str, str]]] = {
+    "rotor": ("I_r", "kg m^2"),
     "viscous": ("B", "N m s/rad"),
     "coulomb": ("D", "N m"),
     "bias": ("tau_bias", "N m"),
@@ -57,14 +58,15 @@ class DynamicParameters:
     """The layout of a_d, and of the columns of its regressor.
 
     Ten inertial parameters for each link; then, with `gravity_apart`, mass and first moments of each link for gravity;
-    then, if enabled, one parameter for each joint for viscous friction, Coulomb friction, and a constant torque.
+    then, if enabled, one parameter for each joint for the inertia of its rotor, viscous friction, Coulomb friction, and
+    a constant torque.
 
     Parameters
     ----------
     chain
         The robot.
     friction
-        Any of "viscous", "coulomb", in any order.
+        Any of "viscous", "coulomb" and "rotor", in any order: what the joints have in addition to the links.
     gravity_apart
         True if gravity has its own masses and first moments.
     bias
@@ -79,7 +81,7 @@ class DynamicParameters:
     bias: bool = False
 
     def __post_init__(self) -> None:
-        kinds = ("viscous", "coulomb")
+        kinds = ("viscous", "coulomb", "rotor")
         for kind in self.friction:
             if kind not in kinds:
                 raise UnknownNameError(f"friction {kind}", "kind of friction", kind, kinds)
@@ -90,6 +92,7 @@ class DynamicParameters:
         enabled: dict[Part, bool] = {
             "inertial": True,
             "weighing": self.gravity_apart,
+            "rotor": "rotor" in self.friction,
             "viscous": "viscous" in self.friction,
             "coulomb": "coulomb" in self.friction,
             "bias": self.bias,
@@ -102,7 +105,7 @@ class DynamicParameters:
 
     @cached_property
     def elements(self) -> tuple[Element, ...]:
-        """Names and units: m_1, mc_x1, ..., I_zzn; m_g1, mc_gx1, ...; B_1, ...; D_1, ...; tau_bias1, ..."""
+        """Names and units: m_1, mc_x1, ..., I_zzn; m_g1, mc_gx1, ...; I_r1, ...; B_1, ...; D_1, ...; tau_bias1, ..."""
         return tuple(element for part in self.parts for element in self._of(part))
 
     @property
@@ -137,7 +140,7 @@ class DynamicParameters:
 
     @property
     def values(self) -> tuple[Fraction | None, ...]:
-        """Values in the robot's model; None for friction and bias."""
+        """Values in the robot's model; None for rotors, friction and bias."""
         rows = self.chain.inertia
         known: Mapping[Part, list[Fraction]] = {
             "inertial": [value for row in rows for value in row],

@@ -105,7 +105,7 @@ def _check_kinds(
             )
         if name in kept and model.armature[joint.idx_v] != 0:
             raise RobotError(
-                f"{where}: joint {name} has an armature; expected none: add the rotor's inertia to its link",
+                f"{where}: joint {name} has an armature; expected none: set rotor of the plant, as in `manipulator`",
                 path=("robot", "model"),
             )
 

@@ -16,11 +16,11 @@ from dmframe.diagram.closed_loop import columns, stack
 from dmframe.diagram.view import recalling, stated_start, view
 from dmframe.errors import BlockError, StartError, listed
 
-Made = dict[tuple[str, ...], Any]
+Made = dict[tuple[Any, ...], Any]
 """Cache of expressions and functions shared by all parameter values of a diagram."""
 
 
-def once(made: Made, key: tuple[str, ...], make: Callable[[], Any]) -> Any:
+def once(made: Made, key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
     """Cached value of a key, made on first use."""
     if key not in made:
         made[key] = make()

@@ -276,7 +276,7 @@ def prepare(
         notice = (
             f"{plain(whole, 's')} are simulated, not {plain(duration, 's')}: whole ticks of {plain(step.period, 's')}",
         )
-    return Prepared(clock, solver, step, ticks, matrices, kept, notices=notice)
+    return Prepared(clock, solver, step, ticks, matrices, kept, notices=notice, starts=diagram.loop.derived)
 
 
 def ticks_of(duration: float, clock: float | None, solver: Solver) -> int:

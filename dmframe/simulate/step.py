@@ -29,6 +29,7 @@ from dmframe.diagram.closed_loop import columns, stack
 from dmframe.diagram.parts import Parts
 from dmframe.diagram.rosenbrock import ROS34PW2
 from dmframe.errors import EngineError, ValueFault
+from dmframe.simulate.block_starts import once
 from dmframe.simulate.instants import DRAWN, LENGTH, TIME, Instants
 
 Method = Literal["rk4", "ros34pw2", "cvodes"]
@@ -189,7 +190,7 @@ def build_step(
     instants = Instants.of(loop, clock if clock is not None else solver.output, seed, jitter)
     substeps = substeps_of(None if clock is None else instants.longest, solver)
     parts = build_parts(loop, clock, recorded)
-    flowing = _seen("flowing", loop, [stack(loop.rates_of(loop.flowing))])
+    flowing = once(loop.derived, ("flowing",), lambda: _seen("flowing", loop, [stack(loop.rates_of(loop.flowing))]))
     state, t, p = ca.MX.sym("state", loop.state.numel()), ca.MX.sym("t"), ca.MX.sym("p", loop.p.numel())
     still = ca.MX.zeros(loop.drawn.numel())
     rates = flowing(state, parts.trajectory(t, p), still, instants.period, p)
@@ -199,8 +200,18 @@ def build_step(
 
 
 def build_parts(loop: ClosedLoop, clock: float | None, recorded: SX) -> Parts:
-    """The functions of a closed loop's tick; without a clock everything is integrated, and nothing is held."""
-    if clock is None:
+    """The functions of a closed loop's tick; without a clock everything is integrated, and nothing is held.
+
+    They are the same on every clock, and are made once: the sampling period is an argument.
+    """
+    whole = clock is None
+    parts: Parts = once(loop.derived, ("parts", whole), lambda: _unrecorded(loop, continuous=whole))
+    return replace(parts, outputs=_seen("outputs", loop, [recorded]))
+
+
+def _unrecorded(loop: ClosedLoop, *, continuous: bool) -> Parts:
+    """The functions of a tick that records nothing."""
+    if continuous:
         stepped, (held, given) = ca.SX(0, 1), (ca.SX(0, 1), ca.SX(0, 1))
         integrated, (rate,) = loop.state, loop.acting([loop.rate])
     else:
@@ -213,9 +224,9 @@ def build_parts(loop: ClosedLoop, clock: float | None, recorded: SX) -> Parts:
     seen = [loop.state, loop.w, loop.drawn, loop.period, loop.p]
     return Parts(
         trajectory=ca.Function("trajectory", [loop.time, loop.p], [ca.vertcat(meanings, loop.time)]),
-        sample=ca.Function("sample", seen, ca.cse([loop.put_back(after) if clock else after, given])),
+        sample=ca.Function("sample", seen, ca.cse([after if continuous else loop.put_back(after), given])),
         rate=ca.Function("plant", [integrated, held, loop.w, loop.p], [ca.cse(rate)]),
-        outputs=_seen("outputs", loop, [recorded]),
+        outputs=None,
         clip=ca.Function("clip", [integrated, loop.p], [loop.held(integrated)]),
         explicit=integrated.numel() - stack(variable.symbol for variable in loop.flowing).numel(),
     )

@@ -137,7 +137,7 @@ def run_study(
                 executor = executor or (Pool(study, workers) if scheduler is None else Cluster(study, scheduler))
                 with executor:
                     sizes = Sizes(len(study.points), study.samples, extents=store.extents, each=each, work=WORK)
-                    _Dispatcher(store, executor, state, update).all(sizes)
+                    _compute_all(Dispatcher(store.write, executor, state, update), store, sizes)
             except WorkersLost as lost:
                 state.lost = lost.text
             finally:
@@ -148,37 +148,52 @@ def run_study(
     return state
 
 
-@final
-class _Dispatcher:
-    """Submits chunks, a few per worker, and keeps the rows that come back."""
+def _compute_all(dispatcher: Dispatcher, store: Store, sizes: Sizes) -> None:
+    """Compute all chunks: those fixed before, those that are timed to find a chunk's size, then the rest."""
+    store.cut(sizes.extents, sizes.each)
+    dispatcher.compute(_left(store))
+    while (probe := sizes.probe()) is not None:
+        store.cut(sizes.extents, sizes.each)
+        dispatcher.compute(iter(probe))
+        sizes.timed(probe, _seconds(store, probe))
+    store.cut(sizes.extents, sizes.each)
+    dispatcher.compute(_left(store))
 
-    def __init__(self, store: Store, executor: Executor, state: State, update: Callable[[], None]) -> None:
-        self._store, self._executor, self._state, self._update = store, executor, state, update
+
+def _seconds(store: Store, probe: Extent) -> float:
+    """Duration of a timed chunk; after a failure a guess that makes chunks small."""
+    (chunk,) = probe
+    kept = store.kept.get(store.file(chunk).name)
+    return kept.seconds if kept else float(chunk.runs)
+
+
+@final
+class Dispatcher:
+    """Submits chunks, a few per worker, and writes the rows that come back.
+
+    Parameters
+    ----------
+    write
+        Called with a chunk and its rows; raises `ValueFault` for rows of another chunk.
+    update
+        Called whenever the state changes, and twice a second.
+    """
+
+    def __init__(
+        self,
+        write: Callable[[Chunk, Computed], None],
+        executor: Executor,
+        state: State,
+        update: Callable[[], None],
+    ) -> None:
+        self._write, self._executor, self._state, self._update = write, executor, state, update
         self._out = set[Chunk]()
         self._again = list[Chunk]()
         self._alone = list[Chunk]()
         self._suspected = set[Chunk]()
         self._tried = Counter[Chunk]()
 
-    def all(self, sizes: Sizes) -> None:
-        """Compute all chunks: those fixed before, those that are timed to find a chunk's size, then the rest."""
-        store = self._store
-        store.cut(sizes.extents, sizes.each)
-        self._compute(_left(store))
-        while (probe := sizes.probe()) is not None:
-            store.cut(sizes.extents, sizes.each)
-            self._compute(iter(probe))
-            sizes.timed(probe, self._seconds(probe))
-        store.cut(sizes.extents, sizes.each)
-        self._compute(_left(store))
-
-    def _seconds(self, probe: Extent) -> float:
-        """Duration of a timed chunk; after a failure a guess that makes chunks small."""
-        (chunk,) = probe
-        kept = self._store.kept.get(self._store.file(chunk).name)
-        return kept.seconds if kept else float(chunk.runs)
-
-    def _compute(self, chunks: Iterator[Chunk]) -> None:
+    def compute(self, chunks: Iterator[Chunk]) -> None:
         """Compute chunks, with at most `AHEAD` per worker submitted at a time."""
         waiting = (chunk for chunk in chunks if chunk not in self._state.failed)
         while True:
@@ -202,7 +217,7 @@ class _Dispatcher:
         self._out.discard(chunk)
         if isinstance(answer, Computed):
             try:
-                self._store.write(chunk, answer)
+                self._write(chunk, answer)
             except ValueFault as fault:  # rows of another chunk
                 answer = Failed(fault.text, final=True)
             else:

@@ -9,13 +9,23 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, Self, final
+from typing import Any, Protocol, Self, final
 
 from dmframe.errors import visible
 from dmframe.study.chunks import Chunk
 
-if TYPE_CHECKING:
-    from dmframe.study.plan import Study
+
+class Computable(Protocol):
+    """What a worker computes the chunks of, such as a study."""
+
+    @property
+    def engine(self) -> str:
+        """What ran the last rows of this process."""
+        ...
+
+    def band(self, point: int, end: int, first: int, stop: int) -> Mapping[str, Any]:
+        """The rows of the samples [first, stop) of the points [point, end), by column."""
+        ...
 
 
 @final
@@ -86,7 +96,7 @@ class Executor(ABC):
 class InProcess(Executor):
     """Computes in this process, one chunk at a time: for a debugger, and for tests of everything but the workers."""
 
-    def __init__(self, study: Study) -> None:
+    def __init__(self, study: Computable) -> None:
         self._study, self._waiting = study, deque[Chunk]()
 
     def submit(self, chunk: Chunk) -> None:
@@ -102,7 +112,7 @@ class InProcess(Executor):
         self._waiting.clear()
 
 
-def compute(study: Study, chunk: Chunk) -> Computed | Failed:
+def compute(study: Computable, chunk: Chunk) -> Computed | Failed:
     """The rows of a chunk. Any exception of a block is returned as `Failed` and does not end the worker."""
     began = time.process_time()
     try:

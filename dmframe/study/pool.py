@@ -18,15 +18,12 @@ from collections import deque
 from contextlib import suppress
 from multiprocessing.connection import Connection, Pipe, wait
 from queue import SimpleQueue
-from typing import IO, TYPE_CHECKING, Any, Final, final
+from typing import IO, Any, Final, final
 
 from dmframe.errors import EngineError, visible
 from dmframe.simulate.many import cores
 from dmframe.study.chunks import Chunk
-from dmframe.study.executor import Answer, Executor, Failed, compute
-
-if TYPE_CHECKING:
-    from dmframe.study.plan import Study
+from dmframe.study.executor import Answer, Computable, Executor, Failed, compute
 
 _START: Final = """\
 import sys
@@ -52,7 +49,7 @@ _LOST: Final = (OSError, EOFError, pickle.UnpicklingError)
 class Pool(Executor):
     """Worker processes on this machine; as many as there are cores if `count` is None."""
 
-    def __init__(self, study: Study, count: int | None = None) -> None:
+    def __init__(self, study: Computable, count: int | None = None) -> None:
         self._count = count or cores()
         self._study = pickle.dumps(study, protocol=pickle.HIGHEST_PROTOCOL)
         self._workers = list[_Worker]()

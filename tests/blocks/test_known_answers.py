@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -87,6 +89,39 @@ def test_waypoints_are_met_at_rest_and_passed_half_way_at_half_time() -> None:
         close(answer("waypoints", given, t=t)["q_d"], q_d)
     quarter = 10 / 4**3 - 15 / 4**4 + 6 / 4**5
     close(answer("waypoints", given, t=1.5)["q_d"], [2 * quarter, 1 + 4 * quarter])
+
+
+def test_epicycles_add_circles_whose_time_stops_at_each_interval() -> None:
+    given = {"center": [1, 2, 3], "radius": [0.5, 0.1], "rate": [2, -1], "phase": [0.3, 1], "plane": "xz"}
+
+    def at(theta: float) -> list[float]:
+        x = 1 + 0.5 * math.cos(2 * theta + 0.3) + 0.1 * math.cos(1 - theta)
+        return [x, 2, 3 + 0.5 * math.sin(2 * theta + 0.3) + 0.1 * math.sin(1 - theta)]
+
+    close(answer("epicycles", given, t=1.7)["x_d"], at(1.7))
+    stopped = given | {"stop": 1, "every": 4, "pause": 0.25}  # it moves for 3 s, and rests for 1 s
+    quarter = 10 / 4**3 - 15 / 4**4 + 6 / 4**5
+    for t, theta in ((0.0, 0), (0.75, 4 * quarter), (1.5, 2), (3.0, 4), (3.6, 4), (4.0, 4), (9.5, 10)):
+        close(answer("epicycles", stopped, t=t)["x_d"], at(theta))
+    close(answer("epicycles", stopped | {"stop": 0.5}, t=3.5)["x_d"], at(3.75))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        ({"rate": [1]}, "expected a radius, a rate and a phase for each circle, found radius 2, rate 1, phase 2"),
+        ({"stop": 1.5}, "expected a stop of at most 1, found 1.5"),
+        ({"pause": 1}, "expected a pause below 1, found 1"),
+    ],
+)
+def test_epicycles_refuse(wrong: dict[str, Any], text: str) -> None:
+    given = {"center": [1, 2], "radius": [0.5, 0.1], "rate": [2, 1], "phase": [0, 0]}
+    with pytest.raises(DmframeError, match=re.escape(text)):
+        answer("epicycles", given | wrong, t=0.0)
+
+
+def test_a_command_gain_multiplies_the_command() -> None:
+    close(answer("command_gain", {"gain": 1.3}, dq_c=[1, -2])["dq_gain"], [1.3, -2.6])
 
 
 def test_joint_tracking_leads_the_error_back() -> None:

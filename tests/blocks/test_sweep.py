@@ -43,10 +43,12 @@ BETWEEN = """
   encoder:  {type: encoder, step: 47.94 urad}
   readings: {type: measurement_delay}
   way:      {type: transport_delay}
+  error:    {type: command_gain, gain: 1.1}
   limits:   {type: command_limits}
   ramp:     {type: command_ramp, acceleration: 4}
   friction: {type: friction_compensation, coulomb: 0.1}
-  rubbing:  {type: stribeck_friction, sticking: 0.2, uneven: 0.1}
+  rubbing:  {type: stribeck_friction, sticking: 0.2, uneven: 0.1, per_torque: 0.1}
+  model_ff: {type: model_compensation, share: 0.8, off: 0.1}
   drive:    {type: torque_limits}
   stops:    {type: joint_stops}
   gears:    {type: elastic_joints, stiffness: 4000, damping: 10, inertia: 0.1}
@@ -54,6 +56,10 @@ BETWEEN = """
 LOADED = EXAMPLES["setpoint"].replace("manipulator}", "loaded_manipulator, payload: [1], payload_at: [1]}")
 EXAMPLES |= dict.fromkeys(re.findall(r"type: (\w+)", BETWEEN), LOADED + BETWEEN[1:])
 EXAMPLES["loaded_manipulator"] = LOADED
+EXAMPLES["epicycles"] = EXAMPLES["setpoint"].replace(
+    "setpoint, x_d: [0.5, 0.4]",
+    "epicycles, center: [0.5, 0.4], radius: [0.05, 0.02], rate: [1, -2], phase: [0, 1], stop: 1, every: 1 s",
+)
 EXAMPLES["turning"] = (
     EXAMPLES["setpoint"] + "  attitude: {type: turning, orientation: [0, 90 deg, 0], axis: [1, 0, 0]}\n"
 )

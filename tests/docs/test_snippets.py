@@ -35,7 +35,7 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.joinpath("do
 PAGES = [page for page in PAGES if COURSE not in page.parents]
 FENCE = re.compile(r"^```([^`\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 FILE = re.compile(r"# ([\w/]+\.\w+)\n")
-STUDY = "dmframe-study:"
+OTHERS = ("dmframe-study:", "dmframe-race:")
 DIRECTIVE = re.compile(r"\{(?:live|toctree)\}")
 """What the site makes of a fence; building the site runs it."""
 PLAIN = {"text", "sh", "mermaid"}
@@ -95,8 +95,8 @@ def run_python(text: str, shared: Page, where: str) -> None:
 
 
 def build_yaml(text: str, shared: Page) -> None:
-    if text.startswith(STUDY) or f"\n{STUDY}" in text:
-        assert written(text, shared), "a study's first line is its file's name"
+    if any(text.startswith(begin) or f"\n{begin}" in text for begin in OTHERS):
+        assert written(text, shared), "the first line of a study or a race is its file's name"
         return  # the page's next command reads it
     data = read_document(text, "snippet.yaml").data
     written(text, shared)

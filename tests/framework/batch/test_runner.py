@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import dmframe as dm
-from dmframe.batch import runner
+from dmframe.batch import batch, runner
 from dmframe.batch.batch import Batch
 from dmframe.batch.figures import Measured, Wanted, merged
 from dmframe.batch.runner import Runner, Runs
@@ -73,3 +73,29 @@ def test_parts_with_other_signals_are_not_merged() -> None:
     (other,) = Runner().measure([Runs(dm.load("arm2_joint").until(0.02))], lambda _: Wanted())
     with pytest.raises(ValueFault, match="expected runs that measure the same signals"):
         merged([(np.array([0]), found), (np.array([1]), other)], 2)
+
+
+def test_a_list_of_another_length_is_another_loop() -> None:
+    base = dm.load("arm2_joint").until(0.1)
+    path = {"type": "waypoints", "times": [0, 1], "q_d": [[0.5, 0.5], [0.6, 0.5]]}
+    longer = path | {"times": [0, 1, 2], "q_d": [[0.5, 0.5], [0.6, 0.5], [0.6, 0.6]]}
+    several = [Runs(base.set({"blocks.path": each})) for each in (path, longer)]
+    for item, found in zip(several, measured(several), strict=True):
+        np.testing.assert_allclose(final(found), final(measured([item])[0]), rtol=1e-12)
+
+
+def test_graphs_on_several_clocks_share_their_machine_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    made, compiled = list[object](), batch.compiled
+
+    def counted(step: Any) -> Any:
+        made.append(step)
+        return compiled(step)
+
+    monkeypatch.setattr(batch, "compiled", counted)
+    several = [Runs(dm.load("arm2_joint").until(0.2).set(clock=clock)) for clock in ("2 ms", "4 ms", "5 ms")]
+    together = measured(several)
+    assert len(made) == 1
+    for item, found in zip(several, together, strict=True):
+        one = item.graph.run(engine="interpreted")
+        np.testing.assert_allclose(final(found), one.error.rms_final, rtol=1e-9)
+    assert len({float(final(found)[0]) for found in together}) == 3

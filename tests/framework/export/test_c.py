@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import ctypes
 import errno
 import os
 import re
@@ -24,6 +23,7 @@ from dmframe.errors import DmframeError, OutputError, ValueFault
 from dmframe.export import c
 from dmframe.export.program import identifier
 from dmframe.port import Side
+from tests.exported_controller import ExportedController
 
 GCC = shutil.which("gcc")
 needs_gcc = pytest.mark.skipif(GCC is None, reason="needs gcc")
@@ -122,10 +122,7 @@ def test_it_commands_to_the_bit_what_a_simulation_without_fused_operations_does(
     graph = dm.load(name)
     assert graph.clock is not None
     run = graph.run(200 * graph.clock, engine="compiled", progress=False).recording
-    library, words = tmp_path / "controller.so", ("-std=c99", "-O2", *PLAIN, "-shared", "-fPIC")
-    files = [str(exported(name) / f"{name}.c")]
-    subprocess.run([str(GCC), *words, *files, "-lm", "-o", str(library)], check=True)
-    controller = Called(library, name)
+    controller = ExportedController(exported(name) / f"{name}.c", tmp_path, words=("-O2", *PLAIN))
     for k, t in enumerate(run.time[:200]):
         given = np.concatenate([run[leaf.name][k] for leaf in graph.diagram.loop.measured])
         if k == 0:
@@ -136,53 +133,13 @@ def test_it_commands_to_the_bit_what_a_simulation_without_fused_operations_does(
         assert commanded.tobytes() == expected.tobytes(), f"sample {k}"
 
 
-class Called:
-    """The exported functions from Python, by their own names."""
-
-    def __init__(self, library: Path, name: str) -> None:
-        self.library, self.name = ctypes.CDLL(str(library)), name
-        self.controller = ctypes.create_string_buffer(1 << 16)
-        self.commanded = np.full(64, np.nan)
-        self.count = len(dm.load(name).diagram.robot.joints)
-        self._call("init", self.controller, ctypes.byref(ctypes.c_char.in_dll(self.library, f"{name}_defaults")))
-
-    def _call(self, word: str, *given: Any) -> int:
-        return int(getattr(self.library, f"{self.name}_{word}")(*given))
-
-    def reset(self, measured: np.ndarray, t: float) -> bool:
-        return bool(self._call("reset", self.controller, measured.ctypes.data_as(ctypes.c_void_p), ctypes.c_double(t)))
-
-    def step(self, measured: np.ndarray, t: float) -> np.ndarray | None:
-        out = self.commanded.ctypes.data_as(ctypes.c_void_p)
-        given = measured.ctypes.data_as(ctypes.c_void_p)
-        taken = self._call("step", self.controller, given, ctypes.c_double(t), out)
-        return self.commanded[: self.count].copy() if taken else None
-
-    def tool(self, q: np.ndarray) -> np.ndarray:
-        x = np.zeros(3)
-        self._call("tool", q.ctypes.data_as(ctypes.c_void_p), x.ctypes.data_as(ctypes.c_void_p))
-        return x
-
-
 @pytest.fixture(scope="module")
-def ur10(tmp_path_factory: pytest.TempPathFactory) -> Called:
-    library = tmp_path_factory.mktemp("ur10") / "controller.so"
-    words = [
-        str(GCC),
-        "-std=c99",
-        "-shared",
-        "-fPIC",
-        str(exported("ur10_fast") / "ur10_fast.c"),
-        "-lm",
-        "-o",
-        str(library),
-    ]
-    subprocess.run(words, check=True)
-    return Called(library, "ur10_fast")
+def ur10(tmp_path_factory: pytest.TempPathFactory) -> ExportedController:
+    return ExportedController(exported("ur10_fast") / "ur10_fast.c", tmp_path_factory.mktemp("ur10"))
 
 
 @needs_gcc
-def test_a_sample_that_is_not_finite_changes_nothing(ur10: Called) -> None:
+def test_a_sample_that_is_not_finite_changes_nothing(ur10: ExportedController) -> None:
     sound = np.array([0.0, 0.0, 0.0, 1.0, -1.0, 1.0, 0.5, 0.5, 0.5, 1.0, -1.0, 1.0])
     assert ur10.reset(sound, 0.0)
     assert ur10.step(sound, 0.0) is not None
@@ -203,7 +160,7 @@ def test_a_sample_that_is_not_finite_changes_nothing(ur10: Called) -> None:
 
 
 @needs_gcc
-def test_the_tool_is_where_pinocchio_has_it(ur10: Called) -> None:
+def test_the_tool_is_where_pinocchio_has_it(ur10: ExportedController) -> None:
     graph = dm.load("ur10_fast")
     run = graph.run("0.1 s", progress=False).recording
     for q, x in zip(run["arm.q"], run["arm.x"], strict=True):

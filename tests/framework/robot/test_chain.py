@@ -362,7 +362,7 @@ def test_an_armature_is_refused_rather_than_ignored():
     model.armature = np.array([0.0, 0.1])
     with pytest.raises(RobotError) as caught:
         SerialChain.from_model(model)
-    text = "robot built: joint second has an armature; expected none: add the rotor's inertia to its link"
+    text = "robot built: joint second has an armature; expected none: set rotor of the plant, as in `manipulator`"
     check(caught.value, RobotError, text, "model")
 
 

@@ -1,0 +1,172 @@
+"""Compute the runs of a race with the executors of a study, and keep their errors in a journal."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import groupby
+from pathlib import Path
+from typing import Final, final
+
+from dmframe.batch.columns import Columns
+from dmframe.batch.figures import ERROR, Wanted
+from dmframe.batch.runner import Runner, Runs
+from dmframe.errors import DmframeError, EngineError
+from dmframe.files import append, writing
+from dmframe.graph.graph import Graph
+from dmframe.race.plan import Race, Run
+from dmframe.study.chunks import Chunk
+from dmframe.study.execute import Dispatcher, State
+from dmframe.study.executor import Computed, Executor
+from dmframe.study.journal import end_line
+from dmframe.study.pool import Pool
+
+JOURNAL: Final = "runs.jsonl"
+CHUNK: Final = 240
+"""Largest number of runs between two entries of the journal."""
+MOST: Final = 3
+"""Failed runs that an error lists."""
+
+Errors = Mapping[Run, float]
+"""RMS of the tool's error over the last eighth of a run [mm]; infinite for a run that diverged."""
+
+
+@final
+@dataclass(frozen=True)
+class Heat:
+    """Some runs of a race, as an executor of a study computes them: a point is a run."""
+
+    race: Race
+    runs: Sequence[Run]
+
+    @cached_property
+    def _runner(self) -> Runner:
+        return Runner()
+
+    @property
+    def engine(self) -> str:
+        """What ran the last runs of this process."""
+        return self._runner.engine
+
+    def band(self, point: int, end: int, first: int, stop: int) -> Columns:
+        """Errors of the runs [point, end) [mm]: infinite after a divergence; nan with the reason if one cannot run."""
+        like: Graph | None = None
+        graphs = list[Graph]()
+        for run in self.runs[point:end]:
+            like = self.race.graph(run, like)
+            graphs.append(like)
+        try:
+            found = self._measured(graphs)
+        except DmframeError:  # one graph cannot be built: each by itself, so that its fault is not that of the others
+            found = [self._alone(graph) for graph in graphs]
+        return {"error": [error for error, _ in found], "fault": [fault for _, fault in found]}
+
+    def _alone(self, graph: Graph) -> tuple[float, str]:
+        try:
+            return self._measured([graph])[0]
+        except DmframeError as error:
+            return math.nan, str(error)
+
+    def _measured(self, graphs: Sequence[Graph]) -> list[tuple[float, str]]:
+        found = list[tuple[float, str]]()
+        for measured in self._runner.measure([Runs(graph) for graph in graphs], lambda _: Wanted(), threads=1):
+            figures = measured.signals.get(ERROR)
+            if fault := measured.faults.get(0):
+                found.append((math.nan, str(fault)))
+            elif figures is None or figures.unit != "m":
+                unit = "no path" if figures is None else f"a path in {figures.unit}"
+                found.append((math.nan, f"the error of a race is that of the tool in mm, and the graph follows {unit}"))
+            else:
+                found.append((self._final(1000 * float(figures.rms_by_eighth[0, 0, -1])), ""))
+        return found
+
+    def _final(self, error: float) -> float:
+        """The error, infinite where the loop diverged or the tool is farther away than the race's limit."""
+        return error if error <= 1000 * self.race.file.limit else math.inf
+
+
+@final
+class Kept:
+    """The journal of a race's folder: a line per run, by the digest of everything that decides its result."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / JOURNAL
+        self.errors = dict[str, float]()
+        with writing(folder, "folder"):
+            folder.mkdir(parents=True, exist_ok=True)
+            end_line(self.path)
+            text = self.path.read_text(encoding="utf-8") if self.path.is_file() else ""
+        for line in text.splitlines():
+            try:
+                row = json.loads(line)
+                self.errors[row["key"]] = math.inf if row["error"] is None else float(row["error"])
+            except (ValueError, TypeError, KeyError):
+                continue  # an incomplete line of a process that was ended
+
+    def write(self, keys: Sequence[str], errors: Sequence[float]) -> None:
+        """Append some runs."""
+        rows = [
+            {"key": key, "error": error if math.isfinite(error) else None}
+            for key, error in zip(keys, errors, strict=True)
+        ]
+        with writing(self.path):
+            append(self.path, "".join(f"{json.dumps(row)}\n" for row in rows))
+        self.errors |= dict(zip(keys, errors, strict=True))
+
+
+def computed(
+    race: Race,
+    runs: Iterable[Run],
+    kept: Kept,
+    *,
+    workers: int | None = None,
+    executor: Callable[[Heat], Executor] | None = None,
+    report: Callable[[State], None] = lambda _: None,
+) -> dict[Run, float]:
+    """Errors of some runs; those that the journal lacks are computed, runs of one structure together.
+
+    Raises
+    ------
+    DmframeError
+        A run that cannot be prepared, such as a path out of reach, or a worker that fails.
+    """
+    wanted = sorted(set(runs), key=lambda run: (race.structure(run), run.cell, run.values))
+    keys = {run: race.key(run) for run in wanted}
+    missing = tuple(run for run in wanted if keys[run] not in kept.errors)
+    state, began, faults = State(len(wanted), kept=len(wanted) - len(missing)), time.monotonic(), list[str]()
+
+    def write(chunk: Chunk, answer: Computed) -> None:
+        rows = list(zip(missing[chunk.point : chunk.end], answer.table["error"], answer.table["fault"], strict=True))
+        faults.extend(f"{run.law}, {run.cell.name}: {fault}" for run, _, fault in rows if fault)
+        good = [(keys[run], error) for run, error, fault in rows if not fault]
+        kept.write([key for key, _ in good], [error for _, error in good])
+
+    def update() -> None:
+        state.seconds = time.monotonic() - began
+        report(state)
+
+    update()
+    if missing:
+        heat = Heat(race, missing)
+        with executor(heat) if executor else Pool(heat, workers) as pool:
+            Dispatcher(write, pool, state, update).compute(iter(_chunks(race, missing)))
+        update()
+    faults += [f"{chunk}: {text}" for chunk, text in state.failed.items()]
+    if faults:
+        more = f"\nand {len(faults) - MOST} more" if len(faults) > MOST else ""
+        raise EngineError("\n".join(faults[:MOST]) + more)
+    return {run: kept.errors[keys[run]] for run in wanted}
+
+
+def _chunks(race: Race, runs: Sequence[Run]) -> list[Chunk]:
+    """Chunks of runs with one structure, which a worker compiles once."""
+    found, first = list[Chunk](), 0
+    for _, group in groupby(runs, race.structure):
+        end = first + len(list(group))
+        found += [Chunk(place, min(place + CHUNK, end), 0, 1) for place in range(first, end, CHUNK)]
+        first = end
+    return found

@@ -1,0 +1,242 @@
+"""Plan of a race: laws, cells, candidates, and the graph of each run."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, final
+
+import scipy
+
+from dmframe.config.document import Document, Node, mapping_of
+from dmframe.config.given import node_of
+from dmframe.errors import ValueFault
+from dmframe.graph.graph import Graph
+from dmframe.race.grammar import LawSection, RaceFile
+from dmframe.study.identity import key_of
+from dmframe.units import plain
+
+Entries = Mapping[str, tuple[Node, Node]]
+Values = tuple[tuple[str, float], ...]
+"""Labels ``block.parameter`` and their values."""
+
+PATH: Final = "path"
+"""Name of the source in each graph."""
+DELAY: Final = "transport_delay"
+GAIN: Final = "command_gain"
+"""Channel models of the margins."""
+DIGITS: Final = 5
+"""Significant digits of a candidate's value."""
+
+
+@final
+@dataclass(frozen=True, order=True)
+class Cell:
+    """A sampling period [s], a path, a plant and a reality."""
+
+    clock: float
+    path: str
+    plant: str
+    reality: str
+
+    @property
+    def name(self) -> str:
+        """``90 ms, circle, stiff, ur``."""
+        return ", ".join([plain(self.clock, "s"), self.path, self.plant, self.reality])
+
+
+@final
+@dataclass(frozen=True)
+class Run:
+    """One run: a law with some values in a cell; `margin`: with the perturbation of the margins."""
+
+    law: str
+    cell: Cell
+    values: Values
+    seed: int
+    margin: bool = False
+
+
+@final
+@dataclass(frozen=True)
+class Law:
+    """A law: the controller's blocks and the wires of its graph.
+
+    Parameters
+    ----------
+    document
+        Name of the graph's file, in whose folder its blocks are searched.
+    own
+        The graph's own values of the searched parameters.
+    """
+
+    section: LawSection
+    document: str
+    blocks: Entries
+    wires: Entries
+    own: Values
+
+
+@final
+@dataclass(frozen=True)
+class Race:
+    """A race; immutable.
+
+    Parameters
+    ----------
+    document
+        The file with lines and columns.
+    sections
+        Nodes of the sections ``robot``, ``start``, ``plants``, ``paths`` and ``realities``, which name their places.
+    sources
+        Digest of the blocks' code.
+    delays
+        Whole samples of transport delay, by reality.
+    """
+
+    name: str
+    text: str
+    document: Document
+    file: RaceFile
+    laws: Mapping[str, Law]
+    sections: Mapping[str, Node]
+    sources: str
+    delays: Mapping[str, int]
+
+    @property
+    def training(self) -> list[Cell]:
+        """Cells on which the laws are tuned."""
+        chosen = self.file.training
+        return self._cells(chosen.paths, chosen.plants, chosen.realities)
+
+    @property
+    def held_out(self) -> list[Cell]:
+        """Cells on which the laws are judged: plants and paths that no training cell has."""
+        file = self.file
+        paths = [path for path in file.paths if path not in file.training.paths]
+        plants = [plant for plant in file.plants if plant not in file.training.plants]
+        return self._cells(paths, plants, list(file.realities))
+
+    def _cells(self, paths: Sequence[str], plants: Sequence[str], realities: Sequence[str]) -> list[Cell]:
+        return [Cell(*item) for item in itertools.product(self.file.clocks, paths, plants, realities)]
+
+    @property
+    def quick(self) -> Race:
+        """The part of the race that its section ``quick`` selects; the training cells stay."""
+        file, chosen = self.file, self.file.quick
+        plants = {name: file.plants[name] for name in (*file.training.plants, *(chosen.plants or file.plants))}
+        paths = {name: file.paths[name] for name in (*file.training.paths, *(chosen.paths or file.paths))}
+        changes: dict[str, Any] = {"plants": plants, "paths": paths, "clocks": chosen.clocks or file.clocks}
+        changes["realities"] = {name: file.realities[name] for name in chosen.realities or file.realities}
+        changes["budget"] = chosen.budget or file.budget
+        return replace(self, name=f"{self.name}_quick", file=file.model_copy(update=changes))
+
+    def candidates(self, law: str, clock: float) -> list[Values]:
+        """The values that are tried: the graph's own, then a Halton sequence, log-uniform over the ranges."""
+        own, tune = self.laws[law].own, self.file.laws[law].tune
+        halton = scipy.stats.qmc.Halton(len(tune), scramble=False)
+        halton.fast_forward(1)  # the first point is the lower corner
+        points = halton.random(self.file.budget - 1) if self.file.budget > 1 else []
+        found = [own]
+        for point in points:
+            values = list[tuple[str, float]]()
+            for (label, section), share in zip(tune.items(), point, strict=True):
+                lower, upper = section.between or [bound / clock for bound in section.per_clock or ()]
+                values.append((label, float(f"{lower * (upper / lower) ** share:.{DIGITS}g}")))
+            found.append(tuple(values))
+        return found
+
+    def trials(self, law: str, clock: float, values: Values) -> Iterator[Run]:
+        """The runs that decide about a candidate: on each training cell, without and with the margins."""
+        for cell in self.training:
+            if cell.clock == clock:
+                yield Run(law, cell, values, self.file.seed)
+                yield Run(law, cell, values, self.file.seed, margin=True)
+
+    def structure(self, run: Run) -> str:
+        """Runs with the same text differ in numbers, so that they share machine code."""
+        plant = mapping_of(self._entry("plants", run.cell.plant))
+        kinds = [block.get("type") for block in plant.values() if isinstance(block, dict)]
+        path = mapping_of(self._entry("paths", run.cell.path)).get("type")
+        return repr((run.law, kinds, path, run.cell.reality, run.margin))
+
+    def key(self, run: Run) -> str:
+        """Digest of everything that decides the result of a run."""
+        return key_of({"graph": self.document_of(run).data, "sources": self.sources})
+
+    def graph(self, run: Run, like: Graph | None = None) -> Graph:
+        """A run as a graph of its own; `like` is one whose robot it may share."""
+        return Graph.of(self.document_of(run), like)
+
+    def document_of(self, run: Run) -> Document:
+        """The document of a run's graph; each value names its place in the race's file or in the law's."""
+        law, plant = self.laws[run.law], dict(_entries(self._entry("plants", run.cell.plant)))
+        wires = {**law.wires, **_entries(plant.pop("wires", (None, _node({})))[1])}
+        blocks = {PATH: (_node(PATH), self._entry("paths", run.cell.path)), **law.blocks, **plant}
+        delay = self.delays[run.cell.reality]
+        for label, value in (*run.values, *((label, delay) for label in law.section.delay)):
+            name, _, parameter = label.partition(".")
+            at, block = blocks[name]
+            blocks[name] = at, replace(block, value={**_entries(block), parameter: (_node(parameter), _node(value))})
+        keys: dict[str, Any] = {"dmframe": 1, "title": f"{run.law}: {run.cell.name}", "seed": run.seed}
+        keys |= {"clock": run.cell.clock, "duration": self.file.duration}
+        entries = {key: (_node(key), _node(value)) for key, value in keys.items()}
+        parts = {"robot": self.sections["robot"], "start": self.sections["start"]}
+        parts |= {"blocks": _node({}, blocks), "wires": _node({}, self._fitting(wires, blocks))}
+        parts["reality"] = self._reality(run.cell.reality, delay if run.margin else None)
+        entries |= {key: (_node(key), part) for key, part in parts.items() if part.value}
+        root = _node({}, entries)
+        return Document(law.document, mapping_of(root), root)
+
+    def transport_delays(self) -> dict[str, int]:
+        """Whole samples of transport delay of each reality, read from the blocks of a graph in it."""
+        law, found = next(iter(self.laws)), dict[str, int]()
+        like: Graph | None = None
+        for reality in self.file.realities:
+            cell = replace(self.training[0], reality=reality)
+            like = self.graph(Run(law, cell, self.laws[law].own, 0), like)
+            blocks = [like.blocks[name] for name, fact in like.blocks.facts.items() if fact["type"] == DELAY]
+            found[reality] = sum(int(getattr(block, "samples", 0)) for block in blocks)
+        return found
+
+    def _entry(self, section: str, name: str) -> Node:
+        return _entries(self.sections[section])[name][1]
+
+    def _reality(self, name: str, delay: int | None) -> Node:
+        """The channel models of a reality; with a `delay`, that of the margins is added to it."""
+        node, margins = self._entry("realities", name), self.file.margins
+        if delay is None:
+            return node
+        models = dict(_entries(node)) if isinstance(node.value, dict) else {}
+        if isinstance(node.value, str):
+            models["like"] = (_node("like"), node)
+        late = dict(_entries(models[DELAY][1])) if DELAY in models else {}
+        late["samples"] = (_node("samples"), _node(delay + margins.delay))
+        models[DELAY] = (_node(DELAY), _node({}, late))
+        models[GAIN] = (_node(GAIN), _node({"gain": margins.gain}))
+        return _node({}, models)
+
+    def _fitting(self, wires: Entries, blocks: Entries) -> Entries:
+        """The wires between blocks of the graph; those of the law's own plant are left out."""
+        found = dict[str, tuple[Node, Node]]()
+        for end, (at, node) in wires.items():
+            names = [str(label).partition(".")[0] for label in (end, node.value)]
+            absent = [name for name in names if name not in blocks]
+            if len(absent) == 1:
+                raise ValueFault(
+                    f"{node.said or 'wires'}: {end}: {node.value}: expected a block {absent[0]} in each plant or path, "
+                    "found none; name the blocks as the law's graph does"
+                )
+            if not absent:
+                found[end] = at, node
+        return found
+
+
+def _node(value: Any, entries: Entries | None = None) -> Node:
+    """A node of plain data, or of entries."""
+    return node_of(value, ()) if entries is None else Node(0, 0, dict(entries))
+
+
+def _entries(node: Node) -> dict[str, tuple[Node, Node]]:
+    return node.value if isinstance(node.value, dict) else {}

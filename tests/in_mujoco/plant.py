@@ -1,0 +1,190 @@
+"""A closed robot in MuJoCo: the arm that MuJoCo's own compiler reads from the URDF, a servo and friction by hand.
+
+No equation of dmframe is used: links and axes come from the file, the numbers of servo and friction from the caller.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.in_mujoco.servos import Array, Servo
+
+mujoco: Any = importlib.import_module("mujoco") if importlib.util.find_spec("mujoco") else None
+needs_mujoco = pytest.mark.skipif(mujoco is None, reason="MuJoCo is not installed: pip install --group mujoco")
+
+STEP = 1e-3
+"""Largest step of MuJoCo's RK4 [s]."""
+
+Law = Callable[[dict[str, Array], float], Array]
+"""The command [rad/s] of the measurements and the time of a sample."""
+
+
+@dataclass(frozen=True)
+class Load:
+    """A body fixed to the tool from a time on: mass [kg], centre from the tool point [m] in the last joint's axes."""
+
+    at: float
+    mass: float
+    center: tuple[float, ...] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The samples of a run, the last instant included: time [s], joint angles [rad], tool position [m]."""
+
+    time: Array
+    q: Array
+    x: Array
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A robot whose servo is closed.
+
+    Parameters
+    ----------
+    urdf, tool
+        The robot's file, and the link whose origin is the tool point.
+    hold
+        Joints that are fixed, by their angles [rad]; the others move.
+    viscous, coulomb, v_0
+        Friction of each joint: B dq + D tanh(dq / v_0) [N m].
+    rotor
+        Inertia of each rotor about its joint's axis [kg m^2].
+    mass_scale
+        Factors of links' masses and inertias, by name.
+    loads
+        Bodies held by the tool, each until the next.
+    """
+
+    urdf: Path
+    tool: str
+    hold: Mapping[str, float]
+    servo: Servo
+    viscous: Array
+    coulomb: Array
+    v_0: float
+    rotor: Sequence[float] = ()
+    mass_scale: Mapping[str, float] = field(default_factory=dict)
+    loads: Sequence[Load] = ()
+    step: float = STEP
+
+    def model(self, load: Load | None = None) -> Any:
+        """MuJoCo's model; each state of the servo is the activation of an actuator without force."""
+        spec = mujoco.MjSpec.from_string(_without_shapes(self.urdf))
+        for joint in list(spec.joints):
+            if joint.name in self.hold:
+                _fix(spec, joint, self.hold[joint.name])
+        for j, joint in enumerate(spec.joints):
+            joint.armature = self.rotor[j] if self.rotor else 0.0
+        for name, factor in self.mass_scale.items():
+            body = spec.body(name)
+            body.mass, body.inertia = factor * body.mass, factor * np.array(body.inertia)
+        if load is not None:
+            _add(spec, load, self.tool)
+        for row in range(self.servo.rows):
+            for j, joint in enumerate(spec.joints):
+                _state(spec, f"{row}_{j}", joint.name)
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+        spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+        return spec.compile()
+
+    def run(self, law: Law, q: Sequence[float], T: float, seconds: float) -> Motion:
+        """From rest at q, with the law called every T seconds."""
+        stages = [(0.0, self.model()), *((load.at, self.model(load)) for load in self.loads)]
+        model, data = stages[0][1], None
+        ticks, substeps = round(seconds / T), int(np.ceil(round(T / self.step, 9)))
+        n, command = model.nq, np.zeros(model.nq)
+        found = Motion(T * np.arange(ticks + 1), np.empty((ticks + 1, n)), np.empty((ticks + 1, 3)))
+
+        def torques(_: Any, now: Any) -> None:
+            dq = now.qvel
+            tau, rates = self.servo.law(now.qpos, dq, now.act.reshape(-1, n), command)
+            now.ctrl[:] = np.concatenate(rates)
+            now.qfrc_applied[:] = tau - self.viscous * dq - self.coulomb * np.tanh(dq / self.v_0)
+
+        for k in range(ticks + 1):
+            while stages and stages[0][0] <= k * T + 1e-9:
+                model = stages.pop(0)[1]
+                data = _moved(model, data, T / substeps)
+                if k == 0:
+                    _begin(model, data, np.array(q), self.servo)
+            mujoco.mj_kinematics(model, data)
+            x = data.xpos[model.body(self.tool).id].copy()
+            found.q[k], found.x[k] = data.qpos, x
+            q_c = data.act[:n].copy()
+            measured = {"arm.q": data.qpos.copy(), "arm.dq": data.qvel.copy(), "arm.x": x, "servo.q_c": q_c}
+            command = law(measured, k * T)
+            mujoco.set_mjcb_control(torques)
+            try:
+                mujoco.mj_step(model, data, substeps)
+            finally:
+                mujoco.set_mjcb_control(None)
+        return found
+
+
+def _without_shapes(urdf: Path) -> str:
+    """The URDF without meshes, with options of MuJoCo's compiler that keep each link and its inertia as they are."""
+    root = ET.parse(urdf).getroot()
+    for link in root.iter("link"):
+        for shape in [*link.findall("visual"), *link.findall("collision")]:
+            link.remove(shape)
+    ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", fusestatic="false", balanceinertia="false")
+    return ET.tostring(root, encoding="unicode")
+
+
+def _fix(spec: Any, joint: Any, angle: float) -> None:
+    """Replace a joint by its rotation."""
+    turn, quat = np.empty(4), np.empty(4)
+    mujoco.mju_axisAngle2Quat(turn, np.array(joint.axis), angle)
+    body = joint.parent
+    mujoco.mju_mulQuat(quat, np.array(body.quat), turn)
+    body.quat = quat
+    spec.delete(joint)
+
+
+def _add(spec: Any, load: Load, tool: str) -> None:
+    """A body at the tool, in the axes of the last joint that moves."""
+    bare = spec.copy().compile()
+    data = mujoco.MjData(bare)
+    mujoco.mj_kinematics(bare, data)
+    last = spec.joints[-1].parent
+    turn = data.xmat[bare.body(last.name).id].reshape(3, 3)
+    point = turn.T @ (data.xpos[bare.body(tool).id] - data.xpos[bare.body(last.name).id])
+    last.add_body(name="load", pos=point + load.center, mass=load.mass, ipos=[0, 0, 0], inertia=[0, 0, 0])
+
+
+def _state(spec: Any, name: str, joint: str) -> None:
+    """An integrator whose rate is its control."""
+    spec.add_actuator(
+        name=name,
+        target=joint,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        dyntype=mujoco.mjtDyn.mjDYN_INTEGRATOR,
+        gainprm=[0.0] * 10,
+    )
+
+
+def _moved(model: Any, before: Any, step: float) -> Any:
+    """The data of a model, at the state of another."""
+    model.opt.timestep = step
+    data = mujoco.MjData(model)
+    if before is not None:
+        data.qpos[:], data.qvel[:], data.act[:], data.time = before.qpos, before.qvel, before.act, before.time
+    return data
+
+
+def _begin(model: Any, data: Any, q: Array, servo: Servo) -> None:
+    """Rest at q."""
+    data.qpos[:] = q
+    mujoco.mj_forward(model, data)
+    data.act[:] = servo.start(q, data.qfrc_bias.copy()).ravel()

@@ -1,0 +1,71 @@
+"""Servos of robots as they are sold, written by hand for a plant of MuJoCo."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Servo(ABC):
+    """A servo in continuous time whose states are rows of n numbers; the first is the integrated command q_c."""
+
+    rows: int
+
+    @abstractmethod
+    def start(self, q: Array, held: Array) -> Array:
+        """The states, (rows, n), of an arm at rest at q that needs the torque `held` [N m] against gravity."""
+
+    @abstractmethod
+    def law(self, q: Array, dq: Array, x: Array, dq_c: Array) -> tuple[Array, list[Array]]:
+        """The torque [N m], and the rate of each row, at a command dq_c [rad/s]."""
+
+
+@dataclass(frozen=True)
+class Pid(Servo):
+    """tau = -K_D (dq - dq_c) - K_P (q - q_c) - K_I i, with i the integral of q - q_c: eq. (7) of the paper."""
+
+    K_D: Array
+    K_P: Array
+    K_I: Array
+    rows = 2
+
+    def start(self, q: Array, held: Array) -> Array:
+        return np.array([q, -held / self.K_I])
+
+    def law(self, q: Array, dq: Array, x: Array, dq_c: Array) -> tuple[Array, list[Array]]:
+        q_c, i = x
+        error = q - q_c
+        return -self.K_D * (dq - dq_c) - self.K_P * error - self.K_I * i, [dq_c, error]
+
+
+@dataclass(frozen=True)
+class Cascade(Servo):
+    """P around PI with the share f of velocity feed-forward, a filter of the velocity, and a lag of the torque [s].
+
+    The velocity controller receives e_v = f dq_c + k_p (q_c - q) - v, where v follows dq by the filter; the torque
+    follows K_v e_v + K_i times the integral of e_v by the lag. A time of 0 means none.
+    """
+
+    k_p: Array
+    K_v: Array
+    K_i: Array
+    f: float = 1.0
+    velocity_filter: float = 0.0
+    torque_lag: float = 0.0
+    rows = 4
+
+    def start(self, q: Array, held: Array) -> Array:
+        return np.array([q, held / self.K_i, 0 * q, held])
+
+    def law(self, q: Array, dq: Array, x: Array, dq_c: Array) -> tuple[Array, list[Array]]:
+        q_c, integral, v, tau = x
+        e_v = self.f * dq_c + self.k_p * (q_c - q) - (v if self.velocity_filter else dq)
+        demanded = self.K_v * e_v + self.K_i * integral
+        filtered = (dq - v) / self.velocity_filter if self.velocity_filter else 0 * q
+        lagging = (demanded - tau) / self.torque_lag if self.torque_lag else 0 * q
+        return tau if self.torque_lag else demanded, [dq_c, e_v, filtered, lagging]
