@@ -99,7 +99,7 @@ class PPiInverse(AdaptingBlock):
 
     References
     ----------
-    [WangTAC2020]_ eqs. (32)-(39), Theorem 4 and Remark 5, for the PID servo.
+    [WangTAC2020]_ Theorem 4 and Remark 5, for the PID servo; extended here to five scales.
     """
 
     inputs = (
