@@ -7,11 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Protocol, final
+from typing import Final, NamedTuple, Protocol, final
 
 import casadi as ca
 
 from dmframe.block import SX, named
+
+
+class Forecasts(NamedTuple):
+    """Of each expert, a column: the pose at which a command acts, the command for dq_r, and the slope dv/du."""
+
+    q_start: SX
+    command: SX
+    slope: SX
 
 
 class Observer(Protocol):
@@ -127,6 +135,3 @@ def split(observers: Sequence[Observer], held: SX) -> list[SX]:
     """What each of them holds."""
     ends = [sum(observer.size for observer in observers[: k + 1]) for k in range(len(observers))]
     return [held[:, end - observer.size : end] for end, observer in zip(ends, observers, strict=True)]
-
-
-__all__: Sequence[Any] = ["PERIODIC", "SIMPLE", "Observer", "Waves", "size_of", "split"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Literal, NamedTuple, Self, final
+from typing import Any, Literal, Self, final
 
 import casadi as ca
 from pydantic import model_validator
@@ -26,18 +26,10 @@ from dmframe.block import (
     clip,
     named,
 )
-from dmframe_blocks._residual_observers import PERIODIC, SIMPLE, Observer, Waves, size_of, split
+from dmframe_blocks._residual_observers import PERIODIC, SIMPLE, Forecasts, Observer, Waves, size_of, split
 
 _SHARPEST = 200.0
 """Largest difference of the exponents of two weights."""
-
-
-class _Forecasts(NamedTuple):
-    """Of each expert, a column: the pose at which a command acts, the command for dq_r, and the slope dv/du."""
-
-    q_start: SX
-    command: SX
-    slope: SX
 
 
 @final
@@ -133,7 +125,7 @@ class ExpertAggregation(AbstractBlock):
         Output("model_share", "n"),
     )
     states = (
-        State("observed", "n O", "rad/s", sampled=True, recorded=False),
+        State("observed", "n H", "rad/s", sampled=True, recorded=False),
         State("phase", sampled=True, optional=True),
         State("losses", "n E", "rad^2/s^2", sampled=True, recorded=False, optional=True),
         State("weights", "w", sampled=True, recorded=False),
@@ -167,10 +159,10 @@ class ExpertAggregation(AbstractBlock):
         return (*SIMPLE, *(PERIODIC if self.periodic else ()))
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
-        """E: experts; w: weights of all but the first, of all joints; O: numbers of observers; F: stored forecasts."""
+        """E: experts; w: weights of all but the first, of all joints; H: numbers of observers; F: stored forecasts."""
         observers = self._observers
         E = 2 * (1 + len(observers))
-        own = {"E": E, "O": 2 * size_of(observers), "F": E * (self.delay + 1), "d": self.delay + 1}
+        own = {"E": E, "H": 2 * size_of(observers), "F": E * (self.delay + 1), "d": self.delay + 1}
         return {**super().sizes(robot), **own, "w": robot.n * (E - 1)}
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
@@ -178,19 +170,19 @@ class ExpertAggregation(AbstractBlock):
         return {"q_before": u.q, "forecasts": ca.repmat(u.q, 1, 2 * (1 + len(self._observers)) * (self.delay + 1))}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """The observers, the weights by the forecasts that end now, the command, and the forecasts of it."""
+        """The observers, the weights by (2) or (3), the command, and the forecasts (1) of what it does."""
         lag = named("lag", x.queue[:, 0] - (u.q - x.q_before) / u.T)
         waves = Waves(x.phase, p.rate * u.T) if self.periodic else Waves(0 * u.T, 0 * u.T)
-        observers = self._observers
-        both = (lag, u.epsilon)
-        held = split(2 * observers, x.observed)
-        seen = [signal for signal in both for _ in observers]
-        held = [each.updated(*item, waves) for each, *item in zip(2 * observers, held, seen, strict=True)]
+        observers = 2 * self._observers
+        seen = [signal for signal in (lag, u.epsilon) for _ in self._observers]
+        before = split(observers, x.observed)
+        held = [each.updated(old, new, waves) for each, old, new in zip(observers, before, seen, strict=True)]
         moved = {"observed": ca.horzcat(*held)} | ({"phase": x.phase + p.rate * u.T} if self.periodic else {})
 
         def ahead(k: int) -> list[SX]:
-            found = [each.forecast(item, k, waves) for each, item in zip(2 * observers, held, strict=True)]
-            return [0 * lag, *found[: len(observers)], 0 * lag, *found[len(observers) :]]
+            found = [each.forecast(item, k, waves) for each, item in zip(observers, held, strict=True)]
+            half = len(found) // 2
+            return [0 * lag, *found[:half], 0 * lag, *found[half:]]
 
         experts = self._forecasts(u, x, ahead)
         weights, losses = self._weighed(u, x, p)
@@ -215,7 +207,7 @@ class ExpertAggregation(AbstractBlock):
             },
         )
 
-    def _forecasts(self, u: Signals, x: Signals, ahead: Callable[[int], list[SX]]) -> _Forecasts:
+    def _forecasts(self, u: Signals, x: Signals, ahead: Callable[[int], list[SX]]) -> Forecasts:
         """Of the experts without a model, then of those with it."""
         coming = ahead(self.delay + 1)
         half = len(coming) // 2
@@ -228,7 +220,7 @@ class ExpertAggregation(AbstractBlock):
             ]
         commands = [u.dq_r if i < half else u.dq_model for i in range(2 * half)]
         slopes = [0 * u.slope + 1] * half + [u.slope] * half
-        return _Forecasts(
+        return Forecasts(
             named("q_i", ca.horzcat(*starts)),
             named("u_i", ca.horzcat(*(u_0 + missed for u_0, missed in zip(commands, coming, strict=True)))),
             ca.horzcat(*slopes),

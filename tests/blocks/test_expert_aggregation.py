@@ -158,9 +158,12 @@ def test_the_loop_is_better_than_with_the_model_alone_and_with_the_observer_alon
         assert found is not None
         return float(found.rms_by_eighth[-1])
 
+    gains = {"k_p": 3, "K_v": [60, 30], "K_i": [120, 60], "feed_forward": [0.8, 0.9]}
+    cascade = {"type": "p_pi_servo", **gains, "velocity_filter": "2 ms", "torque_lag": "1 ms"}
     alone, both = aggregated(), aggregated()
-    for graph in (alone, both):
+    for graph in (alone, both):  # the model is that of a PID servo
         graph["blocks"]["inverse"]["dynamics"] = "robot"
+        graph["blocks"]["servo"] = cascade
     alone["blocks"]["inverse"].update(supervised=False, forecasts=False)
     del alone["blocks"]["mix"]
     model = error({**alone, "wires": {}})
