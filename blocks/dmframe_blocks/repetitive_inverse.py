@@ -77,15 +77,17 @@ class RepetitiveInverse(AbstractBlock):
     [Bodson1994]_, adaptive feedforward cancellation, of which the law (3) is the normalised form in discrete time.
     """
 
+    uses_robot = True
     inputs = (Input("q", "n", "rad"), Input("dq_r", "n", "rad/s"), PERIOD)
     outputs = (
         Output("dq_c", "n", "rad/s", Access.COMMANDED),
         Output("q_start", "n", "rad"),
+        Output("lag", "n", "rad/s"),
         Output("epsilon", "n", "rad/s"),
     )
     states = (
         State("theta", "c", "rad/s", sampled=True),
-        State("phase", sampled=True),
+        State("phase", "", "rad", sampled=True),
         State("q_before", "n", "rad", sampled=True),
         State("queue", "n d", "rad/s", sampled=True),
     )
@@ -122,7 +124,7 @@ class RepetitiveInverse(AbstractBlock):
             q_start = q_start + u.T * (x.queue[:, k] - self._forecast(theta, self._columns(x, u, p, k)))
         dq_c = clip(u.dq_r + self._forecast(theta, self._columns(x, u, p, self.delay + 1)), p.u_max)
         return Equations(
-            outputs={"dq_c": dq_c, "q_start": q_start, "epsilon": epsilon},
+            outputs={"dq_c": dq_c, "q_start": q_start, "lag": lag, "epsilon": epsilon},
             next={
                 "theta": theta,
                 "phase": x.phase + p.rate * u.T,
