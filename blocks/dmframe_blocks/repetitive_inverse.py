@@ -163,5 +163,5 @@ def forecast(theta: Any, h: Any) -> Any:
 
 @operation
 def outer(h: Any, epsilon: Any) -> Any:
-    """h times the error of each joint, one joint after the other."""
+    """The product of h and the error of each joint, one joint after the other."""
     return ca.vec(h @ epsilon.T)
