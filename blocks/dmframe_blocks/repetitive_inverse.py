@@ -26,6 +26,7 @@ from dmframe.block import (
     State,
     clip,
     named,
+    operation,
 )
 
 
@@ -37,7 +38,7 @@ class RepetitiveInverse(AbstractBlock):
 
     .. math::
 
-        h(\varphi) &= (1, \cos \varphi, \sin \varphi, \ldots, \cos H \varphi, \sin H \varphi)   \tag{1} \\
+        h(\varphi) &= (1, \cos \varphi, \ldots, \cos H \varphi, \sin \varphi, \ldots, \sin H \varphi)   \tag{1} \\
         \mathrm{lag} &= u_{applied} - (q - q_{before}) / T                                      \tag{2} \\
         \theta_i^+ &= \theta_i + \Gamma h_k (\mathrm{lag}_i - h_k^\top \theta_i)
                        / (\nu + \Gamma h_k^\top h_k)                                            \tag{3} \\
@@ -77,15 +78,17 @@ class RepetitiveInverse(AbstractBlock):
     [Bodson1994]_, adaptive feedforward cancellation, of which the law (3) is the normalised form in discrete time.
     """
 
+    uses_robot = True
     inputs = (Input("q", "n", "rad"), Input("dq_r", "n", "rad/s"), PERIOD)
     outputs = (
         Output("dq_c", "n", "rad/s", Access.COMMANDED),
         Output("q_start", "n", "rad"),
+        Output("lag", "n", "rad/s"),
         Output("epsilon", "n", "rad/s"),
     )
     states = (
         State("theta", "c", "rad/s", sampled=True),
-        State("phase", sampled=True),
+        State("phase", "", "rad", sampled=True),
         State("q_before", "n", "rad", sampled=True),
         State("queue", "n d", "rad/s", sampled=True),
     )
@@ -99,7 +102,7 @@ class RepetitiveInverse(AbstractBlock):
 
     def elements(self, robot: Any) -> Mapping[str, Sequence[Element]]:
         """c: the coefficients of all joints."""
-        names = ["mean", *(f"{kind}{k}" for k in range(1, self.harmonics + 1) for kind in ("cos", "sin"))]
+        names = ["mean", *(f"{kind}{k}" for kind in ("cos", "sin") for k in range(1, self.harmonics + 1))]
         return {"c": [Element(f"{name}_{i}", "rad/s") for i in range(1, robot.n + 1) for name in names]}
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
@@ -113,16 +116,15 @@ class RepetitiveInverse(AbstractBlock):
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) to (4)."""
         lag, h = self._sample(u, x, p)
-        n = lag.shape[0]
-        epsilon = named("epsilon", lag - self._forecast(x.theta, h))
+        epsilon = named("epsilon", lag - forecast(x.theta, h))
         gain = p.Gamma / (p.nu + p.Gamma * (1 + self.harmonics))
-        theta = named("theta_new", x.theta + gain * ca.vertcat(*(h * epsilon[i] for i in range(n))))
+        theta = named("theta_new", x.theta + gain * outer(h, epsilon))
         q_start = u.q
         for k in range(1, self.delay + 1):
-            q_start = q_start + u.T * (x.queue[:, k] - self._forecast(theta, self._columns(x, u, p, k)))
-        dq_c = clip(u.dq_r + self._forecast(theta, self._columns(x, u, p, self.delay + 1)), p.u_max)
+            q_start = q_start + u.T * (x.queue[:, k] - forecast(theta, self._columns(x, u, p, k)))
+        dq_c = clip(u.dq_r + forecast(theta, self._columns(x, u, p, self.delay + 1)), p.u_max)
         return Equations(
-            outputs={"dq_c": dq_c, "q_start": q_start, "epsilon": epsilon},
+            outputs={"dq_c": dq_c, "q_start": q_start, "lag": lag, "epsilon": epsilon},
             next={
                 "theta": theta,
                 "phase": x.phase + p.rate * u.T,
@@ -149,9 +151,17 @@ class RepetitiveInverse(AbstractBlock):
     def _columns(self, x: Signals, u: Signals, p: Signals, k: int) -> SX:
         """(1) for the k-th sample after the last one, of which `phase` is the middle."""
         phase = x.phase + k * p.rate * u.T
-        waves = (wave(j * phase) for j in range(1, self.harmonics + 1) for wave in (ca.cos, ca.sin))
-        return ca.vertcat(1, *waves)
+        waves = phase * ca.DM(range(1, self.harmonics + 1))
+        return ca.vertcat(1, ca.cos(waves), ca.sin(waves))
 
-    @staticmethod
-    def _forecast(theta: SX, h: SX) -> SX:
-        return ca.reshape(theta, h.shape[0], -1).T @ h
+
+@operation
+def forecast(theta: Any, h: Any) -> Any:
+    """The product of h and the coefficients of each joint."""
+    return ca.reshape(theta, h.shape[0], -1).T @ h
+
+
+@operation
+def outer(h: Any, epsilon: Any) -> Any:
+    """The product of h and the error of each joint, one joint after the other."""
+    return ca.vec(h @ epsilon.T)
