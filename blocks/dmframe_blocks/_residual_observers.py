@@ -122,7 +122,7 @@ SIMPLE: Final[tuple[Observer, ...]] = (
 )
 """Observers of any signal."""
 
-PERIODIC: Final[tuple[Observer, ...]] = (Fourier(6, 0.2), Fourier(20, 0.5))
+PERIODIC: Final[tuple[Observer, ...]] = (Fourier(4, 0.15), Fourier(4, 0.04), Fourier(20, 0.6), Fourier(20, 0.17))
 """Observers of a signal that repeats."""
 
 

@@ -58,7 +58,7 @@ class ExpertAggregation(AbstractBlock):
 
         L_i^+ = (1 - 1 / M) L_i + e_i^2, \qquad w_i \propto L_i^{-M / 2}   \tag{2}
 
-    smoothed with the gain `smoothing`. This is the exponentially weighted average of the normalised likelihoods of
+    smoothed with the gain `weight_gain`. This is the exponentially weighted average of the normalised likelihoods of
     errors with unknown variance. No claim covers these weights.
 
     *Weights, projection.* Of each joint, with the rows :math:`h_i = (\hat q_i - \hat q_0) / T` and the output
@@ -82,14 +82,14 @@ class ExpertAggregation(AbstractBlock):
     rate : scalar, rad/s, > 0
         Angular frequency with which the motion repeats, with `periodic`.
     periodic : true or false
-        Also observe with Fourier series of 6 and of 20 multiples of the rate.
+        Also observe with Fourier series of 4 and of 20 multiples of the rate, each fast and slow.
     delay : 0, 1 or 2
         Whole samples from a command to its effect, as in the blocks that compute dq_r and dq_model.
-    weights : exponential or projection
+    weighting : exponential or projection
         See above.
     memory : scalar, s, > 0
         Time over which errors are compared by exponential weights.
-    smoothing : scalar, > 0
+    weight_gain : scalar, > 0
         Share by which exponential weights approach those of (2) in a sample.
     quiet : scalar, rad/s, > 0
         Errors far below this are compared as equal: its square is added to :math:`L_i`.
@@ -126,7 +126,7 @@ class ExpertAggregation(AbstractBlock):
     )
     states = (
         State("observed", "n H", "rad/s", sampled=True, recorded=False),
-        State("phase", sampled=True, optional=True),
+        State("phase", "", "rad", sampled=True, optional=True),
         State("losses", "n E", "rad^2/s^2", sampled=True, recorded=False, optional=True),
         State("weights", "w", sampled=True, recorded=False),
         State("forecasts", "n F", "rad", sampled=True, recorded=False),
@@ -138,9 +138,9 @@ class ExpertAggregation(AbstractBlock):
     rate: Scalar | None = Positive("", "rad/s", default=None)
     periodic: bool = False
     delay: Literal[0, 1, 2] = 0
-    weights: Literal["exponential", "projection"] = "exponential"
+    weighting: Literal["exponential", "projection"] = "exponential"
     memory: Scalar = Positive("", "s", default=6.0)
-    smoothing: Scalar = Positive(default=0.2)
+    weight_gain: Scalar = Positive(default=0.2)
     quiet: Scalar = Positive("", "rad/s", default=1e-8)
     Gamma: Scalar = Positive(default=1.0)
     nu: Scalar = Positive("", "rad^2/s^2", default=1e-6)
@@ -171,7 +171,7 @@ class ExpertAggregation(AbstractBlock):
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """The observers, the weights by (2) or (3), the command, and the forecasts (1) of what it does."""
-        lag = named("lag", x.queue[:, 0] - (u.q - x.q_before) / u.T)
+        lag = named("lag_now", x.queue[:, 0] - (u.q - x.q_before) / u.T)
         waves = Waves(x.phase, p.rate * u.T) if self.periodic else Waves(0 * u.T, 0 * u.T)
         observers = 2 * self._observers
         seen = [signal for signal in (lag, u.epsilon) for _ in self._observers]
@@ -239,7 +239,7 @@ class ExpertAggregation(AbstractBlock):
         """The weights of all experts but the first, by (2) or (3); and what else is kept."""
         h, y, errors = self._row(u, x)
         n, E = errors.shape
-        if self.weights == "projection":
+        if self.weighting == "projection":
             rows = ca.reshape(h, E - 1, n)
             old = ca.reshape(x.weights, E - 1, n)
             gain = p.Gamma * (y.T - ca.sum1(rows * old)) / (p.nu + p.Gamma * ca.sum1(rows * rows))
@@ -251,11 +251,11 @@ class ExpertAggregation(AbstractBlock):
         shares = ca.exp(-ca.fmin(p.memory / (2 * u.T) * over, _SHARPEST))
         wanted = named("w_wanted", shares / ca.repmat(ca.sum2(shares), 1, E))
         wanted = ca.vec(wanted[:, 1:].T)
-        return named("w_new", x.weights + p.smoothing * (wanted - x.weights)), {"losses": losses}
+        return named("w_new", x.weights + p.weight_gain * (wanted - x.weights)), {"losses": losses}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
         """Normalised steps of the weights towards any constant ones; nothing for exponential weights."""
-        if self.weights == "exponential":
+        if self.weighting == "exponential":
             return None
         h, y, errors = self._row(u, x)
         n, E = errors.shape

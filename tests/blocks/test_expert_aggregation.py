@@ -88,7 +88,7 @@ def test_a_repeating_error_is_forecast_better_than_by_the_model_and_by_the_last_
 
 def test_steps_of_the_projection_lose_to_no_expert_by_more_than_its_error() -> None:
     nu, Gamma = 1e-4, 0.5
-    found = played(KIND(weights="projection", nu=nu, Gamma=Gamma), LAGS, ERRORS)
+    found = played(KIND(weighting="projection", nu=nu, Gamma=Gamma), LAGS, ERRORS)
     w = np.zeros(2 * HALF - 1)
     for k in range(2, 60):
         errors = errors_of(found, k)
@@ -118,7 +118,7 @@ def test_options_that_do_not_fit_are_refused(options: dict[str, Any]) -> None:
 
 def aggregated(**mix: Any) -> dict[str, Any]:
     """Two links at 40 ms, a model of each joint without coupling, and the aggregation."""
-    inverse = {"estimator": "least_squares", "supervised": True, "forecasts": True, "dynamics": "joints"}
+    inverse = {"estimator": "least_squares", "supervised": True, "aggregated": True, "dynamics": "joints"}
     graph = copy.deepcopy(sampled_arm2(**inverse))
     graph["blocks"]["task"] = {"type": "sampled_tracking", "Lambda": 3}
     graph["blocks"]["mix"] = {"type": "expert_aggregation", **mix}
@@ -128,7 +128,7 @@ def aggregated(**mix: Any) -> dict[str, Any]:
 
 
 def test_the_steps_of_projected_weights_are_proved_and_no_more() -> None:
-    found = verify(dm.load(aggregated(weights="projection")).diagram)
+    found = verify(dm.load(aggregated(weighting="projection")).diagram)
     assert "mix.weights" in str(found.headline), found.headline
     assert "not known to be bounded, and tracking is not part of it" in str(found.headline)
 
@@ -146,7 +146,7 @@ def test_projected_weights_that_step_away_are_refuted(monkeypatch: pytest.Monkey
         return Equations(outputs=found.outputs, next={**found.next, "weights": 2 * x.weights - found.next["weights"]})
 
     monkeypatch.setattr(KIND, "equations", away)
-    found = verify(dm.load(aggregated(weights="projection")).diagram)
+    found = verify(dm.load(aggregated(weighting="projection")).diagram)
     assert found.outcome == "refuted"
     assert found.refutation is not None
     assert found.refutation.says == "mix: what weights becomes"
@@ -164,7 +164,7 @@ def test_the_loop_is_better_than_with_the_model_alone_and_with_the_observer_alon
     for graph in (alone, both):  # the model is that of a PID servo
         graph["blocks"]["inverse"]["dynamics"] = "robot"
         graph["blocks"]["servo"] = cascade
-    alone["blocks"]["inverse"].update(supervised=False, forecasts=False)
+    alone["blocks"]["inverse"].update(supervised=False, aggregated=False)
     del alone["blocks"]["mix"]
     model = error({**alone, "wires": {}})
     alone["blocks"]["inverse"] = {"type": "disturbance_observer"}

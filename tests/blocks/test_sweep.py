@@ -86,7 +86,7 @@ start: {q: [0.5, 0.9]}
 blocks:
   goal:     {type: setpoint, x_d: [0.5, 0.4]}
   task:     {type: sampled_tracking, Lambda: 3}
-  inverse:  {type: sampled_inverse, servo: pi, w_0: 0.02, estimator: least_squares, supervised: true, forecasts: true}
+  inverse:  {type: sampled_inverse, servo: pi, w_0: 0.02, estimator: least_squares, supervised: true, aggregated: true}
   mix:      {type: expert_aggregation}
   servo:    {type: pi_servo, K_P: [60, 30], K_I: [240, 120]}
   arm:      {type: manipulator}
