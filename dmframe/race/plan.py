@@ -87,6 +87,8 @@ class Race:
     ----------
     document
         The file with lines and columns.
+    laws
+        By name and sampling period.
     sections
         Nodes of the sections ``robot``, ``start``, ``plants``, ``paths`` and ``realities``, which name their places.
     sources
@@ -99,7 +101,7 @@ class Race:
     text: str
     document: Document
     file: RaceFile
-    laws: Mapping[str, Law]
+    laws: Mapping[tuple[str, float], Law]
     sections: Mapping[str, Node]
     sources: str
     delays: Mapping[str, int]
@@ -134,7 +136,7 @@ class Race:
 
     def candidates(self, law: str, clock: float) -> list[Values]:
         """The values that are tried: the graph's own, then a Halton sequence, log-uniform over the ranges."""
-        own, tune = self.laws[law].own, self.file.laws[law].tune
+        own, tune = self.laws[law, clock].own, self.file.laws[law].tune
         halton = scipy.stats.qmc.Halton(len(tune), scramble=False)
         halton.fast_forward(1)  # the first point is the lower corner
         points = halton.random(self.file.budget - 1) if self.file.budget > 1 else []
@@ -159,7 +161,8 @@ class Race:
         plant = mapping_of(self._entry("plants", run.cell.plant))
         kinds = [block.get("type") for block in plant.values() if isinstance(block, dict)]
         path = mapping_of(self._entry("paths", run.cell.path)).get("type")
-        return repr((run.law, kinds, path, run.cell.reality, run.margin))
+        law = self.laws[run.law, run.cell.clock].document
+        return repr((run.law, law, kinds, path, run.cell.reality, run.margin))
 
     def key(self, run: Run) -> str:
         """Digest of everything that decides the result of a run."""
@@ -171,7 +174,7 @@ class Race:
 
     def document_of(self, run: Run) -> Document:
         """The document of a run's graph; each value names its place in the race's file or in the law's."""
-        law, plant = self.laws[run.law], dict(_entries(self._entry("plants", run.cell.plant)))
+        law, plant = self.laws[run.law, run.cell.clock], dict(_entries(self._entry("plants", run.cell.plant)))
         wires = {**law.wires, **_entries(plant.pop("wires", (None, _node({})))[1])}
         blocks = {PATH: (_node(PATH), self._entry("paths", run.cell.path)), **law.blocks, **plant}
         delay = self.delays[run.cell.reality]
@@ -191,11 +194,10 @@ class Race:
 
     def transport_delays(self) -> dict[str, int]:
         """Whole samples of transport delay of each reality, read from the blocks of a graph in it."""
-        law, found = next(iter(self.laws)), dict[str, int]()
+        law, first, found = self.file.entrant, self.training[0], dict[str, int]()
         like: Graph | None = None
         for reality in self.file.realities:
-            cell = replace(self.training[0], reality=reality)
-            like = self.graph(Run(law, cell, self.laws[law].own, 0), like)
+            like = self.graph(Run(law, replace(first, reality=reality), self.laws[law, first.clock].own, 0), like)
             blocks = [like.blocks[name] for name, fact in like.blocks.facts.items() if fact["type"] == DELAY]
             found[reality] = sum(int(getattr(block, "samples", 0)) for block in blocks)
         return found
