@@ -54,8 +54,7 @@ def load_race(source: str | Path) -> Race:
     text = path.read_text(encoding="utf-8")
     files = [file for law in laws.values() for file in _files(_nodes(law.blocks), Path(law.document).parent)]
     files += _files([node for node in sections.values() if node.value], path.parent)
-    delays = dict.fromkeys(file.realities, 0)
-    race = Race(path.stem, text, document, file, laws, sections, _digest(files), delays)
+    race = Race(path.stem, text, document, file, laws, sections, _digest(files), {})
     race = replace(race, delays=race.transport_delays())
     _check_graphs(race)
     return race

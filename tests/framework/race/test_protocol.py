@@ -138,6 +138,28 @@ def test_quantiles_are_order_statistics_and_the_interval_of_the_median_is_a_seed
     assert narrow.high - narrow.low == pytest.approx(2 * 1.96 * 0.0158, rel=0.15)
 
 
+@pytest.mark.parametrize(
+    ("reality", "more", "models"),
+    [
+        ("{}", 1, [(0, 0, 1), (0, 1, 1.3)]),  # samples, share and gain, without and with the margins
+        ("{transport_delay: {samples: 2}}", 1, [(2, 0, 1), (2, 1, 1.3)]),
+        ("{transport_delay: {samples: 1, share: 0.25}}", 1, [(1, 0.25, 1), (2, 0.25, 1.3)]),
+        ("{transport_delay: {samples: 1, late: 0.1}}", 1, [(1, None, 1), (2, None, 1.3)]),
+        ("{}", 2, [(0, 0, 1), (1, 1, 1.3)]),
+        ("ur", 0, [(1, 0, 1), (1, 0, 1.3)]),
+    ],
+)
+def test_the_margins_add_a_delay_and_a_gain_to_a_reality(race: Make, reality: str, more: int, models: object) -> None:
+    found = race(("{ideal: {}}", f"{{ideal: {reality}}}"), ("budget: 4", f"margins: {{delay: {more}}}"))
+    several = list[tuple[object, ...]]()
+    for run in list(found.trials("tuned", 0.02, found.candidates("tuned", 0.02)[0])):
+        blocks = found.graph(run).blocks
+        several.append(
+            (blocks["transport_delay"].samples, blocks["transport_delay"].share, blocks["command_gain"].gain)
+        )
+    assert several == models
+
+
 def test_a_law_may_have_a_graph_for_each_range_of_sampling_periods(race: Make, tmp_path: Path) -> None:
     race()
     (tmp_path / "slow.yaml").write_text((tmp_path / "law.yaml").read_text().replace("gamma: 4", "gamma: 3"))
