@@ -2,7 +2,7 @@ r"""Symmetric linear systems with field operations only, for evaluation in exact
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -54,15 +54,12 @@ def ldl(A: Any) -> tuple[Any, list[Any]]:
     L : SX (n, n), unit lower triangular
     d : list of n SX scalars
     """
-    A = ca.SX(A)
-    L, *d = _factorisation(tuple(A.sparsity().compress())).call([A])
+    L, *d = _called(_factored, ca.SX(A))
     return L, d
 
 
-@lru_cache(maxsize=64)
-def _factorisation(of: tuple[int, ...]) -> Any:
-    """L and the elements of d for one pattern of zeros; called on SX, their row operations are CasADi's own."""
-    A = ca.SX.sym("A", ca.Sparsity.compressed(of))
+def _factored(A: Any) -> list[Any]:
+    """L and the elements of d."""
     n = A.shape[0]
     L, weighed = ca.SX.eye(n), ca.SX(n, n)  # weighed = L diag(d)
     d: list[Any] = []
@@ -73,7 +70,7 @@ def _factorisation(of: tuple[int, ...]) -> Any:
         if j + 1 < n:
             L[j + 1 :, j] = column[1:] / d[j]
             weighed[j + 1 :, j] = L[j + 1 :, j] * d[j]
-    return ca.Function("factorisation", [A], [L, *d])
+    return [L, *d]
 
 
 @operation
@@ -87,27 +84,34 @@ def solve_spd(A: Any, b: Any) -> Any:
     b : SX (n, columns)
     """
     L, d = _factors(A)
-    right = ca.SX(b)
-    patterns = (tuple(item.sparsity().compress()) for item in (L, right))
-    return _substitution(*patterns).call([L, ca.vertcat(*d), right])[0]
+    return _called(_substituted, L, ca.vertcat(*d), ca.SX(b))[0]
 
 
-@lru_cache(maxsize=64)
-def _substitution(of_factor: tuple[int, ...], of_right: tuple[int, ...]) -> Any:
-    """Forward and back substitution for one pattern of zeros: called on SX, its n^2 row operations are CasADi's own."""
-    L, b = (ca.SX.sym(name, ca.Sparsity.compressed(of)) for name, of in (("L", of_factor), ("b", of_right)))
-    n = L.shape[0]
-    d = ca.SX.sym("d", n)
+def _substituted(L: Any, d: Any, b: Any) -> list[Any]:
+    """Forward and back substitution."""
     rows, rest = list[Any](), b  # one matrix, changed in place, would be copied at each change
-    for j in range(n):
+    for j in range(L.shape[0]):
         rows.append(rest[0, :])
         rest = rest[1:, :] - L[j + 1 :, j] @ rows[j]
     rows = [row / pivot for row, pivot in zip(rows, ca.vertsplit(d), strict=True)]
-    for i in reversed(range(n - 1)):
+    for i in reversed(range(L.shape[0] - 1)):
         for product in ca.vertsplit(ca.diag(L[i + 1 :, i]) @ ca.vertcat(*rows[i + 1 :])):
             if product.nnz():
                 rows[i] = rows[i] - product
-    return ca.Function("substitution", [L, d, b], [ca.vertcat(*rows)])
+    return [ca.vertcat(*rows)]
+
+
+def _called(stated: Callable[..., list[Any]], *given: Any) -> list[Any]:
+    """The expressions of a function of matrices; its operations are stated once for each pattern of zeros."""
+    patterns = (tuple(item.sparsity().compress()) for item in given)
+    return list(_stated_once(stated, *patterns).call(list(given)))
+
+
+@lru_cache(maxsize=64)
+def _stated_once(stated: Callable[..., list[Any]], *patterns: tuple[int, ...]) -> Any:
+    """A CasADi function: where it is called on SX, the operations are CasADi's own, in the same order."""
+    symbols = [ca.SX.sym("given", ca.Sparsity.compressed(pattern)) for pattern in patterns]
+    return ca.Function("linear", symbols, stated(*symbols))
 
 
 def _factors(A: Any) -> tuple[Any, Sequence[Any]]:

@@ -60,7 +60,7 @@ LEARNT: Final = {
     "a_k_hat": "lengths",
     "a_c_hat": "camera",
     "a_d_hat": "dynamics",
-    "theta": "servo and dynamics over samples",
+    "theta": "coefficients over samples",
     "w": "servo",
     "w_P": "servo",
     "w_I": "servo",
@@ -126,7 +126,8 @@ def followed(diagram: Diagram) -> str:
 def servo(diagram: Diagram) -> str:
     """The kind of the closed servo, by its block's name."""
     types = [diagram.type_of(name) for name, block in diagram.blocks.items() if block.side is Side.PLANT]
-    return next((kind.removesuffix("_servo").upper().replace("_", "-") for kind in types if kind.endswith("_servo")), "none")
+    found = next((kind.removesuffix("_servo") for kind in types if kind.endswith("_servo")), "none")
+    return found if found == "none" else found.upper().replace("_", "-")
 
 
 def units_taken(diagram: Diagram) -> list[str]:

@@ -99,7 +99,7 @@ class PPiInverse(AdaptingBlock):
 
     References
     ----------
-    [WangTAC2020]_ eqs. (32)-(39), Theorem 4 and Remark 5, for the PID servo.
+    [WangTAC2020]_ Theorem 4 and Remark 5, for the PID servo; extended here to five scales.
     """
 
     inputs = (
@@ -208,7 +208,12 @@ class PPiInverse(AdaptingBlock):
         """M-bar is non-negative, and the servo has feed-forward."""
         return (
             Inequality("M_bar >= 0", self._M_bar(p, truth), "Theorem 4 and Remark 5", strict=False),
-            Inequality("f > 0", truth.f, "the true value of w_f is 1/f"),
+            Inequality(
+                "f > 0",
+                truth.f,
+                "the true value of w_f is 1/f",
+                otherwise="the servo has no velocity feed-forward at a joint: the true value 1/f of w_f is infinite",
+            ),
         )
 
     def _reference(self, u: Signals, x: Signals, p: Signals) -> SX:

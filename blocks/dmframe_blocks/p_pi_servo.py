@@ -38,12 +38,13 @@ class PPiServo(AbstractBlock):
 
     The servo integrates the velocity command, :math:`q_c = q(0) + \int \dot q_c`, and reports the result, usually
     called the target position. :math:`q_{step}` is zero unless positions are commanded: see `position_interface`. With
-    a `velocity_filter`, :math:`\dot q_f` replaces :math:`\dot q` in (1). With a `torque_lag`, :math:`u_a` is
-    the voltage instead of (3):
+    a `velocity_filter` or a `cycle`, :math:`\dot q_f` replaces :math:`\dot q` in (1), with the time constant
+    :math:`T_f = \mathrm{velocity\_filter} + \mathrm{cycle} / 2`. With a `torque_lag`, :math:`u_a` is the voltage
+    instead of (3):
 
     .. math::
 
-        \ddot q_f    &= (\dot q - \dot q_f) / \mathrm{velocity\_filter}   \tag{4} \\
+        \ddot q_f    &= (\dot q - \dot q_f) / T_f   \tag{4} \\
         \dot u_a     &= (K_v e_v + K_i \xi - u_a) / \mathrm{torque\_lag}            \tag{5}
 
     Initially the integrator holds the robot against gravity: :math:`\xi(0) = g(q)/(K K_i)`.
@@ -66,12 +67,16 @@ class PPiServo(AbstractBlock):
         Time constant of the filter of the measured velocity; by default there is none.
     torque_lag : scalar, s, > 0
         Time constant of the current controller, from the demanded to the acting voltage; by default there is none.
+    cycle : scalar, s, > 0
+        Cycle of the servo, approximately; by default it is continuous.
 
     Notes
     -----
-    The theorem of `p_pi_inverse` covers :math:`f > 0` without filter and lag. With either, `verify` states that no
-    theorem applies. The cascade is continuous; a cycle of 1 ms acts, to first order, like half a millisecond more of
-    `torque_lag`. Not for: a servo with anti-windup, or with acceleration feed-forward.
+    The theorem of `p_pi_inverse` covers :math:`f > 0` without filter, lag and cycle. With any of them, `verify` states
+    that no theorem applies. A `cycle` is an approximation in continuous time of a servo that reads its joints and
+    updates a held torque once in each cycle: what it reads is, on average, half a cycle old. With 1 ms and velocity
+    loops of 160 and 400 rad/s it differs from that servo by a fifth of the effect of the cycle at most. Not for: a
+    servo with anti-windup, or with acceleration feed-forward.
 
     References
     ----------
@@ -101,7 +106,7 @@ class PPiServo(AbstractBlock):
         State("u_a", "n", "V", optional=True),
     )
     truth = (Input("g", "n", "N m"), Input("K", "n", "N m/V"))
-    unproved: ClassVar[str] = "no theorem covers its velocity_filter or torque_lag"
+    unproved: ClassVar[str] = "no theorem covers its velocity_filter, torque_lag or cycle"
 
     k_p: Diagonal = Positive("n", "1/s")
     K_v: Diagonal = Positive("n", "V s/rad")
@@ -109,15 +114,18 @@ class PPiServo(AbstractBlock):
     feed_forward: Diagonal = NonNegative("n", default=1.0)
     velocity_filter: Scalar | None = Positive("", "s", default=None)
     torque_lag: Scalar | None = Positive("", "s", default=None)
+    cycle: Scalar | None = Positive("", "s", default=None)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) to (5)."""
-        measured = x.dq_f if "velocity_filter" in p else u.dq
+        delay = [p.velocity_filter] if "velocity_filter" in p else []
+        delay += [p.cycle / 2] if "cycle" in p else []
+        measured = x.dq_f if delay else u.dq
         e_v = p.feed_forward * u.dq_c + p.k_p * (x.q_c + u.q_step - u.q) - measured
         demanded = p.K_v * e_v + p.K_i * x.xi
         rates = {"q_c": u.dq_c, "xi": e_v}
-        if "velocity_filter" in p:
-            rates["dq_f"] = (u.dq - x.dq_f) / p.velocity_filter
+        if delay:
+            rates["dq_f"] = (u.dq - x.dq_f) / sum(delay)
         if "torque_lag" in p:
             rates["u_a"] = (demanded - x.u_a) / p.torque_lag
         gains = {"k_p": p.k_p, "K_v": p.K_v, "K_i": p.K_i, "f": p.feed_forward}
@@ -131,6 +139,6 @@ class PPiServo(AbstractBlock):
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
         """No storage: that of the servo is in the block that inverts it. The truth is the command as it arrives."""
-        if "velocity_filter" in p or "torque_lag" in p:
+        if any(name in p for name in ("velocity_filter", "torque_lag", "cycle")):
             return None
         return Certificate(truth={"dq_s": u.dq_c})

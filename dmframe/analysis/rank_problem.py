@@ -213,7 +213,7 @@ def _timed(loop: ClosedLoop, label: str, desired: SX) -> SX:
     wanted = loop.on_path(loop.joined([desired])[0])
     others = symbols_in([wanted]) - symbols_in([loop.time]) - symbols_in([loop.p])
     if others:
-        moving = listed([v.label for v in loop.variables if symbols_in([v.symbol]) & others] or ["a signal"])
+        moving = listed([v.label for v in loop.variables if v.identities & others] or ["a signal"])
         text = f"found {label}, whose time is not that of the run: it moves with {moving}"
         raise MissingError(f"rank: expected a path that is a function of time, {text}; {_GIVE}")
     return wanted
@@ -242,7 +242,7 @@ def _part(loop: ClosedLoop, state: Array, variable: Variable) -> Array:
 
 
 def _depends(expression: SX, variable: Variable) -> bool:
-    return bool(symbols_in([expression]) & symbols_in([variable.symbol]))
+    return bool(symbols_in([expression]) & variable.identities)
 
 
 def _only(found: Sequence[Variable], expected: str) -> Variable:

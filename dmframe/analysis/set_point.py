@@ -191,7 +191,7 @@ def moves(loop: ClosedLoop) -> SX:
 def counts(variable: Variable) -> bool:
     """True for a sample counter: a sampled state with a constant increment."""
     gained = variable.gained
-    if gained is None or symbols_in([gained]) - symbols_in([variable.symbol]):
+    if gained is None or symbols_in([gained]) - variable.identities:
         return False
     step = ca.Function("step", [variable.symbol], [ca.vec(ca.densify(gained))])
     if codes(step) & (JUMPS | KINKS | EDGES) or not ca.jacobian(step(variable.symbol), variable.symbol).is_zero():

@@ -56,6 +56,11 @@ class BlockModel:
         """Identities of the scalar symbols of its inputs and states, the only ones that vary in a run."""
         return symbols_in([*self.inputs.values(), *self.states.values()])
 
+    @cached_property
+    def identities(self) -> Mapping[str, set[int]]:
+        """Those of each state's scalar symbols."""
+        return {name: symbols_in([symbol]) for name, symbol in self.states.items()}
+
     @property
     def estimates(self) -> tuple[Adapted, ...]:
         """The estimates that the block has with its options."""

@@ -206,7 +206,7 @@ class _Assembly:
         lines = {f"{part.block}.{item.state}" for part in of.parts for item in part.certificate.delay_lines}
         used = symbols_in([of.V])
         for variable in of.loop.stepped if of.over_samples else of.loop.controller:
-            if variable.label in lines or used & symbols_in([variable.symbol]):
+            if variable.label in lines or used & variable.identities:
                 yield variable.label
 
     def _stored(self) -> Iterator[str]:

@@ -350,10 +350,8 @@ class Closure:
     def _stays_bounded(self, item: Driven) -> Text:
         """What is assumed of inputs, in words that are not their block's."""
         used = symbols_in(item.inputs)
-        of = [v.label for v in self._variables if used & symbols_in([v.symbol])]
-        of += [
-            leaf.name for leaf in self._claim.diagram.resolver.trajectories.values() if used & symbols_in([leaf.symbol])
-        ]
+        of = [v.label for v in self._variables if used & v.identities]
+        of += [leaf.name for leaf in self._claim.diagram.resolver.trajectories.values() if used & leaf.identities]
         made = Text(", which is made of ", listed_text(list(map(Label, of))), ",") if of else ""
         driven = listed_text(item.of)
         return Text("the input of the linear equation that drives ", driven, made, " stays bounded")
@@ -382,7 +380,7 @@ class Closure:
             self._known.add(row)
         for variable in self._variables:
             size = variable.symbol.numel()
-            if read & symbols_in([variable.symbol]):
+            if read & variable.identities:
                 for column in range(start, start + size):
                     self._known.add([int(column == k) for k in range(self._columns)])
             start += size

@@ -185,7 +185,7 @@ def _needed(claim: Claim, row: SX) -> list[Variable] | None:
     """The states that decide a quantity, if these are few; what a projection corrects is no motion of its own."""
     loop, used, found = claim.loop, symbols_in([row]), list[Variable]()
     while True:
-        more = [v for v in loop.variables if v not in found and used & symbols_in([v.symbol])]
+        more = [v for v in loop.variables if v not in found and used & v.identities]
         found += more
         if sum(v.symbol.numel() for v in found) > FEW:
             return None

@@ -60,7 +60,7 @@ def _matched(claim: Claim, weight: SX) -> str | None:
         used, size = symbols_in([weight]), len(INERTIAL)
         bodies = {"": robot.inertia}
         for leaf in claim.diagram.resolver.trajectories.values():
-            if leaf.symbol.shape == (size, 1) and used & symbols_in([leaf.symbol]):
+            if leaf.symbol.shape == (size, 1) and used & leaf.identities:
                 own = robot.inertia
                 bodies[leaf.name] = ca.vertcat(own[:-size], own[-size:] + leaf.symbol)
         for label, inertia in bodies.items():

@@ -153,9 +153,7 @@ def discrete_assumptions(claim: Claim, symbols: Symbols, seed: int) -> Iterator[
             text = Text(f"{part.block}: the residual besides the steps, made of ", of, ", is small: nothing bounds it")
             yield Assumption(text, "the identity above")
     for leaf in stepping(claim):
-        if any(
-            symbols_in(map(ca.SX, term.pieces)) & symbols_in([leaf.symbol]) for p in claim.parts for term in p.stored
-        ):
+        if any(symbols_in(map(ca.SX, term.pieces)) & leaf.identities for p in claim.parts for term in p.stored):
             yield Assumption(Text(Label(leaf.name), " ", sentence(BETWEEN)), sentence("{V} holds it"))
     if claim.silent:
         yield Assumption(

@@ -49,7 +49,7 @@ class DrivenLoop:
     def becomes(self, expressions: Sequence[SX]) -> Mapping[str, SX]:
         """What the states on which expressions depend are one sample later, by label, and those on which they do."""
         found, waiting = dict[str, SX](), symbols_in(map(ca.SX, expressions))
-        while reached := [v for v in self._loop.stepped if v.label not in found and symbols_in([v.symbol]) & waiting]:
+        while reached := [v for v in self._loop.stepped if v.label not in found and v.identities & waiting]:
             after = self.measured([self._next(variable) for variable in reached])
             found |= {variable.label: value for variable, value in zip(reached, after, strict=True)}
             waiting |= symbols_in(after)

@@ -125,7 +125,7 @@ def _margin(
 ) -> tuple[SX | None, SX | None]:
     """A margin of parameters and moved starts; where there is none, the parameters and starts that decide."""
     given = symbols_in(claim.starts[label] for label in claim.starts if label in starts)
-    known = symbols_in(parameter.symbol for parameter in claim.loop.parameters)
+    known = claim.loop.constants
     margin = item.margin
     if item.begun is not None and any(label in starts for label in item.begun.symbols):
         begun = item.begun.at(starts)

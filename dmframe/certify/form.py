@@ -29,7 +29,7 @@ from dmframe.steps import packed_size
 
 if TYPE_CHECKING:
     from dmframe.certify.claim import Claim, Part
-    from dmframe.diagram.resolve import Leaf
+    from dmframe.diagram.pieces import Leaf
 
 
 @final
@@ -151,7 +151,7 @@ def unfit(claim: Claim, part: Part) -> Iterator[str]:
     yield from _inapplicable(part.certificate)
     yield from _misshapen(part, own)
     loop = claim.loop
-    constant = symbols_in(parameter.symbol for parameter in loop.parameters)
+    constant = loop.constants
     constant |= symbols_in(part.certificate.unknown.values())
     constant |= symbols_in(leaf.symbol for leaf in stepping(claim))  # between steps, each of which begins a new V
     allowed = constant | symbols_in(own.values())

@@ -93,7 +93,7 @@ def matrix_start(claim: Claim, numbers: Numbers, given: Mapping[str, Any], matri
     """Where a matrix of states starts; None where that is no number."""
     used, leaves, values = symbols_in([matrix]), list[SX](), list[Number]()
     for variable in claim.loop.variables:
-        if not used & symbols_in([variable.symbol]):
+        if not used & variable.identities:
             continue
         elements = ca.vertsplit(ca.vec(variable.symbol))
         for leaf, value in zip(elements, start_of(variable.label, numbers, given), strict=True):

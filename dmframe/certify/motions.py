@@ -303,6 +303,6 @@ def _posed(diagram: Diagram, part: Part, made: dict[tuple[str, ...], Any]) -> It
     positions = symbols_in(ca.SX(item.position) for item in part.certificate.acted)
     for variable in diagram.loop.flowing:
         if not has_start(diagram, variable, made) and (
-            symbols_in([variable.symbol]) & positions or (diagram.robot is not None and variable.name == "q")
+            variable.identities & positions or (diagram.robot is not None and variable.name == "q")
         ):
             yield variable

@@ -56,7 +56,7 @@ class Flow:
         """Label, symbol and rate of what moves among these symbols; the rate of a trajectory may be a new one."""
         yield from (item for item in self._own if used & symbols_in([item[1]]))
         for (block, port, order), leaf in list(self.diagram.resolver.trajectories.items()):
-            if used & symbols_in([leaf.symbol]):
+            if used & leaf.identities:
                 yield leaf.name, leaf.symbol, self.diagram.resolver.trajectory_rate(block, port, order)
 
 
@@ -82,7 +82,7 @@ class Sample:
         """The rates of these states of the plant between two samples, commands free, by label."""
         loop = self.loop
         known = [(leaf.symbol, leaf.expression) for leaf in loop.measured]
-        moving = [variable for variable in loop.flowing if used & symbols_in([variable.symbol])]
+        moving = [variable for variable in loop.flowing if used & variable.identities]
         rates = loop.rates_of(moving)
         if known:
             rates = ca.substitute(rates, [stack(a for a, _ in known)], [stack(b for _, b in known)])

@@ -102,8 +102,7 @@ def _is_tool(loop: ClosedLoop, robot: Any, found: SX) -> bool:
     for variable in loop.plant:
         if variable.symbol.numel() != robot.n or found.shape != (robot.m, 1):
             continue
-        leaves = [leaf for leaf in ca.symvar(found) if not symbols_in([leaf]) <= symbols_in([loop.p, variable.symbol])]
-        if leaves:
+        if symbols_in([found]) - loop.constants - variable.identities:
             continue
         function = ca.Function("apart", [variable.symbol, loop.p], [found - robot.position(variable.symbol)])
         rng = np.random.default_rng(0)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Final, final
@@ -25,7 +26,7 @@ from dmframe.certify.sign import Sign, sign_after
 from dmframe.certify.symbols import exact_values
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
-from dmframe.diagram.resolve import Leaf
+from dmframe.diagram.pieces import Leaf
 from dmframe.diagram.wiring import Derived
 from dmframe.exact import Tape
 from dmframe.exact.balls import UndecidedError
@@ -103,7 +104,7 @@ def slope(claim: Claim, expression: SX) -> SX | None:
 
     A kink may stay: the rate is bounded next to it, which is all that Barbalat's lemma requires.
     """
-    still = symbols_in(parameter.symbol for parameter in claim.loop.parameters)
+    still = claim.loop.constants
     if jumps(expression, still) or any(_strangers(claim, expression)):
         return None
     return claim.flow.unrecorded(expression)
@@ -116,9 +117,8 @@ Findings = Iterator[tuple[str, Text]]
 def _strangers(claim: Claim, expression: SX) -> Iterator[SX]:
     """The symbols of an expression that have no rate: all but states, trajectories, the time and parameters."""
     loop = claim.loop
-    known = symbols_in([*(variable.symbol for variable in loop.variables), loop.time])
-    known |= symbols_in(leaf.symbol for leaf in claim.diagram.resolver.trajectories.values())
-    known |= symbols_in(parameter.symbol for parameter in loop.parameters)
+    known = loop.constants.union([loop.time.element_hash()], *(variable.identities for variable in loop.variables))
+    known = known.union(*(leaf.identities for leaf in claim.diagram.resolver.trajectories.values()))
     return (symbol for symbol in ca.symvar(expression) if symbol.element_hash() not in known)
 
 
@@ -166,7 +166,7 @@ def is_above(tape: Tape, place: int) -> bool:
     return all(signs[operand] is Sign.ABOVE for operand in tape.nodes[place].operands)
 
 
-def jumps(expression: SX, still: set[int]) -> set[int]:
+def jumps(expression: SX, still: AbstractSet[int]) -> set[int]:
     """The operations of an expression that jump, of anything but the symbols that stand still."""
     symbols = ca.symvar(expression)
     function = ca.Function("jumps", [stack(symbols)], [ca.vec(ca.densify(expression))])
@@ -178,7 +178,7 @@ def jumps(expression: SX, still: set[int]) -> set[int]:
 
 def _field(claim: Claim) -> Findings:
     """Where a rate jumps, solutions slide along the switching set, and their definition has to be stated."""
-    loop, still = claim.loop, symbols_in(parameter.symbol for parameter in claim.loop.parameters)
+    loop, still = claim.loop, claim.loop.constants
     for variable in loop.variables:
         if found := jumps(loop.joined(loop.rates_of([variable]))[0], still):
             names = ", ".join(sorted(sign_of(code) for code in found))
@@ -236,7 +236,7 @@ def _differentiated(diagram: Diagram, used: set[int]) -> Iterator[Leaf]:
     for (block, port, order), leaf in list(resolver.trajectories.items()):
         if resolver.steps(block, port):
             continue  # the proof holds between its steps
-        if used & symbols_in([leaf.symbol]) or (block, port, order + 1) in resolver.trajectories:
+        if used & leaf.identities or (block, port, order + 1) in resolver.trajectories:
             yield leaf
 
 

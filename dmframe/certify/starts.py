@@ -117,7 +117,7 @@ def begun_at(
     used, symbols, said = symbols_in([margin]), dict[str, SX](), dict[str, SX | None]()
     for variable in claim.loop.variables:
         label = variable.label
-        if used & symbols_in([variable.symbol]) and (labels is None or label in labels):
+        if used & variable.identities and (labels is None or label in labels):
             symbols[label] = claim.starts[label]
             given_start = zero or has_start(label, numbers, given)
             value = start_expression(label, numbers, given) if given_start else None

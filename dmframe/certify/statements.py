@@ -360,7 +360,7 @@ def _is_projected(claim: Claim, square: Square) -> bool:
     """True where it holds a projected estimate, and no other state."""
     used = symbols_in([square.vector])
     variables = claim.loop.variables
-    moving = {variable.label for variable in variables if used & symbols_in([variable.symbol])}
+    moving = {variable.label for variable in variables if used & variable.identities}
     bounding = {p.name for p in claim.loop.projections if p.set.bounds and used & symbols_in([p.state])}
     return moving == bounding and len(moving) == 1
 

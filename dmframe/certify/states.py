@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator
+from collections.abc import Set as AbstractSet
 
 import casadi as ca
 
@@ -31,7 +32,7 @@ def sampled_states(claim: Claim, numbers: Numbers, seed: int) -> States:
     known = _boxed(claim) | _in_v(claim, numbers, seed)
     becomes = dict(_becomes(claim))
     while True:
-        still = symbols_in(parameter.symbol for parameter in claim.loop.parameters)
+        still = claim.loop.constants
         still |= symbols_in([claim.loop.period])
         still |= symbols_in(v.symbol for v in claim.loop.variables if v.label in known)
         found = {label for label, value in becomes.items() if label not in known and _kept(value, still)}
@@ -73,8 +74,7 @@ def _in_v(claim: Claim, numbers: Numbers, seed: int) -> set[str]:
                 continue
             for row in _constant_rows(ca.jacobian(ca.SX(term.vector), states), numbers, trial):
                 rows.add(row)
-    open_columns = {column for row in rows.null_space() for column, value in enumerate(row) if value}
-    return set(_closed(own, open_columns))
+    return set(_closed(own, rows.undetermined))
 
 
 def _closed(variables: list[Variable], open_columns: set[int]) -> Iterator[str]:
@@ -117,7 +117,7 @@ def _ends(variables: tuple[Variable, ...]) -> list[int]:
     return ends
 
 
-def _kept(pair: tuple[SX, SX], known: set[int]) -> bool:
+def _kept(pair: tuple[SX, SX], known: AbstractSet[int]) -> bool:
     """True for a state that stays, or that bounded states and parameters make by operations defined everywhere."""
     state, then = pair
     if ca.is_equal(ca.densify(then), ca.densify(state), 2):

@@ -109,7 +109,7 @@ def _no_constants(claim: Claim, known: Sequence[Group], unknown: Sequence[Group]
     labels, loop = {group.label for group in known}, claim.loop
     sources = claim.diagram.resolver.trajectories.values()
     taken = symbols_in([*(group.symbol for group in known), *(leaf.symbol for leaf in (*loop.crossings, *sources))])
-    taken |= symbols_in(parameter.symbol for parameter in loop.parameters)
+    taken |= loop.constants
     for group in unknown:
         block, _, name = group.label.partition(".")
         symbol, found = group.symbol, symbols_in([group.symbol])

@@ -19,7 +19,7 @@ def estimated(diagram: Diagram, *, resting: bool = False) -> dict[str, SX | None
     Where the loop is `resting`, unknown constants, such as the start of an integrator, are taken as zero.
     """
     loop, found = diagram.loop, dict[str, SX | None]()
-    known = symbols_in(parameter.symbol for parameter in loop.parameters)
+    known = loop.constants
     for name, model in diagram.models.items():
         found |= dict.fromkeys(f"{name}.{item.name}" for item in model.estimates)
     try:

@@ -214,15 +214,21 @@ def _verified(
 
     if smooth is not None and smooth.faults:
         return ends("not_applicable", joined(smooth.faults, "; "))
+    numbers = Numbers(claim, uncertain)
+
+    def undefined(error: ValueFault) -> Verdict:
+        """A denominator vanishes, which a condition may exclude."""
+        lacking = [] if claim.over_samples else remedies(claim, numbers)
+        return ends("not_applicable", joined([*lacking, Text(error.text)], "; "))
+
     try:
         hold_sound(exact)
         test = replace(identity(exact, trials=trials, seed=seed), seed=own)
     except ValueFault as error:
-        return ends("not_applicable", Text(error.text))
+        return undefined(error)
     of = "what a sample does" if claim.over_samples else DV
     if not test.zero and (reason := doubt(exact, seed, of)):
         return ends("not_applicable", reason, test=test)
-    numbers = Numbers(claim, uncertain)
     if not test.zero:
         refutation = refute(exact, seed=seed)
         blame = _blame(claim, refutation, [] if claim.over_samples else remedies(claim, numbers))
@@ -232,7 +238,10 @@ def _verified(
     except ValueFault as error:
         return ends("not_applicable", Text(error.text), test=test)
     find = _in_discrete_time if examiner is None else partial(_in_continuous_time, examiner=examiner)
-    found = find(claim, symbols, numbers, start, seed)
+    try:
+        found = find(claim, symbols, numbers, start, seed)
+    except ValueFault as error:
+        return undefined(error)
     if found.fault:
         return ends("not_applicable", found.fault, test=test)
     conditions = found.conditions if found.undefined else tuple(over_intervals(list(found.conditions), claim, numbers))

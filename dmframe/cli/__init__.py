@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 FAULT = 2
 STOPPED = 130
 COMPLETING = "_DMFRAME_COMPLETE"
-ALLOCATIONS = 50_000
+ALLOCATIONS = 200_000
 """Allocations between two garbage collections; with Python's 700, these take a tenth of a proof's time."""
 
 

@@ -10,10 +10,10 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
-from dmframe.diagram.pieces import Followed, Noise, Parameter, Signal, Variable
+from dmframe.diagram.pieces import Followed, Leaf, Noise, Parameter, Signal, Variable
 from dmframe.diagram.projection import Projection
-from dmframe.diagram.resolve import Leaf
 from dmframe.port import Side
 
 
@@ -60,6 +60,11 @@ class ClosedLoop:
     outputs: tuple[Signal, ...]
     paced: frozenset[str] = frozenset()
     led: tuple[tuple[str, str], ...] = ()
+
+    @cached_property
+    def constants(self) -> frozenset[int]:
+        """Identities of the parameters' scalar symbols."""
+        return frozenset(symbols_in(parameter.symbol for parameter in self.parameters))
 
     @cached_property
     def derived(self) -> dict[Any, Any]:

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dmframe.block.model import BlockModel, symbols_in
 from dmframe.certificate import SX
 from dmframe.diagram.closed_loop import ClosedLoop, Noise, Parameter, Signal, Variable
-from dmframe.diagram.resolve import Leaf, Resolver, loop_fault
+from dmframe.diagram.pieces import Leaf
+from dmframe.diagram.resolve import Resolver, loop_fault
 from dmframe.diagram.wiring import End, Wire
 from dmframe.port import Side
 
@@ -84,7 +85,7 @@ def _crossings(resolver: Resolver) -> tuple[Leaf, ...]:
     waiting = dict[End, tuple[Leaf, SX]]()
     while missing := resolver.crossings.keys() - waiting.keys():  # resolving one may find another
         waiting |= {end: (resolver.crossings[end], resolver.output(*end)) for end in sorted(missing)}
-    symbols = {end: symbols_in([leaf.symbol]) for end, (leaf, _) in waiting.items()}
+    symbols = {end: leaf.identities for end, (leaf, _) in waiting.items()}
     used = {end: symbols_in([expression]) for end, (_, expression) in waiting.items()}
     done = list[Leaf]()
     while waiting:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import cached_property
 from typing import NamedTuple, final
 
 import numpy as np
 
+from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
+from dmframe.port import Side
 
 
 @final
@@ -34,6 +37,11 @@ class Variable:
     recorded: bool = True
     own_second: SX | None = None
 
+    @cached_property
+    def identities(self) -> frozenset[int]:
+        """Of its scalar symbols."""
+        return frozenset(symbols_in([self.symbol]))
+
     @property
     def label(self) -> str:
         """``block.state``."""
@@ -48,6 +56,26 @@ class Variable:
     def gained(self) -> SX | None:
         """Change of a sampled state over one sample, before projection; None for a continuous state."""
         return None if self.own_next is None else self.own_next - self.symbol
+
+
+@final
+@dataclass(frozen=True)
+class Leaf:
+    """A signal that is an independent variable of expressions: `name` is ``block.port``, `expression` its value."""
+
+    name: str
+    side: Side
+    symbol: SX
+    expression: SX
+
+    @cached_property
+    def identities(self) -> frozenset[int]:
+        """Of its scalar symbols."""
+        return frozenset(symbols_in([self.symbol]))
+
+    def standing_for(self, expression: SX) -> Leaf:
+        """The same leaf with another expression."""
+        return replace(self, expression=expression)
 
 
 @final

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import copy
-from dataclasses import dataclass, replace
 from typing import final
 
 import casadi as ca
@@ -19,26 +18,12 @@ from dmframe.block.model import BlockModel, symbol, symbols_in
 from dmframe.block.sizes import Sizes
 from dmframe.certificate import SX
 from dmframe.diagram.bodies import TEN, Bodies
+from dmframe.diagram.pieces import Leaf
 from dmframe.diagram.projection import Ball, Box, Projection
 from dmframe.diagram.wiring import Ahead, Derived, Drawn, End, Period, Source, Time, Wire
 from dmframe.errors import AlgebraicLoopError, DerivativeError, DmframeError, ValueFault
 from dmframe.exact import zero_test
 from dmframe.port import TIME, Access, Side, State
-
-
-@final
-@dataclass(frozen=True)
-class Leaf:
-    """A signal that is an independent variable of expressions: `name` is ``block.port``, `expression` its value."""
-
-    name: str
-    side: Side
-    symbol: SX
-    expression: SX
-
-    def standing_for(self, expression: SX) -> Leaf:
-        """The same leaf with another expression."""
-        return replace(self, expression=expression)
 
 
 @final
@@ -169,14 +154,14 @@ class Resolver:
         """Report a time derivative of a signal that moves in steps."""
         drawn = (".".join(end) for end, leaf in self.drawn.items() if used & symbols_in([leaf]))
         for leaf in self.ahead.values():
-            if used & symbols_in([leaf.symbol]):
+            if used & leaf.identities:
                 text = f"{wanted_by} is a time derivative of what looks ahead at {leaf.name}; take differences"
                 self._report_once(DerivativeError(text, path=("blocks", wanted_by.partition(".")[0])))
         steps = [
             f"{name}.{state}"
             for name, model in self.models.items()
             for state in model.equations.next
-            if used & symbols_in([model.states[state]])
+            if used & model.identities[state]
         ]
         for name in (*steps, *drawn):
             text = (
@@ -194,13 +179,13 @@ class Resolver:
             yield self.time, ca.SX(1)
         for name, model in self.models.items():
             for state, leaf in model.states.items():
-                if used & symbols_in([leaf]):
+                if used & model.identities[state]:
                     yield leaf, self.rate(name, state)
         for key, trajectory in list(self.trajectories.items()):
-            if used & symbols_in([trajectory.symbol]):
+            if used & trajectory.identities:
                 yield trajectory.symbol, self.trajectory_rate(*key)
         for end, crossing in list(self.crossings.items()):
-            if used & symbols_in([crossing.symbol]):
+            if used & crossing.identities:
                 yield crossing.symbol, self._rate_across(end, wanted_by)
 
     def _rate_across(self, end: End, wanted_by: str) -> SX:

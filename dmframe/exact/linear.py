@@ -56,6 +56,12 @@ class Echelon:
         self._rows[pivot] = new
         return True
 
+    @property
+    def undetermined(self) -> set[int]:
+        """The columns in which some vector of the null space is not zero."""
+        alone = {pivot for pivot, row in self._rows.items() if sum(map(bool, row)) == 1}
+        return set(range(self.columns)) - alone
+
     def null_space(self) -> list[list[int]]:
         """One vector for each column that is no pivot: 1 there, 0 in the other such columns."""
         basis = []

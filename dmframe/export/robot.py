@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, Final, final
+from weakref import WeakKeyDictionary
 
 import casadi as ca
 
@@ -51,14 +52,24 @@ class Robot:
     torque: Any
 
 
+_ROBOTS: Final[WeakKeyDictionary[BaseGraph, Robot]] = WeakKeyDictionary()
+"""A graph does not change, and its robot takes a run to find the integrator's step."""
+
+
 def robot_of(graph: BaseGraph) -> Robot:
-    """Robot of a graph.
+    """Robot of a graph; the same one for the same graph.
 
     Raises
     ------
     EngineError
         The robot has sampled or random parts, reads a source such as a load, or is not integrated by RK4.
     """
+    if graph not in _ROBOTS:
+        _ROBOTS[graph] = _robot_of(graph)
+    return _ROBOTS[graph]
+
+
+def _robot_of(graph: BaseGraph) -> Robot:
     diagram = graph.diagram
     loop, clock, name = diagram.loop, graph.file.clock, graph.name
     if not isinstance(clock, float):

@@ -55,7 +55,7 @@ _ACCENTS: Final = ("hat", "bar", "tilde", "dot", "ddot")
 _ALIAS: Final = {"varepsilon": "epsilon", "varphi": "phi", "vartheta": "theta"}
 _FUNCTIONS: Final[Mapping[str, Callable[..., Numbers]]] = {
     "sin": np.sin, "cos": np.cos, "tan": np.tan, "tanh": np.tanh, "exp": np.exp, "log": np.log,
-    "sgn": np.sign, "sqrt": np.sqrt, "min": np.minimum, "max": np.maximum,
+    "sgn": np.sign, "abs": np.abs, "sqrt": np.sqrt, "min": np.minimum, "max": np.maximum,
     "floor": np.floor, "diag": lambda a: np.diagflat(a), "vec": lambda a: np.reshape(a, (-1, 1), order="F"),
     "clip": lambda a, v: np.clip(a, -v, v),
 }  # fmt: skip

@@ -333,3 +333,20 @@ _TERMS: Mapping[type, Callable[[Any, Sequence[Node]], Said]] = {
     Potential: _potential,
     LogDet: _log_det,
 }
+
+
+def pieces_of(certificate: Certificate) -> list[tuple[str, Any]]:
+    """All expressions of a certificate, with a description of each."""
+    found = list[tuple[str, Any]]()
+    for role in ROLES:
+        for place, term in enumerate(getattr(certificate, role), start=1):
+            kind = type(term).__name__
+            found += [(f"{kind} {place} of its {role}", piece) for piece in term.pieces]
+    found.append(("its supply", certificate.supply))
+    if certificate.consumes is not None:
+        found += [("what it consumes", certificate.consumes.vector), ("what it consumes", certificate.consumes.c)]
+    found += [("its dominates", item) for item in certificate.dominates]
+    found += [("what is driven", piece) for item in certificate.driven for piece in item.pieces]
+    found += [("what a barrier is made of", piece) for item in certificate.barriers for piece in item.pieces]
+    found += [(f"what {name} estimates", true.value) for name, true in certificate.estimates.items()]
+    return found + [(f"the truth {name}", value) for name, value in certificate.truth.items()]

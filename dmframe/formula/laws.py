@@ -18,21 +18,8 @@ from dmframe.errors import BlockError, DmframeError
 from dmframe.formula.elements import Elements
 from dmframe.formula.fold import folded, is_difference, names_of
 from dmframe.formula.formula import Formula
-from dmframe.formula.law import ROLES, Energy, Line, PrintedLaw, line, lines, rate_of
-from dmframe.formula.points import (
-    MOST,
-    NEAR,
-    POINTS,
-    Draw,
-    Sides,
-    agree,
-    differs,
-    equal,
-    in_balls,
-    is_rounding,
-    jittered,
-    switching,
-)
+from dmframe.formula.law import Energy, Line, PrintedLaw, line, lines, pieces_of, rate_of
+from dmframe.formula.points import MOST, Balls, Draw, Numbers, Pair, equal, in_balls, switching
 from dmframe.formula.read import UnreadableError, read
 from dmframe.formula.reading import Evaluated, Reading, Signs, place_of
 from dmframe.formula.robot import RobotFunctions
@@ -208,7 +195,7 @@ class ReadBlock:
             self.scalars = self._certificate(other)
             self.elements = Elements(other.names)
             labels, mine = self._labelled(self.certificate, self.scalars)
-            theirs = [piece for _, piece in _pieces(self.scalars)]
+            theirs = [piece for _, piece in pieces_of(self.scalars)]
             both = reading.of_signs(signs, mine), reading.of_signs(other, theirs)
             pairs.append(("certificate", labels, *both))
         again = [
@@ -234,22 +221,21 @@ class ReadBlock:
         if all(known):
             return
         turns = [] if near else [found for side in (first, second) if (found := side.turns()) is not None]
-        open_labels = [label for label, done in zip(labels, known, strict=True) if not done]
-        sides = [Sides() for _ in turns]
-        for seed in range(MOST):
-            values = self._values(seed)
-            numbers = first.at(values), second.at(values)
-            for place, (label, one, two) in enumerate(zip(open_labels, *numbers, strict=True)):
-                moved = ((first.at(near)[place], second.at(near)[place]) for near in jittered(values))
-                if not differs(one, two) or is_rounding(one, two, moved):
-                    continue
-                if not agree(first.in_balls(values, place), second.in_balls(values, place)):
-                    raise self._fault(method, label)
-            for side, found in zip(sides, turns, strict=True):
-                side.see(found.at(values)[0])
-            if seed + 1 >= (NEAR if near else POINTS) and all(side.complete for side in sides):
-                return
-        raise self._unseen(method, open_labels)
+        left = [label for label, done in zip(labels, known, strict=True) if not done]
+        pair = Pair(
+            self._values,
+            lambda values: (first.at(values), second.at(values), [found.at(values)[0] for found in turns]),
+            lambda values, place: (first.in_balls(values, place), second.in_balls(values, place)),
+        )
+        self._same(method, left, pair, near=near)
+
+    def _same(self, method: str, labels: Sequence[str], pair: Pair, *, near: bool) -> None:
+        """Compare at points. Raises `BlockError`."""
+        unlike, seen = pair.compared(near=near)
+        if unlike is not None:
+            raise self._fault(method, labels[unlike])
+        if not seen:
+            raise self._unseen(method, labels)
 
     def _values(self, seed: int) -> dict[str, Any]:
         if seed not in self._points:
@@ -273,10 +259,11 @@ class ReadBlock:
         expected = ca.substitute(
             [ca.SX(piece) for piece in self.scalar_signs.meant(mine)], list(symbols), list(meanings)
         )
-        found = [ca.SX(piece) for _, piece in _pieces(proved)]
+        found = [ca.SX(piece) for _, piece in pieces_of(proved)]
         both = loop.joined([*expected, *found])
         functions = self.reading.functions
-        constants, values = (ca.SX(0, 1), ca.DM(0, 1)) if functions is None else (functions.constants, functions.values)
+        nothing = ca.SX(0, 1), ca.DM(0, 1)
+        constants, numbers_of = nothing if functions is None else (functions.constants, functions.values)
         ones, others = both[: len(mine)], both[len(mine) :]
         done = [False] * len(ones) if near else equal(ones, others)
         if all(done):
@@ -285,33 +272,33 @@ class ReadBlock:
         leaves = [leaf for leaf in ca.symvar(ca.veccat(*both)) if leaf.element_hash() not in known]
         left = [item for side in (ones, others) for item, shown in zip(side, done, strict=True) if not shown]
         open_labels = [label for label, shown in zip(labels, done, strict=True) if not shown]
-        turns, sides = ca.veccat(ca.SX(0, 1), *([] if near else switching(left))), Sides()
+        turns = ca.veccat(ca.SX(0, 1), *([] if near else switching(left)))
         function = ca.Function("proved", [ca.veccat(*leaves), constants], [*left, turns])
         positive = symbols_in([loop.p])
         above = np.array([leaf.element_hash() in positive for leaf in leaves], dtype=bool)
-        for seed in range(MOST):
+        count = len(open_labels)
+
+        def point(seed: int) -> dict[str, Any]:
             draw = Draw(seed)
-            point = np.where(above, draw.numbers(len(leaves), positive=True), draw.numbers(len(leaves), positive=False))
-            *numbers, turned = (item.full() for item in function.call([point, values]))
-            for place, label in enumerate(open_labels):
-                one, two = numbers[place], numbers[place + len(open_labels)]
-                jittered_values = (function.call([moved["point"], values]) for moved in jittered({"point": point}))
-                moved = ((found[place].full(), found[place + len(open_labels)].full()) for found in jittered_values)
-                if not differs(one, two) or is_rounding(one, two, moved):
-                    continue
-                if not agree(*(in_balls(function, [point, values], k) for k in (place, place + len(open_labels)))):
-                    raise self._fault("certificate", label)
-            sides.see(turned)
-            if seed + 1 >= (NEAR if near else POINTS) and sides.complete:
-                return
-        raise self._unseen("certificate", open_labels)
+            free = [draw.numbers(len(leaves), positive=sign) for sign in (True, False)]
+            return {"point": np.where(above, *free)}
+
+        def at(values: Mapping[str, Any]) -> Numbers:
+            *numbers, turned = (item.full() for item in function.call([values["point"], numbers_of]))
+            return numbers[:count], numbers[count:], [turned]
+
+        def enclosed(values: Mapping[str, Any], place: int) -> Balls:
+            one, other = (in_balls(function, [values["point"], numbers_of], k) for k in (place, place + count))
+            return one, other
+
+        self._same("certificate", open_labels, Pair(point, at, enclosed), near=near)
 
     def _labelled(self, one: Certificate, other: Certificate) -> tuple[list[str], list[Any]]:
         """The labels and the expressions of a certificate. Raises `BlockError` where another has other terms."""
-        labels = [label for label, _ in _pieces(one)]
-        if labels != [label for label, _ in _pieces(other)]:
+        labels = [label for label, _ in pieces_of(one)]
+        if labels != [label for label, _ in pieces_of(other)]:
             raise self._fault("certificate", "the list of terms")
-        return labels, [piece for _, piece in _pieces(one)]
+        return labels, [piece for _, piece in pieces_of(one)]
 
     def _fault(self, method: str, label: str) -> BlockError:
         where = place_of(self.type, method)
@@ -400,20 +387,3 @@ class ReadBlock:
         return (
             ca.substitute([ca.SX(expression)], zero, [ca.SX.zeros(*s.shape) for s in zero])[0] if zero else expression
         )
-
-
-def _pieces(certificate: Certificate) -> list[tuple[str, Any]]:
-    """All expressions of a certificate, with a description of each."""
-    found = list[tuple[str, Any]]()
-    for role in ROLES:
-        for place, term in enumerate(getattr(certificate, role), start=1):
-            kind = type(term).__name__
-            found += [(f"{kind} {place} of its {role}", piece) for piece in term.pieces]
-    found.append(("its supply", certificate.supply))
-    if certificate.consumes is not None:
-        found += [("what it consumes", certificate.consumes.vector), ("what it consumes", certificate.consumes.c)]
-    found += [("its dominates", item) for item in certificate.dominates]
-    found += [("what is driven", piece) for item in certificate.driven for piece in item.pieces]
-    found += [("what a barrier is made of", piece) for item in certificate.barriers for piece in item.pieces]
-    found += [(f"what {name} estimates", true.value) for name, true in certificate.estimates.items()]
-    return found + [(f"the truth {name}", value) for name, value in certificate.truth.items()]

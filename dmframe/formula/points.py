@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, final
 
@@ -239,3 +240,48 @@ class Sides:
     def complete(self) -> bool:
         """True if every switch is covered on both sides."""
         return self._plus is None or bool(np.all(self._plus & self._minus))
+
+
+Numbers = tuple[Sequence[np.ndarray], Sequence[np.ndarray], Sequence[np.ndarray]]
+"""Two lists of matrices at one point, and the values of their switching functions in columns."""
+Balls = tuple[np.ndarray | None, np.ndarray | None]
+
+
+@final
+@dataclass(frozen=True)
+class Pair:
+    """Two lists of matrices that should be equal.
+
+    Parameters
+    ----------
+    point
+        The numbers of a point, by its seed.
+    at
+        Both lists at a point.
+    in_balls
+        The matrices of one place at a point, in ball arithmetic.
+    """
+
+    point: Callable[[int], Mapping[str, Any]]
+    at: Callable[[Mapping[str, Any]], Numbers]
+    in_balls: Callable[[Mapping[str, Any], int], Balls]
+
+    def compared(self, *, near: bool) -> tuple[int | None, bool]:
+        """The first place that differs, if one does; and true if every switch was covered on both sides.
+
+        If `near`, at the first points only.
+        """
+        sides = list[Sides]()
+        for seed in range(MOST):
+            values = self.point(seed)
+            ones, others, turns = self.at(values)
+            for place, (one, two) in enumerate(zip(ones, others, strict=True)):
+                moved = ((first[place], second[place]) for first, second, _ in map(self.at, jittered(values)))
+                if differs(one, two) and not is_rounding(one, two, moved) and not agree(*self.in_balls(values, place)):
+                    return place, False
+            sides = sides or [Sides() for _ in turns]
+            for side, turned in zip(sides, turns, strict=True):
+                side.see(turned)
+            if seed + 1 >= (NEAR if near else POINTS) and all(side.complete for side in sides):
+                return None, True
+        return None, False

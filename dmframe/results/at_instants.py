@@ -57,7 +57,7 @@ class AtInstants:
         lost = self._lost(column)
         becomes = loop.on_path(stack(self._next(variable) for variable in lost))
         both = stack([becomes, column])
-        read = [v for v in loop.variables if v not in lost and symbols_in([both]) & symbols_in([v.symbol])]
+        read = [v for v in loop.variables if v not in lost and symbols_in([both]) & v.identities]
         given = stack([*(v.symbol for v in read), loop.time, loop.period, loop.drawn, *(x for x, _ in more)])
         moving = stack(variable.symbol for variable in lost)
         becomes, column = ca.substitute([becomes, column], [loop.p], [ca.SX(ca.DM(self.run.diagram.loop.p_values))])
@@ -70,7 +70,7 @@ class AtInstants:
         """The states that the run did not keep, of the column and of what becomes of such states."""
         missing = [variable for variable in self.claim.loop.variables if variable.label not in self.run.states]
         found, used = list[Variable](), symbols_in([column])
-        while more := [v for v in missing if v not in found and used & symbols_in([v.symbol])]:
+        while more := [v for v in missing if v not in found and used & v.identities]:
             kept = [v.label for v in more if not v.sampled]
             if kept or not self.whole:
                 labels = kept or [variable.label for variable in more]

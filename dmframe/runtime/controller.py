@@ -19,7 +19,7 @@ from dmframe.build.trial import called
 from dmframe.codegen import control_source
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
-from dmframe.diagram.resolve import Leaf
+from dmframe.diagram.pieces import Leaf
 from dmframe.errors import EngineError, ValueFault, listed
 from dmframe.simulate.engine import Choice, alike
 from dmframe.simulate.instants import Instants
@@ -193,7 +193,7 @@ def control_function(diagram: Diagram, *, path: bool = False) -> Any:
 def path_leaves(diagram: Diagram) -> tuple[Leaf, ...]:
     """Trajectories, present and future, that the controller reads."""
     loop, used = diagram.loop, symbols_in(_expressions(diagram))
-    return tuple(leaf for leaf in (*loop.trajectories, *loop.ahead) if symbols_in([leaf.symbol]) & used)
+    return tuple(leaf for leaf in (*loop.trajectories, *loop.ahead) if leaf.identities & used)
 
 
 def _expressions(diagram: Diagram) -> list[Any]:

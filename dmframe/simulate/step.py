@@ -14,7 +14,7 @@ With a continuous clock controller and plant are integrated together, and a tick
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
@@ -313,40 +313,35 @@ def _tick(parts: Parts, solver: Solver, instants: Instants, substeps: int) -> An
     else:
         # without jitter all ticks are as long, and the step is a number that CasADi folds
         h = given[LENGTH] / substeps if instants.jitter else instants.period / substeps
-        x = (_ros34pw2 if rosenbrock else _rk4)(parts, x, t, u, p, c, h, substeps)
+        step = _step_of(parts, _ros34pw2 if rosenbrock else _rk4, *(column.numel() for column in (x, u, p, c)))
+        for j in range(substeps):
+            x = step(x, t + j * h, h, u, p, c)
     return ca.Function("tick", [state, given, p], [ca.vertcat(z, hoisted.clip(x, p, c)), recorded])
 
 
-def _rk4(parts: Parts, x: Any, t: Any, u: Any, p: Any, c: Any, h: Any, substeps: int) -> Any:
+def _step_of(parts: Parts, method: Callable[..., Any], x: int, u: int, p: int, c: int) -> Any:
+    """(x, t, h, u, p, c) -> x one step of the integrator later; one function, however many steps a tick has."""
+    given = [ca.MX.sym(name, size) for name, size in zip("xthupc", (x, 1, 1, u, p, c), strict=True)]
+    return ca.Function("step", given, [method(parts, *given)])
+
+
+def _rk4(parts: Parts, x: Any, t: Any, h: Any, u: Any, p: Any, c: Any) -> Any:
+    """One step of the classical method."""
     hoisted, moved = parts.hoisted, parts.moved
     still = ca.MX.zeros(hoisted.rate.size1_in(2))
 
     def at(x: Any, t: Any) -> Any:
         return hoisted.rate(x, u, hoisted.trajectory(t, p, c) if moved else still, p, c)
 
-    half, whole, sixth = ca.MX(h / 2), ca.MX(h), ca.MX(h / 6)
-    for j in range(substeps):
-        now = t + j * h
-        k1 = at(x, now)
-        k2 = at(x + half * k1, now + h / 2)
-        k3 = at(x + half * k2, now + h / 2)
-        k4 = at(x + whole * k3, now + h)
-        x = x + sixth * (k1 + 2 * (k2 + k3) + k4)
-    return x
+    k1 = at(x, t)
+    k2 = at(x + h / 2 * k1, t + h / 2)
+    k3 = at(x + h / 2 * k2, t + h / 2)
+    k4 = at(x + h * k3, t + h)
+    return x + h / 6 * (k1 + 2 * (k2 + k3) + k4)
 
 
-def _ros34pw2(parts: Parts, x: Any, t: Any, u: Any, p: Any, c: Any, h: Any, substeps: int) -> Any:
+def _ros34pw2(parts: Parts, x: Any, t: Any, h: Any, u: Any, p: Any, c: Any) -> Any:
     """(3) of `dmframe.diagram.rosenbrock`, in the order of `loop.c`."""
-    given = [ca.MX.sym(name, size) for name, size in (("t", 1), ("h", 1), ("u", u.numel()), ("p", p.numel()))]
-    given.append(ca.MX.sym("c", c.numel()))
-    begin = ca.MX.sym("x", x.numel())
-    step = ca.Function("step", [begin, *given], [_linearly_implicit(parts, begin, *given)])
-    for j in range(substeps):
-        x = step(x, t + j * h, h, u, p, c)
-    return x
-
-
-def _linearly_implicit(parts: Parts, x: Any, t: Any, h: Any, u: Any, p: Any, c: Any) -> Any:
     (hoisted, implicit), moved, method = parts.implicit, parts.moved, ROS34PW2
     w, dw = implicit.moving(t, p, c) if moved else 2 * [ca.MX.zeros(hoisted.rate.size1_in(2))]
     factors, drift, first = implicit.begin(x, u, w, dw, h, p, c)

@@ -97,11 +97,14 @@ def test_where_the_task_does_not_bound_the_joint_angles_this_is_assumed(f: float
 
 
 def test_nothing_is_proved_without_feed_forward_or_with_a_filter_or_a_lag(tmp_path: Path) -> None:
-    assert graph(tmp_path, SERVO + ", feed_forward: 0}", INVERSE).verify().outcome == "not_applicable"
-    for option in ("velocity_filter: 1 ms", "torque_lag: 1 ms"):
+    for share in ("0", "[1, 0]"):
+        found = graph(tmp_path, SERVO + f", feed_forward: {share}}}", INVERSE).verify()
+        assert found.outcome == "not_applicable"
+        assert found.verdict.reason.startswith("inverse: the servo has no velocity feed-forward at a joint")
+    for option in ("velocity_filter: 1 ms", "torque_lag: 1 ms", "cycle: 1 ms"):
         lagging = graph(tmp_path, SERVO + f", {option}}}", INVERSE).verify()
         assert (lagging.outcome, lagging.proved) == ("not_applicable", False)
-        assert "no theorem covers its velocity_filter or torque_lag" in lagging.verdict.reason
+        assert "no theorem covers its velocity_filter, torque_lag or cycle" in lagging.verdict.reason
 
 
 @pytest.mark.parametrize("row", ["w_f", "w", "w_r", "w_c", "w_z"])

@@ -47,7 +47,8 @@ BETWEEN = """
   limits:   {type: command_limits}
   ramp:     {type: command_ramp, acceleration: 4}
   friction: {type: friction_compensation, coulomb: 0.1}
-  rubbing:  {type: stribeck_friction, sticking: 0.2, uneven: 0.1}
+  rubbing:  {type: stribeck_friction, sticking: 0.2, uneven: 0.1, per_torque: 0.1}
+  model_ff: {type: model_compensation, share: 0.8, off: 0.1}
   drive:    {type: torque_limits}
   stops:    {type: joint_stops}
   gears:    {type: elastic_joints, stiffness: 4000, damping: 10, inertia: 0.1}

@@ -189,6 +189,7 @@ def _loops() -> Iterator[Built]:
                 yield loop_of(robot, task, servo, source=source, boxes=robot.n == 3)
     yield _fitted(robots[0])
     yield _robust(robots[0])
+    yield _rotors(robots[0])
     yield from _full(robots[0])
     yield _posture(load("arm2", axes="x"))
     further = (_contact(robots[0]), _loaded(robots[0]), _grasping(robots[0]))
@@ -220,6 +221,16 @@ def _robust(robot: Any) -> Loop:
         "inverse": ("pi_inverse", {**known["inverse"][1], "error_leak": 0.3}),
     }
     return Loop(f"{robot.name} leaks and dead zone PI", robot, {**known, **options})
+
+
+def _rotors(robot: Any) -> Loop:
+    """Rotor inertia in plant and regressor, which no packaged graph has."""
+    known = loop_of(robot, "joint", "PI").specs
+    options: dict[str, Spec] = {
+        "model": ("regressor", {**known["model"][1], "rotors": True}),
+        "arm": ("manipulator", {**known["arm"][1], "rotor": 0.3}),
+    }
+    return Loop(f"{robot.name} rotors PI", robot, {**known, **options})
 
 
 def _posture(robot: Any) -> Loop:

@@ -25,8 +25,8 @@ from dmframe.diagram import ClosedLoop, Diagram, Parameter, Variable
 from dmframe.diagram.bodies import Bodies
 from dmframe.diagram.closed_loop import Noise, Signal
 from dmframe.diagram.fingerprint import fingerprint
+from dmframe.diagram.pieces import Leaf
 from dmframe.diagram.projection import Ball, Box, Projection
-from dmframe.diagram.resolve import Leaf
 from dmframe.drive.rehearse import Condition, rehearsed
 from dmframe.errors import DmframeError
 from dmframe.export.c import source

@@ -59,6 +59,16 @@ def test_reduced_echelon_form_rank_and_null_space_are_those_of_sympy() -> None:
         assert vectors == expected
 
 
+def test_the_undetermined_columns_are_those_of_the_null_space() -> None:
+    rng = random.Random(6)
+    for _ in range(30):
+        matrix = random_matrix(rng)
+        echelon = Echelon(P, matrix.cols)
+        for row in residues(matrix):
+            echelon.add(row)
+        assert echelon.undetermined == {k for v in matrix.nullspace() for k, value in enumerate(v) if value}
+
+
 def test_an_echelon_says_whether_a_row_brings_something_new() -> None:
     echelon = Echelon(P, 3)
     assert echelon.add([0, 2, 4])

@@ -7,6 +7,7 @@ import pytest
 from virtual_robots import graph, robot
 
 from dmframe.errors import DmframeError
+from dmframe.export.robot import robot_of
 from dmframe.virtual.plant import Plant
 
 
@@ -34,6 +35,15 @@ def test_another_arm_would_be_noticed() -> None:
     other = held.set({"arm.viscous": [5, 5, 2.01]})
     found = followed(Plant(other, 0.008), run["inverse.dq_c"][:100])
     assert np.max(np.abs(found - run["arm.q"][:101])) > 1e-8
+
+
+def test_a_graph_has_one_robot_and_a_changed_graph_another() -> None:
+    held = graph("ur10_fast")
+    one, other = robot_of(held), robot_of(held.set({"arm.viscous": [5, 5, 2.01], "start.q": [1.45, -1.01, 0.97]}))
+    assert robot_of(held) is one
+    values = [{member.label: member.value for member in each.parameters} for each in (one, other)]
+    assert values[0]["arm.viscous"] != values[1]["arm.viscous"]
+    assert one.states != other.states
 
 
 def test_a_shorter_cycle_takes_the_same_steps() -> None:
