@@ -60,7 +60,7 @@ LEARNT: Final = {
     "a_k_hat": "lengths",
     "a_c_hat": "camera",
     "a_d_hat": "dynamics",
-    "theta": "servo and dynamics over samples",
+    "theta": "coefficients over samples",
     "w": "servo",
     "w_P": "servo",
     "w_I": "servo",

@@ -10,6 +10,14 @@ the joint's rows of the regressors. theta consists of K_P/K_D, K_I/K_D, an offse
 w times the friction, with w = 1/(K K_D). For a PI velocity servo, e is the integral itself: the row is (e, 1, ...) and
 theta is (K_I/K_P, offset, ...), with w = 1/(K K_P).
 
+For a P-PI cascade with the share f of velocity feed-forward, tau = K_v (f u - k_p e - dq) + K_i xi, where xi is the
+integral of the parenthesis, the row has two more columns, the command u and the target at the middle of the sample:
+
+    u - v = (k_p + k_i) e + k_p k_i z + offset + (1 - f) u + k_i (1 - f) q_c + tau/K_v,    k_i = K_i/K_v
+
+With `dynamics` "joints" the inertial columns of a joint are one, the change of its velocity over T: the joints are
+not coupled, and gravity is part of the offset.
+
 Rows and parameters of all joints are stacked in one column.
 """
 
@@ -26,20 +34,29 @@ from dmframe.robot.chain import SerialChain
 from dmframe.robot.parameters import DynamicParameters, Friction
 from dmframe.robot.symbolic import SymbolicRobot
 
-SERVO: Final = {"pid": ("k_P", "k_I", "offset"), "pi": ("k_I", "offset")}
+SERVO: Final = {
+    "pid": ("k_P", "k_I", "offset"),
+    "pi": ("k_I", "offset"),
+    "p_pi": ("k_P", "k_I", "offset", "k_u", "k_q"),
+}
 """The identifiable constants of a joint's servo: gains divided by the velocity gain, K_P and K_I for a PID servo."""
 
 STEEPEST: Final = 4
 """|w M/T| above which a command omits the change of momentum."""
 
-_UNITS: Final = {"k_P": "1/s", "k_I": "1/s^2", "offset": "rad/s"}
+LEAST: Final = 0.2
+"""Least slope of the residual with respect to the command; a smaller estimate is taken for this one."""
+
+_UNITS: Final = {"k_P": "1/s", "k_I": "1/s^2", "offset": "rad/s", "k_u": "", "k_q": "1/s"}
 _FRICTION: Final[dict[Friction, str]] = {"viscous": "B", "coulomb": "D"}
 
 
 @lru_cache(maxsize=8)
-def averaged_servo(chain: SerialChain, servo: str, friction: frozenset[Friction]) -> AveragedServo:
+def averaged_servo(
+    chain: SerialChain, servo: str, friction: frozenset[Friction], dynamics: str = "robot"
+) -> AveragedServo:
     """The averaged model of a robot; one shared object per robot and options."""
-    return AveragedServo(chain, servo, friction)
+    return AveragedServo(chain, servo, friction, dynamics)
 
 
 class Start(NamedTuple):
@@ -74,12 +91,13 @@ class AveragedServo:
         Names and units of the elements of theta: k_P1, k_I1, offset1, w1_m_1, ..., w1_B, w1_D, k_P2, ...
     """
 
-    def __init__(self, chain: SerialChain, servo: str, friction: frozenset[Friction]) -> None:
+    def __init__(self, chain: SerialChain, servo: str, friction: frozenset[Friction], dynamics: str = "robot") -> None:
         self.chain, self.servo, self.friction = chain, SERVO[servo], [kind for kind in _FRICTION if kind in friction]
-        self._used = _used(chain)
+        self.coupled = dynamics == "robot"
+        self._used = _used(chain) if self.coupled else [[0]] * chain.n
         self.joints, self.elements = list[slice](), list[Element]()
-        inertial = DynamicParameters(chain).elements
-        units = _UNITS if servo == "pid" else {**_UNITS, "k_I": "1/s"}  # K_I/K_D, K_I/K_P
+        inertial = DynamicParameters(chain).elements if self.coupled else [Element("inertia")]
+        units = _UNITS if "k_P" in self.servo else {**_UNITS, "k_I": "1/s"}  # K_I/K_D, K_I/K_P
         for i, used in enumerate(self._used, start=1):
             first = len(self.elements)
             self.elements += [Element(f"{name}{i}", units[name]) for name in self.servo]
@@ -88,14 +106,22 @@ class AveragedServo:
             self.joints.append(slice(first, len(self.elements)))
         self.size, self.parts = len(self.elements), tuple(part.stop - part.start for part in self.joints)
 
+    def momentum(self, robot: Any, q: Any, v: Any) -> Any:
+        """The inertial columns of momentum; without coupling, the velocity."""
+        return robot.momentum_regressor(q, v) if self.coupled else v
+
+    def others(self, robot: Any, q: Any, v: Any) -> Any:
+        """The inertial columns of gravity, without those of kinetic energy."""
+        return robot.gravity_regressor(q) - robot.kinetic_regressor(q, v) if self.coupled else 0 * v
+
     @cached_property
     def row(self) -> Callable[..., Expression]:
         """Operation that assembles a row."""
 
         @operation
-        def row(e: Any, sum_e: Any, one: Any, Y: Any, v: Any, phi: Any) -> Any:
-            """The rows of all joints in one column, from the values of each joint."""
-            return self._row(e, sum_e, one, Y, v, phi)
+        def row(e: Any, sum_e: Any, one: Any, Y: Any, v: Any, phi: Any, *more: Any) -> Any:
+            """The rows of all joints in one column, from the values of each joint; of a P-PI servo also u and q_c."""
+            return self._row(e, sum_e, one, Y, v, phi, *more)
 
         return row
 
@@ -128,7 +154,7 @@ class AveragedServo:
         @operation
         def changing(psi: Any) -> Any:
             """The row with zeros for its constants."""
-            return psi * self._placed(1, 1, 0, 1, 1)
+            return psi * self._placed(1, 1, 0, 1, 1, *self.of_p_pi(1, 1))
 
         return changing
 
@@ -137,9 +163,9 @@ class AveragedServo:
         """Operation that gives each element the value of its kind."""
 
         @operation
-        def kinds(k_P: Any, k_I: Any, offset: Any, inertia: Any, friction: Any) -> Any:
+        def kinds(k_P: Any, k_I: Any, offset: Any, inertia: Any, friction: Any, *more: Any) -> Any:
             """The value, or the interval, of its kind for each element of a row."""
-            return self._placed(k_P, k_I, offset, inertia, friction)
+            return self._placed(k_P, k_I, offset, inertia, friction, *more)
 
         return kinds
 
@@ -191,8 +217,14 @@ class AveragedServo:
 
         @operation
         def share(theta: Any, T: Any) -> Any:
-            """Decrease of the prediction per unit of command: k_P T/2 + k_I T^2/4; k_I T/2 for a PI servo."""
-            return self._share(theta, T)
+            """Decrease of the prediction per unit of command: k_P T/2 + k_I T^2/4; k_I T/2 for a PI servo.
+
+            A P-PI servo has k_u + k_q T/2 less, and 1 + share is at least `LEAST`.
+            """
+            share = self._share(theta, T)
+            if "k_u" not in self.servo:
+                return share
+            return ca.fmax(LEAST - 1, share - theta[self._places("k_u")] - theta[self._places("k_q")] * T / 2)
 
         return share
 
@@ -205,7 +237,7 @@ class AveragedServo:
             """The matrix whose row i is w times the momentum of joint i for unit velocities, by its own estimates."""
             n, still = self.chain.n, ca.SX.zeros(self.chain.n)
             units = ca.horzsplit(momenta, momenta.shape[1] // n)
-            rows = (self._row(still, still, still, Y, still, still) for Y in units)
+            rows = (self._row(still, still, still, Y, still, still, *self.of_p_pi(still, still)) for Y in units)
             return ca.horzcat(*(self._sums(psi * theta) for psi in rows))
 
         return inertia
@@ -251,8 +283,17 @@ class AveragedServo:
 
         return damping
 
-    def _row(self, e: Any, sum_e: Any, one: Any, Y: Any, v: Any, phi: Any) -> Any:
-        servo, friction = {"k_P": e, "k_I": sum_e, "offset": one}, {"viscous": v, "coulomb": phi}
+    def of_p_pi(self, k_u: Any, k_q: Any) -> tuple[Any, ...]:
+        """What belongs to the further columns of a P-PI servo; empty for the others."""
+        return (k_u, k_q) if self._more else ()
+
+    @property
+    def _more(self) -> tuple[str, ...]:
+        return tuple(name for name in ("k_u", "k_q") if name in self.servo)
+
+    def _row(self, e: Any, sum_e: Any, one: Any, Y: Any, v: Any, phi: Any, *more: Any) -> Any:
+        servo = {"k_P": e, "k_I": sum_e, "offset": one, **dict(zip(self._more, more, strict=True))}
+        friction = {"viscous": v, "coulomb": phi}
         if "k_P" not in self.servo:
             servo["k_I"] = e
         parts = list[Any]()
@@ -276,9 +317,10 @@ class AveragedServo:
         pairs = enumerate(self.joints)
         return ca.vertcat(*(ca.repmat(values[i], part.stop - part.start, 1) for i, part in pairs))
 
-    def _placed(self, k_P: Any, k_I: Any, offset: Any, inertia: Any, friction: Any) -> Any:
+    def _placed(self, k_P: Any, k_I: Any, offset: Any, inertia: Any, friction: Any, *more: Any) -> Any:
         """The values stacked by joint; a single row is used for all joints."""
-        servo, parts = {"k_P": k_P, "k_I": k_I, "offset": offset}, list[Any]()
+        servo = {"k_P": k_P, "k_I": k_I, "offset": offset, **dict(zip(self._more, more, strict=True))}
+        parts = list[Any]()
         for i, used in enumerate(self._used):
             values = [*(servo[name] for name in self.servo), *[inertia] * len(used), *[friction] * len(self.friction)]
             parts += [value[i, :] if getattr(value, "shape", (1, 1))[0] > 1 else value for value in values]

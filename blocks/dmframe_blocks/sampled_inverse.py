@@ -33,16 +33,13 @@ from dmframe.block import (
     State,
     clip,
     named,
-    solve_spd,
 )
 from dmframe.robot.parameters import Friction
-from dmframe_blocks._averaged_servo import AveragedServo, Start, averaged_servo
+from dmframe_blocks._averaged_servo import LEAST, AveragedServo, Start, averaged_servo
 from dmframe_blocks._friction import columns_for
 from dmframe_blocks._loads import with_held
 from dmframe_blocks._sample_estimators import Estimator, Learning, Projection, least_squares, triangle
-
-_PREDICTING = 4
-"""Newton steps for predicting the average velocity of a sample with a known command."""
+from dmframe_blocks._sample_response import Response
 
 
 @final
@@ -58,6 +55,8 @@ class SampledInverse(AbstractBlock):
     theta = (K_P/K_D, K_I/K_D, offset, w a, w B, w D), w = 1/(K K_D). It is the inverse of `pid_inverse` as an identity
     of measured data, so theta follows by regression from any motion; the adaptation does not depend on a feedback
     through the plant. For a PI servo the row is (e, 1, ...), theta is (K_I/K_P, offset, ...), and w = 1/(K K_P).
+    For a P-PI servo with the share f of feed-forward, K_v, k_p and k_i = K_i/K_v, the row has u and target + T u/2
+    after the 1, and theta is (k_p + k_i, k_p k_i, offset, 1 - f, k_i (1 - f), w a, ...), with w = 1/(K K_v).
 
     *Rows.* With `filtered`, both sides are high-pass filtered with the time constant tau, except for the 1:
     h = psi - L psi and g = y - L y, L y(k+1) = (1 - T/tau) L y(k) + T/tau y(k). The target then needs to be known up to
@@ -95,8 +94,12 @@ class SampledInverse(AbstractBlock):
 
     Parameters
     ----------
-    servo : pid or pi
-        Kind of the manufacturer's servo: PID for positions, or PI for velocities.
+    servo : pid, pi or p_pi
+        Kind of the manufacturer's servo: PID for positions, PI for velocities, or a P-PI cascade with an unknown share
+        of velocity feed-forward, as `p_pi_servo`.
+    dynamics : robot or joints
+        Inertial columns: those of the robot's regressors, or for each joint one, the change of its velocity. With
+        joints, the parameters of the rows are not those of a rigid robot: the certificate is about any constant ones.
     friction : list of viscous, coulomb
         Friction with a column for each joint.
     delay : 0, 1 or 2
@@ -125,11 +128,11 @@ class SampledInverse(AbstractBlock):
     k_P, k_I : (n,), 1/s, 1/s^2, > 0
         Initial values of these two elements; all others start at zero. For a PI servo :math:`k_I` is :math:`K_I/K_P`,
         in 1/s.
-    k_P_size, k_I_size : scalar, 1/s, 1/s^2, > 0
+    k_P_size, k_I_size, k_u_size, k_q_size : scalar, 1/s, 1/s^2, , 1/s, > 0
         Expected deviations of these elements from their initial values: :math:`\Gamma` contains the squares.
     offset_size, inertia_size, friction_size : scalar, N m, kg m^2, N m s/rad, > 0
         The same for the offset, for :math:`w a`, and for :math:`w B` and :math:`w D`, divided by :math:`w_0`.
-    k_P_box, k_I_box, offset_box : interval, 1/s, 1/s^2, rad/s
+    k_P_box, k_I_box, offset_box, k_u_box, k_q_box : interval, 1/s, 1/s^2, rad/s, , 1/s
         Known intervals of these elements.
     inertia_box, friction_box : interval, kg m^2, N m s/rad
         The same for :math:`w a` and for :math:`w B`, :math:`w D`, divided by :math:`w_0`.
@@ -146,6 +149,8 @@ class SampledInverse(AbstractBlock):
     time_stamps : true or false
         The measurement times of the positions are known, and give the length of past samples; otherwise it is
         :math:`T`. The length of the coming sample is :math:`T` in both cases.
+    forecasts : true or false
+        Also output `slope`, the change of the predicted velocity per unit of command, for `expert_aggregation`.
 
     Notes
     -----
@@ -170,12 +175,18 @@ class SampledInverse(AbstractBlock):
         Output("q_start", "n", "rad"),
         Output("epsilon", "n", "rad/s"),
         Output("guarded"),
+        Output("slope", "n", optional=True),
     )
     truth = (
         Input("K", "n", "N m/V"),
         Input("K_D", "n", "V s/rad"),
         Input("K_P", "n", ANY),
         Input("K_I", "n", ANY),
+        Input("k_p", "n", "1/s"),
+        Input("K_v", "n", "V s/rad"),
+        Input("K_i", "n", "V/rad"),
+        Input("f", "n"),
+        Input("xi", "n", "rad"),
         Input("B", "n", "N m s/rad"),
         Input("D", "n", "N m"),
         Input("I_r", "n", "kg m^2"),
@@ -208,7 +219,8 @@ class SampledInverse(AbstractBlock):
         State("t_before", "", "s", sampled=True, optional=True),
     )
 
-    servo: Literal["pid", "pi"] = "pid"
+    servo: Literal["pid", "pi", "p_pi"] = "pid"
+    dynamics: Literal["robot", "joints"] = "robot"
     friction: tuple[Friction, ...] = ("viscous", "coulomb")
     delay: Literal[0, 1, 2] = 0
     estimator: Literal["projection", "least_squares"] = "projection"
@@ -227,9 +239,13 @@ class SampledInverse(AbstractBlock):
     offset_size: Scalar = Positive("", "N m", default=30.0)
     inertia_size: Scalar = Positive("", "kg m^2", default=5.0, several=True)
     friction_size: Scalar = Positive("", "N m s/rad", default=5.0, several=True)
+    k_u_size: Scalar = Positive(default=0.3)
+    k_q_size: Scalar = Positive("", "1/s", default=3.0)
     k_P_box: Box = Interval("", "1/s", default=(0.2, 6.0))
     k_I_box: Box = Interval("", "1/s^2", default=(0.05, 4.0), several=True)
     offset_box: Box = Interval("", "rad/s", default=(-1.0, 1.0))
+    k_u_box: Box = Interval(default=(-1.0, 1.5))
+    k_q_box: Box = Interval("", "1/s", default=(-20.0, 20.0))
     inertia_box: Box = Interval("", "kg m^2", default=(-20.0, 20.0), several=True)
     friction_box: Box = Interval("", "N m s/rad", default=(0.0, 50.0), several=True)
     u_max: Diagonal = Positive("n", "rad/s", default=3.0)
@@ -237,6 +253,7 @@ class SampledInverse(AbstractBlock):
     supervised: bool = False
     echoed: bool = False
     time_stamps: bool = False
+    forecasts: bool = False
 
     @model_validator(mode="after")
     def _fits(self) -> SampledInverse:
@@ -252,11 +269,11 @@ class SampledInverse(AbstractBlock):
 
     def elements(self, robot: Any) -> Mapping[str, Sequence[Element]]:
         """c: the parameters of all joints."""
-        return {"c": averaged_servo(robot, self.servo, frozenset(self.friction)).elements}
+        return {"c": averaged_servo(robot, self.servo, frozenset(self.friction), self.dynamics).elements}
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
         """W: stored rows; G: elements of the information matrices; A: rows averaged with a new one; d: queue length."""
-        gathered = sum(map(triangle, averaged_servo(robot, self.servo, frozenset(self.friction)).parts))
+        gathered = sum(map(triangle, averaged_servo(robot, self.servo, frozenset(self.friction), self.dynamics).parts))
         own = {"W": self.replay, "G": gathered, "A": self.average - 1, "d": self.delay + 1}
         return {**super().sizes(robot), **own}
 
@@ -272,7 +289,7 @@ class SampledInverse(AbstractBlock):
             begins["psi_slow"] = averaged.changing(self._psi(p, Start(u.q, u.q, still, u.q, still), still, still, u.T))
         if self.time_stamps:
             begins["t_before"] = u.t - u.T
-        return {**begins, "theta": averaged.kinds(p.k_P, p.k_I, 0, 0, 0)}
+        return {**begins, "theta": averaged.kinds(p.k_P, p.k_I, 0, 0, 0, *averaged.of_p_pi(0, 0))}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """The last sample, the update of the estimate, the predicted start of the command, and the command."""
@@ -293,10 +310,14 @@ class SampledInverse(AbstractBlock):
             slow, next_slow = y_slow - averaged.answer(psi_slow, theta_new), {"psi_slow": psi_slow, "y_slow": y_slow}
         for k in range(1, self.delay + 1):
             start, slow = self._predicted(k, x, p, theta_new, start, slow, u.T)
-        safe = averaged.safe(self._slope(p, theta_new, start.q, u.T), p.margin)
+        S = self._response(p).slope(theta_new, start.q, u.T)
+        safe = averaged.safe(S, p.margin)
         dq_c = self._command(u, x, p, theta_new, start, slow, safe)
+        rises = 1 + averaged.damping(theta_new, v, p.robot.friction_velocity, u.T) + safe * ca.diag(S)
+        moved = {"slope": (1 + averaged.share(theta_new, u.T)) / ca.fmax(LEAST, rises)} if self.forecasts else {}
         return Equations(
             outputs={
+                **moved,
                 "dq_c": dq_c,
                 "q_start": start.q,
                 "epsilon": g - averaged.answer(h, x.theta),
@@ -325,29 +346,53 @@ class SampledInverse(AbstractBlock):
         u_applied, _, _, _, h, g = self._sample(u, x, p)
         new, aim = self._lesson(x, p, u_applied, h, g)
         row, goal, kept = self._meant(x, p, new, aim)
-        pid = self.servo == "pid"
-        gain = truth.K_D if pid else truth.K_P
-        w, offset = 1 / (truth.K * gain), type(x.theta).sym("offset", robot.n)
-        k_P, k_I = truth.K_P / gain, truth.K_I / gain
+        estimator, learning = self._estimator(p), self._learning(p)
+        lines = self._lines(estimator, x, row, goal, kept, new, aim)
+        if not averaged.coupled:
+            true = type(x.theta).sym("theta_true", averaged.size)
+            steps = estimator.steps(x, true, row, goal, learning)
+            return Certificate(steps=(steps,), delay_lines=lines, unknown={"theta_true": true})
+        offset = type(x.theta).sym("offset", robot.n)
+        w, k_P, k_I, further, e, z = self._servo(truth, offset)
         B, D = (truth.B if "viscous" in self.friction else 0 * w), (truth.D if "coulomb" in self.friction else 0 * w)
         links = with_held(robot.inertia, truth.a_held) if "a_held" in truth else robot.inertia
-        true = averaged.row(k_P if pid else k_I, k_I, offset, w @ links.T, w * B, w * D)
-        estimator = self._estimator(p)
-        i = truth.i - offset / k_I
+        true = averaged.row(k_P, k_I, offset, w @ links.T, w * B, w * D, *further)
         Y = robot.gravity_regressor(truth.q) - robot.kinetic_regressor(truth.q, truth.dq)
         one, phi, still = ca.DM.ones(robot.n), robot.coulomb(truth.dq), 0 * truth.dq
-        rest = averaged.row(truth.q - truth.q_c if pid else i, i, one, Y, truth.dq, phi)
-        moving = averaged.row(still, still, still, robot.momentum_regressor(truth.q, truth.dq), still, still)
+        acting = averaged.of_p_pi(truth.dq_s, truth.q_c) if self.servo == "p_pi" else ()
+        rest = averaged.row(e, z, one, Y, truth.dq, phi, *acting)
+        momentum = robot.momentum_regressor(truth.q, truth.dq)
+        moving = averaged.row(still, still, still, momentum, still, still, *averaged.of_p_pi(still, still))
         return Certificate(
-            steps=(estimator.steps(x, true, row, goal, self._learning(p)),),
-            delay_lines=(
-                *estimator.kept(x, row, goal),
-                *(DelayLine(name, item.T) for name, item in (("late_rows", new), ("late_goals", aim)) if name in kept),
-            ),
+            steps=(estimator.steps(x, true, row, goal, learning),),
+            delay_lines=lines,
             plant=(PlantIdentity(averaged.answer(moving, true), averaged.answer(rest, true) + truth.dq - truth.dq_s),),
             acted=() if self.echoed else (Acted(u_applied, truth.dq_s, u.q, truth.q),),
             unknown={"offset": offset},
         )
+
+    def _servo(self, truth: Signals, offset: SX) -> tuple[SX, SX, SX, tuple[SX, ...], SX, SX]:
+        """w, the true k_P, k_I and further elements of theta; and e and z of the servo itself."""
+        if self.servo == "pi":
+            k_I = truth.K_I / truth.K_P
+            i = truth.i - offset / k_I
+            return 1 / (truth.K * truth.K_P), k_I, k_I, (), i, i
+        e = truth.q - truth.q_c
+        if self.servo == "pid":
+            k_I = truth.K_I / truth.K_D
+            return 1 / (truth.K * truth.K_D), truth.K_P / truth.K_D, k_I, (), e, truth.i - offset / k_I
+        k_i = truth.K_i / truth.K_v
+        k_q = k_i * (1 - truth.f)
+        z = -(k_i * (truth.xi + e) + k_q * truth.q_c + offset) / (truth.k_p * k_i)
+        return 1 / (truth.K * truth.K_v), truth.k_p + k_i, truth.k_p * k_i, (1 - truth.f, k_q), e, z
+
+    @staticmethod
+    def _lines(
+        estimator: Estimator, x: Signals, row: SX, goal: SX, kept: Mapping[str, SX], new: SX, aim: SX
+    ) -> tuple[DelayLine, ...]:
+        """The stored rows, and those of which a row is the mean."""
+        late = (("late_rows", new), ("late_goals", aim))
+        return (*estimator.kept(x, row, goal), *(DelayLine(name, item.T) for name, item in late if name in kept))
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
         """The rows have a column for each kind of friction of the plant."""
@@ -373,15 +418,14 @@ class SampledInverse(AbstractBlock):
         return self._averaged(p).of_joint(learns) * h, learns * g
 
     def _averaged(self, p: Signals) -> AveragedServo:
-        return averaged_servo(p.robot.chain, self.servo, frozenset(self.friction))
+        return averaged_servo(p.robot.chain, self.servo, frozenset(self.friction), self.dynamics)
 
     def _psi(self, p: Signals, start: Start, v: SX, command: SX, T: SX, *, momentum: SX = 1) -> SX:
         """The row of a sample with average velocity v and a command; `momentum` 0 omits the change of momentum."""
-        robot, m = p.robot, start.q + T * v / 2
-        e = m - start.target - T * command / 2
-        change = (robot.momentum_regressor(m, v) - robot.momentum_regressor(start.m_before, start.v_before)) / T
-        Y = momentum * change - robot.kinetic_regressor(m, v) + robot.gravity_regressor(m)
-        return self._averaged(p).row(e, start.z + T * e / 2, ca.DM.ones(robot.n), Y, v, robot.coulomb(v))
+        return self._response(p).row(start, v, command, T, momentum)
+
+    def _response(self, p: Signals) -> Response:
+        return Response(self._averaged(p), p.robot)
 
     def _meant(self, x: Signals, p: Signals, row: SX, goal: SX) -> tuple[SX, SX, dict[str, SX]]:
         """The mean of a new row and the previous ones, of which there are fewer at first; and the stored rows."""
@@ -402,40 +446,26 @@ class SampledInverse(AbstractBlock):
 
     def _gamma(self, p: Signals) -> SX:
         """The squares of the expected deviations of the elements."""
-        kinds, w = self._averaged(p).kinds, p.w_0
-        sizes = kinds(p.k_P_size, p.k_I_size, w * p.offset_size, w * p.inertia_size, w * p.friction_size)
+        averaged, w = self._averaged(p), p.w_0
+        more = averaged.of_p_pi(p.k_u_size, p.k_q_size)
+        sizes = averaged.kinds(
+            p.k_P_size, p.k_I_size, w * p.offset_size, w * p.inertia_size, w * p.friction_size, *more
+        )
         return sizes * sizes
 
     def _box(self, p: Signals) -> SX:
         """Lower and upper bounds of the elements."""
-        w = p.w_0
-        return self._averaged(p).kinds(p.k_P_box, p.k_I_box, p.offset_box, w @ p.inertia_box, w @ p.friction_box)
-
-    def _slope(self, p: Signals, theta: SX, q: SX, T: SX) -> SX:
-        """S = w M(q)/T by the estimates: the slope of the prediction with respect to velocity due to inertia."""
-        robot, units = p.robot, ca.horzsplit(ca.DM.eye(p.robot.n))
-        momenta = ca.horzcat(*(robot.momentum_regressor(q, unit) for unit in units))
-        return self._averaged(p).inertia(theta, momenta) / T
+        averaged, w = self._averaged(p), p.w_0
+        boxes = p.k_P_box, p.k_I_box, p.offset_box, w @ p.inertia_box, w @ p.friction_box
+        return averaged.kinds(*boxes, *averaged.of_p_pi(p.k_u_box, p.k_q_box))
 
     def _predicted(self, k: int, x: Signals, p: Signals, theta: SX, start: Start, slow: SX, T: SX) -> tuple[Start, SX]:
         """Predicted start and low-pass state of sample k from now, after a sample with a known command."""
-        averaged, robot, command, v = self._averaged(p), p.robot, x.queue[:, k], x.plans[:, k]
-        S = named(f"S_{k}", self._slope(p, theta, start.q, T))
-        safe = named(f"safe_{k}", averaged.safe(S, p.margin))
-        rises = named(f"rise_{k}", ca.DM.eye(robot.n) + safe * (S + S.T) / 2)
-
-        def left(v: SX) -> SX:
-            return command - v - averaged.answer(self._psi(p, start, v, command, T, momentum=safe), theta)
-
-        for i in range(1, _PREDICTING + 1):
-            damped = rises + ca.diag(averaged.damping(theta, v, robot.friction_velocity, T))
-            v = named(f"v_{k}_{i}", v + solve_spd(damped, left(v) - slow))
+        response, command = self._response(p), x.queue[:, k]
+        end, left = response.after(k, start, theta, slow, command, x.plans[:, k], T, p.margin)
         if self.filtered:
-            slow = named(f"slow_{k}", slow + T / p.tau * (left(v) + averaged.offset(theta) - slow))
-        middle = named(f"m_{k}", start.q + T * v / 2)
-        z = named(f"z_{k}", start.z + T * (middle - start.target - T * command / 2))
-        target = named(f"target_{k}", start.target + T * command)
-        return Start(named(f"q_{k}", start.q + T * v), target, z, middle, v), slow
+            slow = named(f"slow_{k}", slow + T / p.tau * (left + response.averaged.offset(theta) - slow))
+        return end, slow
 
     def _command(self, u: Signals, x: Signals, p: Signals, theta: SX, start: Start, slow: SX, safe: SX) -> SX:
         """The command for which theta predicts dq_r, with the momentum of planned velocities, clipped to its bounds."""

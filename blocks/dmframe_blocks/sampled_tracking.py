@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from math import pi, sin
 from typing import Literal, Self, final
 
 import casadi as ca
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from dmframe.block import (
     PERIOD,
@@ -50,6 +51,16 @@ class SampledTracking(AbstractBlock):
     :math:`1 - T \gamma \sigma^2` in the directions of the singular values, or by :math:`1 - T \Lambda`. The motion of
     the path causes no error.
 
+    *Gain from margins.* If the joints move by the command, multiplied by a constant gain g that is unknown, and m
+    samples later than predicted, then :math:`\Delta x_{k+1} = \Delta x_k - T \Lambda g \Delta x_{k-m}`, which is stable
+    if and only if :math:`0 < T \Lambda g < 2 \sin(\pi / (4 m + 2))`. With `gain_margin` in place of Lambda
+
+    .. math::
+
+        T \Lambda = \frac{2}{\mathrm{gain\_margin}} \sin \frac{\pi}{4\, \mathrm{delay\_margin} + 2}   \tag{5}
+
+    so that this loop is stable with any g below `gain_margin` and any m up to `delay_margin`.
+
     A command that acts `delay` samples later is computed for the sample that starts then: set the same `delay` in the
     block that predicts q_start. dq_null moves a redundant robot in the null space of its Jacobian.
 
@@ -61,6 +72,10 @@ class SampledTracking(AbstractBlock):
     Lambda : scalar, 1/s, > 0
         Task gain with feedback through the inverse of :math:`J`, instead of :math:`\gamma`. :math:`T \Lambda` must be
         below 2.
+    gain_margin : scalar, >= 1
+        Margin of the gain from a command to the motion, instead of gamma or Lambda: see (5).
+    delay_margin : 0, 1, 2, ...
+        Margin of the delay from a command to the motion, in samples, for (5). The lag of the servo counts.
     damping : scalar, m/rad, >= 0
         Damping of the inverse: near a singular pose it limits the joint velocities, and the tool leaves its path.
     delay : 0, 1 or 2
@@ -72,7 +87,7 @@ class SampledTracking(AbstractBlock):
 
     References
     ----------
-    [WangTAC2020]_ Section V, for the law in continuous time.
+    [WangTAC2020]_ Section V, for the law in continuous time; [LevinMay1976]_ for the bound in (5).
     """
 
     uses_robot = True
@@ -89,14 +104,23 @@ class SampledTracking(AbstractBlock):
 
     gamma: Scalar | None = Positive("", "rad^2/(m^2 s)", default=None)
     Lambda: Scalar | None = Positive("", "1/s", default=None)
+    gain_margin: Scalar | None = Positive(default=None)
+    delay_margin: int = Field(1, ge=0)
     damping: Scalar = NonNegative("", "m/rad", default=0.01)
     delay: Literal[0, 1, 2] = 0
 
     @model_validator(mode="after")
-    def _one_gain(self) -> Self:
-        if (self.gamma is None) == (self.Lambda is None):
-            found = "neither" if self.gamma is None else "both"
-            raise ValueError(f"expected one of gamma, by J', and Lambda, by the inverse of J, found {found}")
+    def _has_one_gain(self) -> Self:
+        given = [name for name in ("gamma", "Lambda", "gain_margin") if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError(
+                "expected one of gamma, by J', and Lambda or gain_margin, by the inverse of J, found "
+                f"{' and '.join(given) or 'none'}"
+            )
+        if self.gain_margin is not None and self.gain_margin < 1:
+            raise ValueError(f"expected a gain_margin of 1 or more, found {self.gain_margin}")
+        if self.gain_margin is None and self.delay_margin != type(self).model_fields["delay_margin"].default:
+            raise ValueError("expected no delay_margin without gain_margin, which computes the gain; leave it out")
         return self
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -118,5 +142,8 @@ class SampledTracking(AbstractBlock):
         x_err = p.robot.position(u.q_start) - path[self.delay]
         if "Lambda" in p:
             return path[self.delay + 1] + (1 - u.T * p.Lambda) * x_err
+        if "gain_margin" in p:
+            T_Lambda = 2 * sin(pi / (4 * self.delay_margin + 2)) / p.gain_margin
+            return path[self.delay + 1] + (1 - T_Lambda) * x_err
         J = p.robot.jacobian(u.q_start)
         return path[self.delay + 1] + x_err - u.T * p.gamma * (J @ (J.T @ x_err))

@@ -359,7 +359,9 @@ def test_the_task_law_takes_the_tool_to_its_goal_at_the_end_of_the_sample() -> N
     straight = BLOCKS["sampled_tracking"](gamma=1.0).evaluate({"q_start": [START[0], START[1], 0.0], **path}, robot=ARM)
     assert np.all(np.abs(straight.outputs["dq_r"]) < 50)  # a stretched arm: the damping keeps it slow
     for wrong in ({}, {"gamma": 1.0, "Lambda": 3.0}):
-        with pytest.raises(DmframeError, match="expected one of gamma, by J', and Lambda, by the inverse of J"):
+        with pytest.raises(
+            DmframeError, match="expected one of gamma, by J', and Lambda or gain_margin, by the inverse of J"
+        ):
             BLOCKS["sampled_tracking"](**wrong)
 
 

@@ -20,6 +20,8 @@ from dmframe_blocks.sampled_inverse import SampledInverse
 
 PID = {"type": "pid_servo", "K_D": [60, 30], "K_P": [120, 60], "K_I": [40, 20]}
 PI = {"type": "pi_servo", "K_P": [60, 30], "K_I": [120, 60]}
+P_PI = {"type": "p_pi_servo", "k_p": 3, "K_v": [60, 30], "K_i": [120, 60], "feed_forward": [0.8, 0.9]}
+P_PI_BOXES = {"k_P_box": [1, 10], "k_I_box": [1, 10]}  # true values 5/s and 6/s^2
 SQUARES = {"estimator": "least_squares", "average": 2}
 ECHO = {"echoed": True}
 
@@ -27,7 +29,7 @@ ECHO = {"echoed": True}
 def verdict(maker: dict[str, Any] = PID, **inverse: Any) -> Verdict:
     """Of two links with that servo, and such a sampled inverse."""
     memory = {} if "estimator" in inverse else {"replay": 2}
-    graph = sampled_arm2(**{"servo": maker["type"].partition("_")[0], **memory, **inverse})
+    graph = sampled_arm2(**{"servo": maker["type"].removesuffix("_servo"), **memory, **inverse})
     graph["blocks"]["servo"] = maker
     if samples := inverse.get("delay"):
         graph["blocks"]["line"] = {"type": "transport_delay", "samples": samples}
@@ -54,6 +56,8 @@ def checked(found: Verdict) -> Any:
         (PID, {"time_stamps": True}),
         (PI, SQUARES),
         (PID, {**SQUARES, "filtered": False, "tau": 0.5}),
+        (P_PI, P_PI_BOXES),
+        (P_PI, {**SQUARES, **P_PI_BOXES}),
     ],
 )
 def test_honest_rows_are_explained(maker: dict[str, Any], options: dict[str, Any]) -> None:
@@ -206,6 +210,24 @@ def test_rows_that_are_not_the_plants_are_not_explained(lie: str, monkeypatch: p
     assert not item.holds
     assert "does not fall with the period" in item.name
     assert ("stored row of joint1" in item.name) is (lie == "stored rows of another joint")
+
+
+@pytest.mark.parametrize("place", [3, 4])
+def test_a_column_of_the_command_or_of_the_target_with_the_wrong_sign_is_not_explained(
+    place: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, method in column(place, lambda of: -of).items():
+        monkeypatch.setattr(SampledInverse, name, method)
+    found = verdict(P_PI, **P_PI_BOXES)
+    assert found.outcome == "not_applicable"
+    assert "motion does not fall with the period" in str(found.reason)
+
+
+def test_without_coupling_the_rows_are_assumed_and_the_steps_are_proved() -> None:
+    found = verdict(PID, dynamics="joints", **SQUARES)
+    assert found.outcome == "proved", found.reason
+    assert found.rows_assumed
+    assert "that its rows follow from the plant is assumed" in str(found.headline)
 
 
 @pytest.mark.parametrize("lie", ["y negated", "stored rows of another joint"])

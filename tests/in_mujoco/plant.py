@@ -58,6 +58,8 @@ class Plant:
         Joints that are fixed, by their angles [rad]; the others move.
     viscous, coulomb, v_0
         Friction of each joint: B dq + D tanh(dq / v_0) [N m].
+    sticking, slow, per_torque
+        More friction: (sticking exp(-(dq / slow)^2) + per_torque |tau|) tanh(dq / v_0) [N m].
     rotor
         Inertia of each rotor about its joint's axis [kg m^2].
     mass_scale
@@ -73,6 +75,9 @@ class Plant:
     viscous: Array
     coulomb: Array
     v_0: float
+    sticking: float = 0.0
+    slow: float = 0.05
+    per_torque: float = 0.0
     rotor: Sequence[float] = ()
     mass_scale: Mapping[str, float] = field(default_factory=dict)
     loads: Sequence[Load] = ()
@@ -101,35 +106,52 @@ class Plant:
     def run(self, law: Law, q: Sequence[float], T: float, seconds: float) -> Motion:
         """From rest at q, with the law called every T seconds."""
         stages = [(0.0, self.model()), *((load.at, self.model(load)) for load in self.loads)]
-        model, data = stages[0][1], None
-        ticks, substeps = round(seconds / T), int(np.ceil(round(T / self.step, 9)))
-        n, command = model.nq, np.zeros(model.nq)
+        ticks, cycles = round(seconds / T), round(T / self.servo.cycle) if self.servo.cycle else 1
+        substeps = int(np.ceil(round(T / cycles / self.step, 9)))
+        n, data, command = stages[0][1].nq, None, np.zeros(stages[0][1].nq)
         found = Motion(T * np.arange(ticks + 1), np.empty((ticks + 1, n)), np.empty((ticks + 1, 3)))
 
         def torques(_: Any, now: Any) -> None:
-            dq = now.qvel
-            tau, rates = self.servo.law(now.qpos, dq, now.act.reshape(-1, n), command)
-            now.ctrl[:] = np.concatenate(rates)
-            now.qfrc_applied[:] = tau - self.viscous * dq - self.coulomb * np.tanh(dq / self.v_0)
+            dq, rates = now.qvel, now.ctrl.reshape(-1, n)
+            tau, rates[:] = self.servo.law(now.qpos, dq, now.act.reshape(-1, n), command)
+            now.qfrc_applied[:] = tau - self.friction(dq, tau)
 
         for k in range(ticks + 1):
             while stages and stages[0][0] <= k * T + 1e-9:
                 model = stages.pop(0)[1]
-                data = _moved(model, data, T / substeps)
-                if k == 0:
-                    _begin(model, data, np.array(q), self.servo)
+                data = self._moved(model, data, q, T / cycles / substeps)
             mujoco.mj_kinematics(model, data)
-            x = data.xpos[model.body(self.tool).id].copy()
-            found.q[k], found.x[k] = data.qpos, x
-            q_c = data.act[:n].copy()
-            measured = {"arm.q": data.qpos.copy(), "arm.dq": data.qvel.copy(), "arm.x": x, "servo.q_c": q_c}
+            states = data.act.reshape(-1, n)
+            found.q[k], found.x[k] = data.qpos, data.xpos[model.body(self.tool).id]
+            measured = {"arm.q": data.qpos, "arm.dq": data.qvel, "arm.x": found.x[k], "servo.q_c": states[0]}
             command = law(measured, k * T)
             mujoco.set_mjcb_control(torques)
             try:
-                mujoco.mj_step(model, data, substeps)
+                for _ in range(cycles):
+                    states[:] = self.servo.sample(data.qpos, data.qvel, states, command)
+                    mujoco.mj_step(model, data, substeps)
             finally:
                 mujoco.set_mjcb_control(None)
         return found
+
+    def friction(self, dq: Array, tau: Array) -> Array:
+        """The torque of all friction [N m] at a servo's torque."""
+        dry = self.coulomb
+        if self.sticking or self.per_torque:
+            dry = dry + self.sticking * np.exp(-((dq / self.slow) ** 2)) + self.per_torque * np.abs(tau)
+        return self.viscous * dq + dry * np.tanh(dq / self.v_0)
+
+    def _moved(self, model: Any, before: Any, q: Sequence[float], step: float) -> Any:
+        """The data of a model, at the state of another, or at rest at q."""
+        model.opt.timestep = step
+        data = mujoco.MjData(model)
+        if before is not None:
+            data.qpos[:], data.qvel[:], data.act[:], data.time = before.qpos, before.qvel, before.act, before.time
+            return data
+        data.qpos[:] = q
+        mujoco.mj_forward(model, data)
+        data.act[:] = self.servo.start(np.array(q), data.qfrc_bias.copy()).ravel()
+        return data
 
 
 def _without_shapes(urdf: Path) -> str:
@@ -172,19 +194,3 @@ def _state(spec: Any, name: str, joint: str) -> None:
         dyntype=mujoco.mjtDyn.mjDYN_INTEGRATOR,
         gainprm=[0.0] * 10,
     )
-
-
-def _moved(model: Any, before: Any, step: float) -> Any:
-    """The data of a model, at the state of another."""
-    model.opt.timestep = step
-    data = mujoco.MjData(model)
-    if before is not None:
-        data.qpos[:], data.qvel[:], data.act[:], data.time = before.qpos, before.qvel, before.act, before.time
-    return data
-
-
-def _begin(model: Any, data: Any, q: Array, servo: Servo) -> None:
-    """Rest at q."""
-    data.qpos[:] = q
-    mujoco.mj_forward(model, data)
-    data.act[:] = servo.start(q, data.qfrc_bias.copy()).ravel()

@@ -12,9 +12,16 @@ Array = NDArray[np.float64]
 
 
 class Servo(ABC):
-    """A servo in continuous time whose states are rows of n numbers; the first is the integrated command q_c."""
+    """A servo whose states are rows of n numbers, integrated with the arm; the first is the integrated command q_c.
+
+    Attributes
+    ----------
+    rows : number of rows
+    cycle : period of the servo's own samples [s]; 0 for a servo in continuous time
+    """
 
     rows: int
+    cycle: float = 0.0
 
     @abstractmethod
     def start(self, q: Array, held: Array) -> Array:
@@ -23,6 +30,10 @@ class Servo(ABC):
     @abstractmethod
     def law(self, q: Array, dq: Array, x: Array, dq_c: Array) -> tuple[Array, list[Array]]:
         """The torque [N m], and the rate of each row, at a command dq_c [rad/s]."""
+
+    def sample(self, q: Array, dq: Array, x: Array, dq_c: Array) -> Array:
+        """The states after one of its samples."""
+        return x
 
 
 @dataclass(frozen=True)
@@ -69,3 +80,23 @@ class Cascade(Servo):
         filtered = (dq - v) / self.velocity_filter if self.velocity_filter else 0 * q
         lagging = (demanded - tau) / self.torque_lag if self.torque_lag else 0 * q
         return tau if self.torque_lag else demanded, [dq_c, e_v, filtered, lagging]
+
+
+@dataclass(frozen=True)
+class DigitalCascade(Cascade):
+    """The same, with both controllers computed once in a cycle [s]; the filter and the lag remain continuous."""
+
+    cycle: float = 1e-3
+    rows = 5
+
+    def start(self, q: Array, held: Array) -> Array:
+        return np.array([*super().start(q, held), held])
+
+    def law(self, q: Array, dq: Array, x: Array, dq_c: Array) -> tuple[Array, list[Array]]:
+        _, _, v, tau, demanded = x
+        return tau, [dq_c, 0 * q, (dq - v) / self.velocity_filter, (demanded - tau) / self.torque_lag, 0 * q]
+
+    def sample(self, q: Array, dq: Array, x: Array, dq_c: Array) -> Array:
+        q_c, integral, v, tau, _ = x
+        e_v = self.f * dq_c + self.k_p * (q_c - q) - v
+        return np.array([q_c, integral + self.cycle * e_v, v, tau, self.K_v * e_v + self.K_i * integral])
