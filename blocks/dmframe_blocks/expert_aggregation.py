@@ -69,11 +69,17 @@ class ExpertAggregation(AbstractBlock):
         w^+ = \mathrm{clip}(w + \Gamma h (y - h^\top w) / (\nu + \Gamma h^\top h), 0, 1), \qquad w_0 = 1 - \sum_i w_i
         \tag{3}
 
-    *Certificate* of (3). For any constant weights :math:`w^\ast` in the box, such as those of one expert alone, the
-    squared distance :math:`|w - w^\ast|^2 / \Gamma` increases by at most :math:`\eta^2 / (\nu + \Gamma h^\top h)` per
-    sample, where :math:`\eta` is the forecast error with these weights. The forecasts of the aggregation are
-    therefore in the mean square, so normalised, at most those of the best expert, on the motion that happened. This
-    does not prove that the loop is stable.
+    *Certificate* of (3). Let :math:`n = \nu + \Gamma h^\top h`, :math:`\varepsilon` the forecast error with w, and
+    :math:`\eta` that with any constant weights :math:`w^\ast` in the box, such as those of one expert alone. Then
+
+    .. math::
+
+        |w^+ - w^\ast|^2 / \Gamma \le |w - w^\ast|^2 / \Gamma + (\eta^2 - (\nu / n)\, \varepsilon^2) / n   \tag{4}
+
+    so that the sum of :math:`\nu \varepsilon^2 / n^2` exceeds that of :math:`\eta^2 / n` by at most the initial
+    :math:`|w - w^\ast|^2 / \Gamma`, on the motion that happened. Where :math:`\Gamma h^\top h \ll \nu` the errors
+    are then, in the sum of squares, at most those of the best expert but for a constant; with larger steps up to four
+    times as much. That the loop is stable does not follow.
 
     *Rate.* With `a_max` a command changes by at most a_max T per sample, as behind a ramp that limits accelerations.
 

@@ -99,8 +99,21 @@ def test_steps_of_the_projection_lose_to_no_expert_by_more_than_its_error() -> N
         for i in range(2 * HALF):
             one = np.eye(2 * HALF)[i][1:]
             rises = ((new - one) @ (new - one) - (w - one) @ (w - one)) / Gamma
-            assert rises <= errors[i] ** 2 / n + 1e-12  # its error with w = e_i is that of expert i
+            epsilon = y - h @ w  # the error with w = e_i is that of expert i
+            assert rises <= (errors[i] ** 2 - nu / n * epsilon**2) / n + 1e-12
         w = new
+
+
+def test_large_steps_can_have_four_times_the_error_of_the_best_weights() -> None:
+    w, nu, Gamma, own, best, rises = 0.5, 1e-9, 1.0, 0.0, 0.0, 0.0
+    for k in range(1000):  # h = 1, and the output alternates around the best weight 0.5
+        y = 0.5 + 0.4 * (-1) ** k
+        n = nu + Gamma
+        new = w + Gamma * (y - w) / n
+        rises += ((new - 0.5) ** 2 - (w - 0.5) ** 2) / Gamma
+        own, best, w = own + (y - w) ** 2, best + (y - 0.5) ** 2, new
+    assert own / best == pytest.approx(4, rel=2e-3)
+    assert best / n - nu * own / n**2 >= rises
 
 
 def test_a_command_changes_by_at_most_a_max() -> None:
