@@ -26,7 +26,7 @@ def start(delay: int = 0, half: int = HALF) -> dict[str, Any]:
 
 
 def played(block: Any, lags: np.ndarray, errors: np.ndarray) -> list[dict[str, Any]]:
-    """A joint that moves by T (command - lag), beside a model that knows the lag but for an error."""
+    """A joint that moves by T (command - lag), and a model that knows the lag but for an error."""
     q, states, found = 0.0, start(), []
     for lag, error in zip(lags, errors, strict=True):
         before = errors[len(found) - 1] if found else 0.0
