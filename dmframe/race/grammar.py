@@ -78,6 +78,7 @@ class LawSection(Section):
     set: dict[str, Any] = Field({}, description="values that differ from the graph, in the form of --set")
     tune: Annotated[dict[str, Range], BeforeValidator(_named)] = Field(description="searched parameters with bounds")
     delay: Labels = Field((), description="parameters that are given the transport delay of the cell, in samples")
+    rate: Labels = Field((), description="parameters that are given the rate at which the path repeats, if it does")
 
     def graph_at(self, clock: float) -> str:
         """The graph for a sampling period: the first whose longest period reaches it, else the last."""
@@ -128,7 +129,7 @@ class RaceFile(Section):
     entrant: str = Field(description="the law that is compared with the best of the others")
     plants: Named = Field(description="blocks of the plant, and optionally wires, by name of the plant")
     clocks: tuple[Seconds, ...] = Field(min_length=1, description="sampling periods of the controllers")
-    paths: Named = Field(description="the source of the path, by name")
+    paths: Named = Field(description="the source of the path, and optionally the rate at which it repeats, by name")
     realities: Named = Field(description="channel models between controller and robot, as a graph's key reality")
     laws: Annotated[dict[str, LawSection], BeforeValidator(_named)] = Field(description="the laws by name")
     training: TrainingSection

@@ -24,6 +24,8 @@ Values = tuple[tuple[str, float], ...]
 
 PATH: Final = "path"
 """Name of the source in each graph."""
+REPEATS: Final = "repeats"
+"""Key of a path: the angular frequency with which it repeats."""
 DELAY: Final = "transport_delay"
 GAIN: Final = "command_gain"
 """Channel models of the margins."""
@@ -177,9 +179,13 @@ class Race:
         """The document of a run's graph; each value names its place in the race's file or in the law's."""
         law, plant = self.laws[run.law, run.cell.clock], dict(_entries(self._entry("plants", run.cell.plant)))
         wires = {**law.wires, **_entries(plant.pop("wires", (None, _node({})))[1])}
-        blocks = {PATH: (_node(PATH), self._entry("paths", run.cell.path)), **law.blocks, **plant}
-        delay = self.delays.get(run.cell.reality, 0)
-        for label, value in (*run.values, *((label, delay) for label in law.section.delay)):
+        node = self._entry("paths", run.cell.path)
+        path = dict(_entries(node))
+        rate = path.pop(REPEATS, None)
+        blocks = {PATH: (_node(PATH), replace(node, value=path)), **law.blocks, **plant}
+        known: list[tuple[str, Any]] = [(label, self.delays.get(run.cell.reality, 0)) for label in law.section.delay]
+        known += [(label, rate[1].value) for label in law.section.rate if rate is not None]
+        for label, value in (*run.values, *known):
             name, _, parameter = label.partition(".")
             at, block = blocks[name]
             blocks[name] = at, replace(block, value={**_entries(block), parameter: (_node(parameter), _node(value))})

@@ -100,8 +100,9 @@ def _law(name: str, clock: float, section: LawSection, race: Document, folder: P
     mine = {block: kind for block, kind in kinds.items() if kind.side is Side.CONTROLLER}
     blocks = {block: pair for block, pair in _entries(document, "blocks").items() if block in mine}
     where, values = f"laws.{name}", mapping_of(Node(0, 0, blocks))
-    for label in section.delay:
-        _check_parameter(f"{where}.delay", label, mine, ("laws", name, "delay"))
+    for key, labels in (("delay", section.delay), ("rate", section.rate)):
+        for label in labels:
+            _check_parameter(f"{where}.{key}", label, mine, ("laws", name, key))
     own = list[tuple[str, float]]()
     for label, searched in section.tune.items():
         at = ("laws", name, "tune", label)

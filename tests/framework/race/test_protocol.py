@@ -160,6 +160,24 @@ def test_the_margins_add_a_delay_and_a_gain_to_a_reality(race: Make, reality: st
     assert several == models
 
 
+def test_a_law_is_given_the_rate_at_which_the_path_repeats_and_keeps_its_own_on_others(
+    race: Make, tmp_path: Path
+) -> None:
+    race()
+    law = (tmp_path / "law.yaml").read_text().replace("kinematic_command", "repetitive_inverse, rate: 7")
+    task = "sampled_tracking, Lambda: 4"
+    (tmp_path / "learner.yaml").write_text(
+        law.replace("known_tracking, gamma: 4", task).replace("  geometry: {type: kinematics}\n", "")
+    )
+    learner = "  learner: {graph: learner.yaml, tune: {task.Lambda: [1, 4]}, rate: inverse.rate}\n  weak:"
+    found = race(("phase: [0]}", "phase: [0], repeats: 2}"), ("  weak:", learner))
+    run = next(found.trials("learner", 0.02, found.candidates("learner", 0.02)[0]))
+    assert found.graph(run).blocks["inverse"].rate == 2
+    other = replace(run, cell=found.held_out[0])
+    assert found.graph(other).blocks["inverse"].rate == 7
+    assert "repeats" not in found.document_of(run).data["blocks"]["path"]
+
+
 def test_a_law_may_have_a_graph_for_each_range_of_sampling_periods(race: Make, tmp_path: Path) -> None:
     race()
     (tmp_path / "slow.yaml").write_text((tmp_path / "law.yaml").read_text().replace("gamma: 4", "gamma: 3"))
