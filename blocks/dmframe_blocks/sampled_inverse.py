@@ -96,7 +96,7 @@ class SampledInverse(AbstractBlock):
     ----------
     servo : pid, pi or p_pi
         Kind of the manufacturer's servo: PID for positions, PI for velocities, or a P-PI cascade with an unknown share
-        of velocity feed-forward, as `p_pi_servo`.
+        of velocity feed-forward, as `p_pi_servo`. The rows of `p_pi` fit a PID servo as well, with zeros.
     dynamics : robot or joints
         Inertial columns: those of the robot's regressors, or for each joint one, the change of its velocity. With
         joints, the parameters of the rows are not those of a rigid robot: the certificate is about any constant ones.
@@ -378,9 +378,9 @@ class SampledInverse(AbstractBlock):
             i = truth.i - offset / k_I
             return 1 / (truth.K * truth.K_P), k_I, k_I, (), i, i
         e = truth.q - truth.q_c
-        if self.servo == "pid":
-            k_I = truth.K_I / truth.K_D
-            return 1 / (truth.K * truth.K_D), truth.K_P / truth.K_D, k_I, (), e, truth.i - offset / k_I
+        if "K_v" not in truth:  # a PID servo, for which the further elements are zero
+            k_I, none = truth.K_I / truth.K_D, (0 * offset, 0 * offset) if self.servo == "p_pi" else ()
+            return 1 / (truth.K * truth.K_D), truth.K_P / truth.K_D, k_I, none, e, truth.i - offset / k_I
         k_i = truth.K_i / truth.K_v
         k_q = k_i * (1 - truth.f)
         z = -(k_i * (truth.xi + e) + k_q * truth.q_c + offset) / (truth.k_p * k_i)

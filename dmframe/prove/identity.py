@@ -25,6 +25,9 @@ MOST_LOG2_ERROR: Final = -64
 BITS: Final = 149
 """Of the random primes: five digits of Python's integers hold them, as they hold 127 bits, at the same speed."""
 
+MORE_BITS: Final = (269, 521)
+"""Of the primes for claims whose degree is too high for `BITS`, such as steps of least squares with many columns."""
+
 
 def residues(trial: Trial, symbol: Symbol, values: Mapping[str, Sequence[Fraction]] | None = None) -> list[int]:
     """A symbol's residues: its exact values, those given by label, or random ones."""
@@ -95,23 +98,24 @@ def identity(claim: Claim, *, trials: int, seed: int) -> ZeroTest:
     error bound of one point exceeds 2**`MOST_LOG2_ERROR`.
     """
     bound, rng, used = bound_of(claim), random.Random(seed), list[int]()
-    error = log2_error(bound, 0, BITS, False)
+    bits = next((bits for bits in (BITS, *MORE_BITS) if log2_error(bound, 0, bits, False) <= MOST_LOG2_ERROR), BITS)
+    error = log2_error(bound, 0, bits, False)
     if error > MOST_LOG2_ERROR:
         raise ValueFault(
             f"the exact test: a point would miss what does not vanish with a probability of up to 2^{error:.0f}; "
             f"expected at most 2^{MOST_LOG2_ERROR}: the degree of what is claimed is too high"
         )
     for _ in range(trials):
-        prime, witness = _trial(claim, rng)
+        prime, witness = _trial(claim, rng, bits)
         used.append(prime)
         if witness is not None:
             return ZeroTest(False, len(used), tuple(used), bound.degree_total, -math.inf, witness, seed)
     return ZeroTest(True, trials, tuple(used), bound.degree_total, trials * error, None, seed)
 
 
-def _trial(claim: Claim, rng: random.Random) -> tuple[int, Witness | None]:
+def _trial(claim: Claim, rng: random.Random, bits: int) -> tuple[int, Witness | None]:
     for _ in range(ATTEMPTS):
-        trial = Trial(random_prime(rng, BITS), rng)
+        trial = Trial(random_prime(rng, bits), rng)
         try:
             inputs = inputs_at(claim, trial)
             for found in over_signs(claim, inputs, trial):

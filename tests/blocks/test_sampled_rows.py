@@ -57,6 +57,7 @@ def checked(found: Verdict) -> Any:
         (PI, SQUARES),
         (PID, {**SQUARES, "filtered": False, "tau": 0.5}),
         (P_PI, P_PI_BOXES),
+        (PID, {"servo": "p_pi"}),
         (P_PI, {**SQUARES, **P_PI_BOXES}),
     ],
 )

@@ -191,8 +191,8 @@ def test_an_identity_of_a_degree_without_an_error_bound_is_not_decided(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "claim.json"
-    path.write_text(changed(lambda f: steep(f, 40)), encoding="utf-8")
-    assert main([str(path)]) == 0
     path.write_text(changed(lambda f: steep(f, 140)), encoding="utf-8")
+    assert main([str(path)]) == 0
+    path.write_text(changed(lambda f: steep(f, 600)), encoding="utf-8")
     assert main([str(path)]) == 2
     assert "the degree of what is claimed is too high" in capsys.readouterr().err
