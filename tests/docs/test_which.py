@@ -129,7 +129,7 @@ def test_an_estimate_without_a_word_is_reported(which: ModuleType, monkeypatch: 
         which.learnt(dm.load("pendulum").diagram)
 
 
-@pytest.mark.parametrize(("law", "circle"), [(0, 0), (0, 1), (0, 3), (3, 0), (4, 1), (4, 2), (5, 0)])
+@pytest.mark.parametrize(("law", "circle"), [(0, 0), (0, 1), (0, 3), (0, 4), (3, 0), (4, 1), (4, 2), (4, 5), (5, 0)])
 def test_a_law_on_a_circle_comes_out_as_the_table_says(
     law: int, circle: int, which: ModuleType, said: dict[str, Any]
 ) -> None:
@@ -139,6 +139,31 @@ def test_a_law_on_a_circle_comes_out_as_the_table_says(
     for key in ("rms_final", "diverged_at", "at_limits"):
         assert bool(str(found[key])) == bool(kept[key])
         assert float(found[key] or 0) == pytest.approx(float(kept[key] or 0), rel=0.02)
+
+
+FRONT = {
+    "stiff P-PI cascade": ("fast circle, stiff cascade", "slow circle, stiff cascade"),
+    "soft PID": ("fast circle", "slow circle"),
+}
+FRONT_LAWS = ("inverse of J, the gain from margins", "the paper's law, tuned", "the sampled law")
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/index.md"])
+def test_the_front_pages_figures_are_those_of_the_competitors(page: str, which: ModuleType) -> None:
+    text = ROOT.joinpath(page).read_text(encoding="utf-8")
+    rows = re.findall(r"^\| ([^|]+) \| (8|90) ms \| (.+) \|$", text, re.MULTILINE)
+    assert len(rows) == 4
+    kept = {(row["law"], row["circle"]): row for row in which.read(which.LAWS)}
+    servo = ""
+    for label, clock, cells in rows:
+        servo = next((name for name in FRONT if label.startswith(name)), servo)
+        circle = FRONT[servo][clock == "90"]
+        ideal = circle if "cascade" in circle else f"{circle}, {clock} ms"
+        for law, cell in zip(FRONT_LAWS, cells.split(" | "), strict=True):
+            (title,) = {one for one, _ in kept if law in one and "supervised" not in one}
+            for said, place in zip(cell.replace("*", "").split(" / "), (ideal, f"{circle}, `ur`"), strict=True):
+                error = 1e3 * float(kept[title, place]["rms_final"])
+                assert float(said) == pytest.approx(error, rel=0.01), (law, place)
 
 
 def test_at_limits_is_the_share_of_instants_in_which_commands_or_torques_were_cut_off(
