@@ -237,19 +237,25 @@ def test_all_laws_of_a_circle_have_its_plant_path_clock_and_start(which: ModuleT
 def test_what_the_page_says_of_the_competitors_agrees_with_the_table(which: ModuleType, said: dict[str, Any]) -> None:
     cells = {(row["law"], row["circle"]): row for row in which.read(which.LAWS)}
     titles = [law["title"] for law in said["laws"]]
-    ideal, real = ([c["title"] for c in said["circles"] if ("reality" in c) is wanted] for wanted in (False, True))
+    soft, stiff = ([c for c in said["circles"] if ("servo" in c) is wanted] for wanted in (False, True))
+    ideal, real = ([c["title"] for c in soft if ("reality" in c) is wanted] for wanted in (False, True))
     for circle in ideal:
         rms = [float(cells[title, circle]["rms_final"] or "inf") for title in titles]
-        without, paper = rms[:6], rms[6]
-        assert sum(value < paper for value in without) == 3
-        assert min(without) == without[5]
-        assert sorted(rms)[:2] == [rms[10], rms[9]]
+        without, paper = rms[:7], rms[7]
+        assert sum(value < paper for value in without) == 4
+        assert min(without) == without[6]
+        assert sorted(rms)[:2] == [rms[11], rms[10]]
     rms = [float(cells[title, real[0]]["rms_final"]) for title in titles]
-    assert min(rms) == rms[9]
+    assert min(rms) == rms[10]
     limited = {(title, circle) for title in titles for circle in real if float(cells[title, circle]["at_limits"]) > 0}
-    assert limited == {(title, circle) for title in titles[:2] for circle in real} | {(titles[5], real[0])}
-    assert rms[4] < 1.1 * float(cells[titles[4], ideal[0]]["rms_final"])
-    assert rms[10] == pytest.approx(rms[3], rel=0.1)  # the supervisor sends the kinematic command
+    assert limited == {(title, circle) for title in titles[:2] for circle in real} | {(titles[6], real[0])}
+    assert rms[5] < 1.1 * float(cells[titles[5], ideal[0]]["rms_final"])
+    assert rms[11] == pytest.approx(rms[3], rel=0.1)  # the supervisor sends the kinematic command
+    margins, *papers = ([1e3 * float(cells[titles[k], c["title"]]["rms_final"]) for c in stiff] for k in (4, 7, 8, 9))
+    assert margins == pytest.approx([0.015, 0.027, 0.043, 0.061], rel=0.02)
+    assert 0.495 < min(map(min, papers)) < max(map(max, papers)) < 3.45
+    ratios = [tuned / inverse for tuned, inverse in zip(papers[2], margins, strict=True)]
+    assert (round(min(ratios)), round(max(ratios))) == (27, 65)
 
 
 def test_a_cell_that_names_no_graph_is_reported(which: ModuleType) -> None:
