@@ -149,7 +149,7 @@ class SampledInverse(AbstractBlock):
     time_stamps : true or false
         The measurement times of the positions are known, and give the length of past samples; otherwise it is
         :math:`T`. The length of the coming sample is :math:`T` in both cases.
-    forecasts : true or false
+    aggregated : true or false
         Also output `slope`, the change of the predicted velocity per unit of command, for `expert_aggregation`.
 
     Notes
@@ -253,7 +253,7 @@ class SampledInverse(AbstractBlock):
     supervised: bool = False
     echoed: bool = False
     time_stamps: bool = False
-    forecasts: bool = False
+    aggregated: bool = False
 
     @model_validator(mode="after")
     def _fits(self) -> SampledInverse:
@@ -314,7 +314,7 @@ class SampledInverse(AbstractBlock):
         safe = averaged.safe(S, p.margin)
         dq_c = self._command(u, x, p, theta_new, start, slow, safe)
         rises = 1 + averaged.damping(theta_new, v, p.robot.friction_velocity, u.T) + safe * ca.diag(S)
-        moved = {"slope": (1 + averaged.share(theta_new, u.T)) / ca.fmax(LEAST, rises)} if self.forecasts else {}
+        moved = {"slope": (1 + averaged.share(theta_new, u.T)) / ca.fmax(LEAST, rises)} if self.aggregated else {}
         return Equations(
             outputs={
                 **moved,

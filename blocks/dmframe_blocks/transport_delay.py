@@ -35,8 +35,8 @@ class TransportDelay(AbstractBlock):
     samples : 0 to 4
         Whole samples of delay.
     share : scalar, >= 0
-        Additional fraction of a sample, below 1. With an exact delay the held command would change within a sample. The
-        output is the mean over the sample instead. Its integral, the servo's :math:`q_c`, is exact at each sampling
+        Additional fraction of a sample, at most 1. With an exact delay the held command would change within a sample.
+        The output is the mean over the sample instead. Its integral, the servo's :math:`q_c`, is exact at each sampling
         instant; between them its error is at most a quarter of a sample times the change of the command.
     late : scalar, >= 0
         Probability, at each sample, that the command is one sample later.
@@ -85,8 +85,8 @@ class TransportDelay(AbstractBlock):
     def _one_more(self) -> TransportDelay:
         if self.share is not None and self.late is not None:
             raise ValueError("expected share or late, found both")
-        if self.share is not None and self.share >= 1:
-            raise ValueError(f"expected a share below 1, found {self.share:g}; raise samples")
+        if self.share is not None and self.share > 1:
+            raise ValueError(f"expected a share of at most 1, found {self.share:g}; raise samples")
         for name in ("late", "lost"):
             if (value := getattr(self, name)) is not None and value > 1:
                 raise ValueError(f"expected {name} to be a probability, at most 1, found {value:g}")

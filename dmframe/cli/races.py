@@ -18,7 +18,7 @@ EVERY: Final = 10.0
 
 def race(
     file: Annotated[
-        str, typer.Argument(metavar="[RACE]", help="A race file, or the name of a packaged race.")
+        str, typer.Argument(metavar="RACE", help="A race file, or the name of a packaged race.")
     ] = PACKAGED,
     quick: Annotated[bool, typer.Option("--quick", help="Run the part that the file's section quick selects.")] = False,
     workers: Annotated[

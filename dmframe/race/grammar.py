@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Final, Literal, TypeAlias, final
 
-from pydantic import BaseModel, BeforeValidator, Field, WithJsonSchema
+from pydantic import BaseModel, BeforeValidator, Field, PlainValidator, WithJsonSchema
 
 from dmframe.config.document import Document, Kind
 from dmframe.config.grammar import Length, Path, Seconds, Section, seed_of, shown
@@ -13,6 +14,7 @@ from dmframe.config.grammar import version as checked_version
 from dmframe.config.places import placed
 from dmframe.errors import DmframeError, Faults
 from dmframe.study.grammar import Count, Labels
+from dmframe.units import to_unit
 
 RACE: Final = Kind("race", "dmframe-race: 1")
 VERSION: Final = "dmframe-race"
@@ -50,14 +52,37 @@ class RangeSection(Section):
 Range: TypeAlias = Annotated[RangeSection, BeforeValidator(_range)]
 
 
+def _graphs(value: Any) -> Any:
+    """Graphs by the longest sampling period in s; one alone is for all."""
+    if isinstance(value, str):
+        return {math.inf: value}
+    if not isinstance(value, dict) or not value or not all(isinstance(name, str) for name in value.values()):
+        raise ValueError(f"expected a graph, or {{20 ms: a graph, 90 ms: another}}, found {shown(value)}")
+    try:
+        return {to_unit(clock, "s"): name for clock, name in value.items()}
+    except DmframeError as error:
+        raise ValueError(error.text) from None
+
+
+Graphs: TypeAlias = Annotated[dict[float, str], PlainValidator(_graphs), WithJsonSchema({"type": ["string", "object"]})]
+
+
 @final
 class LawSection(Section):
     """One law: a graph whose controller takes part, and what is searched."""
 
-    graph: str = Field(description="name of a packaged graph, or path of a graph file relative to the race")
+    graph: Graphs = Field(
+        description="name of a packaged graph, or path of a graph file relative to the race; or several, each by the "
+        "longest sampling period for which it is taken"
+    )
     set: dict[str, Any] = Field({}, description="values that differ from the graph, in the form of --set")
     tune: Annotated[dict[str, Range], BeforeValidator(_named)] = Field(description="searched parameters with bounds")
     delay: Labels = Field((), description="parameters that are given the transport delay of the cell, in samples")
+    rate: Labels = Field((), description="parameters that are given the rate at which the path repeats, if it does")
+
+    def graph_at(self, clock: float) -> str:
+        """The graph for a sampling period: the first whose longest period reaches it, else the last."""
+        return next((name for most, name in sorted(self.graph.items()) if clock <= most), self.graph[max(self.graph)])
 
 
 @final
@@ -85,6 +110,7 @@ class QuickSection(Section):
     plants: Labels = ()
     paths: Labels = ()
     realities: Labels = ()
+    laws: Labels = ()
     budget: Count | None = None
 
 
@@ -104,7 +130,7 @@ class RaceFile(Section):
     entrant: str = Field(description="the law that is compared with the best of the others")
     plants: Named = Field(description="blocks of the plant, and optionally wires, by name of the plant")
     clocks: tuple[Seconds, ...] = Field(min_length=1, description="sampling periods of the controllers")
-    paths: Named = Field(description="the source of the path, by name")
+    paths: Named = Field(description="the source of the path, and optionally the rate at which it repeats, by name")
     realities: Named = Field(description="channel models between controller and robot, as a graph's key reality")
     laws: Annotated[dict[str, LawSection], BeforeValidator(_named)] = Field(description="the laws by name")
     training: TrainingSection

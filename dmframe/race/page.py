@@ -21,8 +21,8 @@ def as_html(found: Finished) -> str:
     """The page, as one self-contained file."""
     race = found.race
     note = (
-        f"{len(race.laws)} laws, {len(found.rows)} held-out cells, runs of {plain(race.file.duration, 's')}; the error "
-        "is the RMS of the tool's error over the last eighth."
+        f"{len(race.file.laws)} laws, {len(found.rows)} held-out cells, runs of {plain(race.file.duration, 's')}; the "
+        "error is the RMS of the tool's error over the last eighth."
     )
     parts = list(_sections(found))
     return study_page("Race of control laws", race.name, race.file.title, note, lead(found), parts)
@@ -67,7 +67,7 @@ def _bootstrap() -> Paragraph:
 def _laws(found: Finished) -> Table:
     """A row for each law, the best first."""
     rows = list[tuple[float, list[Cell]]]()
-    for law in found.race.laws:
+    for law in found.race.file.laws:
         errors = [row.errors[law] for row in found.rows]
         of = spread(errors, found.race.file.seed)
         wins = sum(row.errors[law] == min(row.errors.values()) for row in found.rows)
@@ -109,7 +109,7 @@ def _groups(groups: Sequence[tuple[str, Sequence[Row]]], name: str, seed: int) -
 
 
 def _cells(found: Finished) -> Table:
-    laws = list(found.race.laws)
+    laws = list(found.race.file.laws)
     rows = list[list[Cell]]()
     failing = list[int]()
     for place, row in enumerate(found.rows):

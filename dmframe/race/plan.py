@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, final
@@ -23,6 +24,8 @@ Values = tuple[tuple[str, float], ...]
 
 PATH: Final = "path"
 """Name of the source in each graph."""
+REPEATS: Final = "repeats"
+"""Key of a path: the angular frequency with which it repeats."""
 DELAY: Final = "transport_delay"
 GAIN: Final = "command_gain"
 """Channel models of the margins."""
@@ -87,19 +90,21 @@ class Race:
     ----------
     document
         The file with lines and columns.
+    laws
+        By name and sampling period.
     sections
         Nodes of the sections ``robot``, ``start``, ``plants``, ``paths`` and ``realities``, which name their places.
     sources
         Digest of the blocks' code.
     delays
-        Whole samples of transport delay, by reality.
+        Whole samples of transport delay, by reality; empty until they are read.
     """
 
     name: str
     text: str
     document: Document
     file: RaceFile
-    laws: Mapping[str, Law]
+    laws: Mapping[tuple[str, float], Law]
     sections: Mapping[str, Node]
     sources: str
     delays: Mapping[str, int]
@@ -129,12 +134,13 @@ class Race:
         paths = {name: file.paths[name] for name in (*file.training.paths, *(chosen.paths or file.paths))}
         changes: dict[str, Any] = {"plants": plants, "paths": paths, "clocks": chosen.clocks or file.clocks}
         changes["realities"] = {name: file.realities[name] for name in chosen.realities or file.realities}
+        changes["laws"] = {name: file.laws[name] for name in chosen.laws or file.laws}
         changes["budget"] = chosen.budget or file.budget
         return replace(self, name=f"{self.name}_quick", file=file.model_copy(update=changes))
 
     def candidates(self, law: str, clock: float) -> list[Values]:
         """The values that are tried: the graph's own, then a Halton sequence, log-uniform over the ranges."""
-        own, tune = self.laws[law].own, self.file.laws[law].tune
+        own, tune = self.laws[law, clock].own, self.file.laws[law].tune
         halton = scipy.stats.qmc.Halton(len(tune), scramble=False)
         halton.fast_forward(1)  # the first point is the lower corner
         points = halton.random(self.file.budget - 1) if self.file.budget > 1 else []
@@ -159,7 +165,8 @@ class Race:
         plant = mapping_of(self._entry("plants", run.cell.plant))
         kinds = [block.get("type") for block in plant.values() if isinstance(block, dict)]
         path = mapping_of(self._entry("paths", run.cell.path)).get("type")
-        return repr((run.law, kinds, path, run.cell.reality, run.margin))
+        law = self.laws[run.law, run.cell.clock].document
+        return repr((run.law, law, kinds, path, run.cell.reality))
 
     def key(self, run: Run) -> str:
         """Digest of everything that decides the result of a run."""
@@ -171,11 +178,15 @@ class Race:
 
     def document_of(self, run: Run) -> Document:
         """The document of a run's graph; each value names its place in the race's file or in the law's."""
-        law, plant = self.laws[run.law], dict(_entries(self._entry("plants", run.cell.plant)))
+        law, plant = self.laws[run.law, run.cell.clock], dict(_entries(self._entry("plants", run.cell.plant)))
         wires = {**law.wires, **_entries(plant.pop("wires", (None, _node({})))[1])}
-        blocks = {PATH: (_node(PATH), self._entry("paths", run.cell.path)), **law.blocks, **plant}
-        delay = self.delays[run.cell.reality]
-        for label, value in (*run.values, *((label, delay) for label in law.section.delay)):
+        node = self._entry("paths", run.cell.path)
+        path = dict(_entries(node))
+        rate = path.pop(REPEATS, None)
+        blocks = {PATH: (_node(PATH), replace(node, value=path)), **law.blocks, **plant}
+        known: list[tuple[str, Any]] = [(label, self.delays.get(run.cell.reality, 0)) for label in law.section.delay]
+        known += [(label, rate[1].value) for label in law.section.rate if rate is not None]
+        for label, value in (*run.values, *known):
             name, _, parameter = label.partition(".")
             at, block = blocks[name]
             blocks[name] = at, replace(block, value={**_entries(block), parameter: (_node(parameter), _node(value))})
@@ -184,18 +195,17 @@ class Race:
         entries = {key: (_node(key), _node(value)) for key, value in keys.items()}
         parts = {"robot": self.sections["robot"], "start": self.sections["start"]}
         parts |= {"blocks": _node({}, blocks), "wires": _node({}, self._fitting(wires, blocks))}
-        parts["reality"] = self._reality(run.cell.reality, delay if run.margin else None)
+        parts["reality"] = self._reality(run)
         entries |= {key: (_node(key), part) for key, part in parts.items() if part.value}
         root = _node({}, entries)
         return Document(law.document, mapping_of(root), root)
 
     def transport_delays(self) -> dict[str, int]:
         """Whole samples of transport delay of each reality, read from the blocks of a graph in it."""
-        law, found = next(iter(self.laws)), dict[str, int]()
+        law, first, found = self.file.entrant, self.training[0], dict[str, int]()
         like: Graph | None = None
         for reality in self.file.realities:
-            cell = replace(self.training[0], reality=reality)
-            like = self.graph(Run(law, cell, self.laws[law].own, 0), like)
+            like = self.graph(Run(law, replace(first, reality=reality), self.laws[law, first.clock].own, 0), like)
             blocks = [like.blocks[name] for name, fact in like.blocks.facts.items() if fact["type"] == DELAY]
             found[reality] = sum(int(getattr(block, "samples", 0)) for block in blocks)
         return found
@@ -203,18 +213,28 @@ class Race:
     def _entry(self, section: str, name: str) -> Node:
         return _entries(self.sections[section])[name][1]
 
-    def _reality(self, name: str, delay: int | None) -> Node:
-        """The channel models of a reality; with a `delay`, that of the margins is added to it."""
-        node, margins = self._entry("realities", name), self.file.margins
-        if delay is None:
+    def _reality(self, run: Run) -> Node:
+        """The channel models of a run, with a delay and a gain that are those of the margins or have no effect.
+
+        The margins then differ in numbers alone, and need no machine code of their own.
+        """
+        name = run.cell.reality
+        node = self._entry("realities", name)
+        if name not in self.delays:
             return node
-        models = dict(_entries(node)) if isinstance(node.value, dict) else {}
+        models = dict(_entries(node))
         if isinstance(node.value, str):
             models["like"] = (_node("like"), node)
         late = dict(_entries(models[DELAY][1])) if DELAY in models else {}
-        late["samples"] = (_node("samples"), _node(delay + margins.delay))
+        more, own = self.file.margins.delay if run.margin else 0, mapping_of(_node({}, late)).get("share", 0)
+        if "late" in late or not isinstance(own, int | float):  # a sample that is late by chance excludes a share
+            whole = more
+        else:
+            whole = max(math.ceil(more + own) - 1, 0)
+            late["share"] = (_node("share"), _node(more + own - whole))
+        late["samples"] = (_node("samples"), _node(self.delays[name] + whole))
         models[DELAY] = (_node(DELAY), _node({}, late))
-        models[GAIN] = (_node(GAIN), _node({"gain": margins.gain}))
+        models[GAIN] = (_node(GAIN), _node({"gain": self.file.margins.gain if run.margin else 1}))
         return _node({}, models)
 
     def _fitting(self, wires: Entries, blocks: Entries) -> Entries:

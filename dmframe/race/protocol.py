@@ -60,7 +60,7 @@ def tuning_runs(race: Race) -> list[Run]:
     """The runs of all candidates of all laws on the training cells, with and without the margins."""
     return [
         run
-        for law in race.laws
+        for law in race.file.laws
         for clock in race.file.clocks
         for values in race.candidates(law, clock)
         for run in race.trials(law, clock, values)
@@ -79,7 +79,7 @@ def chosen(race: Race, errors: Errors) -> list[Choice]:
         A law has no error for one of the runs that the protocol prescribes.
     """
     found = list[Choice]()
-    for law in race.laws:
+    for law in race.file.laws:
         for clock in race.file.clocks:
             tried = [_tried(race, law, clock, values, errors) for values in race.candidates(law, clock)]
             found.append(Choice(law, clock, tuple(tried)))
@@ -105,7 +105,7 @@ def judged_runs(race: Race, choices: Sequence[Choice]) -> list[Run]:
     best = {(choice.law, choice.clock): choice.best for choice in choices}
     found = list[Run]()
     for cell in race.held_out:
-        for law in race.laws:
+        for law in race.file.laws:
             if (tried := best[law, cell.clock]) is not None:
                 found.append(Run(law, cell, tried.values, race.file.seed + 1))
     return found
@@ -154,7 +154,7 @@ class Row:
 
 def rows_of(race: Race, errors: Errors) -> list[Row]:
     """The table: a row for each held-out cell."""
-    found = {cell: dict.fromkeys(race.laws, math.inf) for cell in race.held_out}
+    found = {cell: dict.fromkeys(race.file.laws, math.inf) for cell in race.held_out}
     for run, error in errors.items():
         found[run.cell][run.law] = error
     return [Row(cell, race.file.entrant, by_law) for cell, by_law in found.items()]

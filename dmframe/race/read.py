@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -40,20 +41,20 @@ def load_race(source: str | Path) -> Race:
     file = _checked(document)
     faults = [*_unknown_names(file)]
     sections = {name: _absolute(_said(_node(document, name), document.name), path.parent) for name in SECTIONS}
-    laws = dict[str, Law]()
-    for name in file.laws:
+    laws = dict[tuple[str, float], Law]()
+    for name, clock in itertools.product(file.laws, file.clocks):
         try:
-            laws[name] = _law(name, file.laws[name], document, path.parent)
+            laws[name, clock] = _law(name, clock, file.laws[name], document, path.parent)
         except DmframeError as error:
             for fault in error.faults:
                 fault.path = fault.path if fault.location or fault.path[:1] == ("laws",) else ("laws", name)
-                faults.append(fault)
+                if fault.text not in [other.text for other in faults]:  # the same at each sampling period
+                    faults.append(fault)
     raise_placed(faults, document)
     text = path.read_text(encoding="utf-8")
     files = [file for law in laws.values() for file in _files(_nodes(law.blocks), Path(law.document).parent)]
     files += _files([node for node in sections.values() if node.value], path.parent)
-    delays = dict.fromkeys(file.realities, 0)
-    race = Race(path.stem, text, document, file, laws, sections, _digest(files), delays)
+    race = Race(path.stem, text, document, file, laws, sections, _digest(files), {})
     race = replace(race, delays=race.transport_delays())
     _check_graphs(race)
     return race
@@ -75,6 +76,12 @@ def _unknown_names(file: RaceFile) -> Iterable[DmframeError]:
             for name in getattr(getattr(file, section), kind):
                 if name not in names:
                     yield UnknownNameError(f"{section}.{kind}", kind[:-1], name, names, path=(section, kind))
+    for name in file.quick.laws:
+        if name not in file.laws:
+            yield UnknownNameError("quick.laws", "law", name, file.laws, path=("quick", "laws"))
+    if file.quick.laws and (file.entrant not in file.quick.laws or len(file.quick.laws) < 2):
+        text = f"quick.laws: expected {file.entrant}, the entrant, and a rival, found {', '.join(file.quick.laws)}"
+        yield ValueFault(text, path=("quick", "laws"))
     for kind in ("plants", "paths"):
         if not set(known[kind]) - set(getattr(file.training, kind)):
             text = f"training.{kind}: expected at least one of {kind} that is held out, found all of them in training"
@@ -88,10 +95,10 @@ def _unknown_names(file: RaceFile) -> Iterable[DmframeError]:
         yield MissingError(f"laws: expected at least one rival of {file.entrant}, found none", path=("laws",))
 
 
-def _law(name: str, section: LawSection, race: Document, folder: Path) -> Law:
-    """The controller's blocks of a law's graph, with the values that the race sets."""
-    path = folder / section.graph
-    document = read_file(path if path.suffix in (".yaml", ".yml") else find_graph(section.graph))
+def _law(name: str, clock: float, section: LawSection, race: Document, folder: Path) -> Law:
+    """The controller's blocks of a law's graph at a sampling period, with the values that the race sets."""
+    path = folder / section.graph_at(clock)
+    document = read_file(path if path.suffix in (".yaml", ".yml") else find_graph(section.graph_at(clock)))
     for label in section.set:
         place = ("laws", name, "set", label)
         document = put_at(document, label, race.node(place), race.locate(place), GRAPH_KEYS)
@@ -99,8 +106,9 @@ def _law(name: str, section: LawSection, race: Document, folder: Path) -> Law:
     mine = {block: kind for block, kind in kinds.items() if kind.side is Side.CONTROLLER}
     blocks = {block: pair for block, pair in _entries(document, "blocks").items() if block in mine}
     where, values = f"laws.{name}", mapping_of(Node(0, 0, blocks))
-    for label in section.delay:
-        _check_parameter(f"{where}.delay", label, mine, ("laws", name, "delay"))
+    for key, labels in (("delay", section.delay), ("rate", section.rate)):
+        for label in labels:
+            _check_parameter(f"{where}.{key}", label, mine, ("laws", name, key))
     own = list[tuple[str, float]]()
     for label, searched in section.tune.items():
         at = ("laws", name, "tune", label)
@@ -136,15 +144,15 @@ def _own(
 def _check_graphs(race: Race) -> None:
     """Read a graph of each law, plant, path and reality, to find the faults of their blocks before any run."""
     first, like, faults = race.training[0], None, dict[str, DmframeError]()
-    names = list(race.laws)
-    cells = [(name, first) for name in names]
-    cells += [(names[0], replace(first, plant=name)) for name in race.file.plants]
-    cells += [(names[0], replace(first, path=name)) for name in race.file.paths]
-    cells += [(names[0], replace(first, reality=name)) for name in race.file.realities]
+    file, entrant = race.file, race.file.entrant
+    cells = [(name, replace(first, clock=clock)) for name, clock in race.laws]
+    cells += [(entrant, replace(first, plant=name)) for name in file.plants]
+    cells += [(entrant, replace(first, path=name)) for name in file.paths]
+    cells += [(entrant, replace(first, reality=name)) for name in file.realities]
     for law, cell in cells:
         for margin in (False, True):
             try:
-                like = race.graph(Run(law, cell, race.laws[law].own, 0, margin), like)
+                like = race.graph(Run(law, cell, race.laws[law, cell.clock].own, 0, margin), like)
             except DmframeError as error:
                 faults |= {f"{fault.location}{fault.text}": fault for fault in error.faults}
     raise_placed(list(faults.values()), race.document)

@@ -429,7 +429,7 @@ def test_a_channel_that_only_warns_does_not_change_the_proof() -> None:
         ({"type": "encoder", "step": 0}, "x.step: expected a number > 0, found 0"),
         ({"type": "encoder", "step": 1, "window": 1, "time_constant": 1}, "expected a window or a time_constant"),
         ({"type": "transport_delay", "samples": 5}, "x.samples: expected 0, 1, 2, 3 or 4, found 5"),
-        ({"type": "transport_delay", "share": 1}, "expected a share below 1, found 1; raise samples"),
+        ({"type": "transport_delay", "share": 1.5}, "expected a share of at most 1, found 1.5; raise samples"),
         ({"type": "transport_delay", "share": 0.5, "late": 0.5}, "expected share or late, found both"),
         ({"type": "transport_delay", "late": 1.5}, "expected late to be a probability, at most 1, found 1.5"),
         ({"type": "transport_delay", "lost": -1}, "x.lost: expected a number >= 0, found -1"),

@@ -20,7 +20,7 @@ from dmframe.units import compatible
 
 BLOCKS = block_types()
 GRAPHS = sorted(graphs())
-LETTERS = set("nmpkhcdrWANG")
+LETTERS = set("nmpkhcdrWANGEHFw")
 
 # blocks that no packaged graph uses run in one of these
 EXAMPLES = {
@@ -77,6 +77,25 @@ EXAMPLES["reset_compensator"] = (
     + "  load:     {type: payload, mass: [1], at: [1]}\n"
     + "  gripper:  {type: gripper, at: [1]}\n"
 )
+EXAMPLES["expert_aggregation"] = """
+dmframe: 1
+robot: arm2
+clock: 40 ms
+duration: 2 s
+start: {q: [0.5, 0.9]}
+blocks:
+  goal:     {type: setpoint, x_d: [0.5, 0.4]}
+  task:     {type: sampled_tracking, Lambda: 3}
+  inverse:  {type: sampled_inverse, servo: pi, w_0: 0.02, estimator: least_squares, supervised: true, aggregated: true}
+  mix:      {type: expert_aggregation}
+  servo:    {type: pi_servo, K_P: [60, 30], K_I: [240, 120]}
+  arm:      {type: manipulator}
+wires:
+  mix.dq_model: inverse.dq_c
+  mix.q_model: inverse.q_start
+  task.q_start: mix.q_start
+  servo.dq_c: mix.dq_sent
+"""
 EXAMPLES["gripper"] = EXAMPLES["reset_compensator"]
 EXAMPLES["path_pace"] = EXAMPLES["setpoint"] + "  pace:     {type: path_pace}\n"
 

@@ -361,7 +361,7 @@ def test_a_figure_of_estimates_shows_what_is_declared_and_guesses_nothing_from_n
 
 def test_every_adapting_block_says_what_its_options_are_on_its_page_and_to_an_editor() -> None:
     adapting = {name: kind for name, kind in block_types().items() if issubclass(kind, AdaptingBlock)}
-    assert len(adapting) == 11
+    assert len(adapting) == 12
     schema = json_schema()["$defs"]
     for name, kind in adapting.items():
         for option in ("leak", "error_leak", "dead_zone"):

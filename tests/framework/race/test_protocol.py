@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -23,7 +24,7 @@ def errors_of(runs: Iterable[Run]) -> dict[Run, float]:
 
 
 def test_candidates_are_the_graphs_values_and_a_halton_sequence_log_uniform_over_the_range(race: Make) -> None:
-    found = race()
+    found = race(("clocks: [20 ms]", "clocks: [20 ms, 40 ms]"))
     # the first points of a Halton sequence in one dimension are 1/2, 1/4 and 3/4
     assert found.candidates("weak", 0.02) == [(("task.gamma", gamma),) for gamma in (4, 2, 1.4142, 2.8284)]
     assert found.candidates("tuned", 0.02) == [(("task.gamma", gamma),) for gamma in (4, 10, 3.1623, 31.623)]
@@ -33,7 +34,7 @@ def test_candidates_are_the_graphs_values_and_a_halton_sequence_log_uniform_over
 def test_every_law_has_the_same_number_of_runs_on_the_training_cells_and_none_elsewhere(race: Make) -> None:
     found = race()
     runs = tuning_runs(found)
-    for law in found.laws:
+    for law in found.file.laws:
         mine = [run for run in runs if run.law == law]
         assert len({run.values for run in mine}) == found.file.budget
         assert len(mine) == 2 * found.file.budget  # one training cell, without and with the margins
@@ -137,6 +138,57 @@ def test_quantiles_are_order_statistics_and_the_interval_of_the_median_is_a_seed
     assert narrow.high - narrow.low == pytest.approx(2 * 1.96 * 0.0158, rel=0.15)
 
 
+@pytest.mark.parametrize(
+    ("reality", "more", "models"),
+    [
+        ("{}", 1, [(0, 0, 1), (0, 1, 1.3)]),  # samples, share and gain, without and with the margins
+        ("{transport_delay: {samples: 2}}", 1, [(2, 0, 1), (2, 1, 1.3)]),
+        ("{transport_delay: {samples: 1, share: 0.25}}", 1, [(1, 0.25, 1), (2, 0.25, 1.3)]),
+        ("{transport_delay: {samples: 1, late: 0.1}}", 1, [(1, None, 1), (2, None, 1.3)]),
+        ("{}", 2, [(0, 0, 1), (1, 1, 1.3)]),
+        ("ur", 0, [(1, 0, 1), (1, 0, 1.3)]),
+    ],
+)
+def test_the_margins_add_a_delay_and_a_gain_to_a_reality(race: Make, reality: str, more: int, models: object) -> None:
+    found = race(("{ideal: {}}", f"{{ideal: {reality}}}"), ("budget: 4", f"margins: {{delay: {more}}}"))
+    several = list[tuple[object, ...]]()
+    for run in list(found.trials("tuned", 0.02, found.candidates("tuned", 0.02)[0])):
+        blocks = found.graph(run).blocks
+        several.append(
+            (blocks["transport_delay"].samples, blocks["transport_delay"].share, blocks["command_gain"].gain)
+        )
+    assert several == models
+
+
+def test_a_law_is_given_the_rate_at_which_the_path_repeats_and_keeps_its_own_on_others(
+    race: Make, tmp_path: Path
+) -> None:
+    race()
+    law = (tmp_path / "law.yaml").read_text().replace("kinematic_command", "repetitive_inverse, rate: 7")
+    task = "sampled_tracking, Lambda: 4"
+    (tmp_path / "learner.yaml").write_text(
+        law.replace("known_tracking, gamma: 4", task).replace("  geometry: {type: kinematics}\n", "")
+    )
+    learner = "  learner: {graph: learner.yaml, tune: {task.Lambda: [1, 4]}, rate: inverse.rate}\n  weak:"
+    found = race(("phase: [0]}", "phase: [0], repeats: 2}"), ("  weak:", learner))
+    run = next(found.trials("learner", 0.02, found.candidates("learner", 0.02)[0]))
+    assert found.graph(run).blocks["inverse"].rate == 2
+    other = replace(run, cell=found.held_out[0])
+    assert found.graph(other).blocks["inverse"].rate == 7
+    assert "repeats" not in found.document_of(run).data["blocks"]["path"]
+
+
+def test_a_law_may_have_a_graph_for_each_range_of_sampling_periods(race: Make, tmp_path: Path) -> None:
+    race()
+    (tmp_path / "slow.yaml").write_text((tmp_path / "law.yaml").read_text().replace("gamma: 4", "gamma: 3"))
+    found = race(
+        ("clocks: [20 ms]", "clocks: [20 ms, 50 ms, 90 ms]"),
+        ("weak:  {graph: law.yaml", "weak:  {graph: {30 ms: law.yaml, 60 ms: slow.yaml}"),
+    )
+    assert [found.candidates("weak", clock)[0][0][1] for clock in found.file.clocks] == [4, 3, 3]
+    assert [found.candidates("tuned", clock)[0][0][1] for clock in found.file.clocks] == [4, 4, 4]
+
+
 def test_the_packaged_race_has_what_it_promises_and_its_quick_part_24_cells() -> None:
     found = load_race("packaged")
     paths = found.file.paths
@@ -147,7 +199,7 @@ def test_the_packaged_race_has_what_it_promises_and_its_quick_part_24_cells() ->
     for part in (found, found.quick):
         assert not {cell.plant for cell in part.training} & {cell.plant for cell in part.held_out}
         assert not {cell.path for cell in part.training} & {cell.path for cell in part.held_out}
-        assert len({len(part.candidates(law, clock)) for law in part.laws for clock in part.file.clocks}) == 1
+        assert len({len(part.candidates(law, clock)) for law in part.file.laws for clock in part.file.clocks}) == 1
     assert len(found.quick.held_out) == 24
     assert found.quick.training == found.training
     assert found.delays == {"ideal": 0, "ur": 1}

@@ -1,0 +1,279 @@
+"""Aggregation of experts that forecast the motion of a closed servo."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Literal, Self, final
+
+import casadi as ca
+from pydantic import model_validator
+
+from dmframe.block import (
+    PERIOD,
+    SX,
+    AbstractBlock,
+    Access,
+    Certificate,
+    Diagonal,
+    Equations,
+    Input,
+    NormalisedSteps,
+    Output,
+    Positive,
+    Scalar,
+    Signals,
+    State,
+    clip,
+    named,
+)
+from dmframe_blocks._residual_observers import PERIODIC, SIMPLE, Forecasts, Observer, Waves, size_of, split
+
+_SHARPEST = 200.0
+"""Largest difference of the exponents of two weights."""
+
+
+@final
+class ExpertAggregation(AbstractBlock):
+    r"""Sends the weighted mean of the commands of several experts, each weighted by its past forecasts of the motion.
+
+    An expert forecasts the error by which the motion over a sample misses the command. The first is silent: it
+    forecasts zero, so that its command is dq_r. Others observe the lag of the joints, the difference between command
+    and average velocity: a level, a level with a trend, and with `periodic` Fourier series of the phase of the motion.
+    The same observers of `epsilon`, the residual of an identified servo model (`sampled_inverse`), correct the model;
+    one expert is the model alone.
+
+    *Forecasts.* A command acts `delay` samples later. Expert i predicts the pose :math:`q_i` at which it acts, the
+    command :math:`u_i` for the velocity :math:`\dot q_r`, and the change of velocity per unit of command,
+    :math:`G_i`, which is 1 without a model. With the command u that is sent it forecasts the next pose
+
+    .. math::
+
+        \hat q_i = q_i + T (\dot q_r + G_i (u - u_i))   \tag{1}
+
+    and with the pose q measured `delay` + 1 samples later :math:`e_i = (\hat q_i - q) / T`.
+
+    *Weights, exponential.* Of each joint, with the memory of M = `memory` / T samples,
+
+    .. math::
+
+        L_i^+ = (1 - 1 / M) L_i + e_i^2, \qquad w_i \propto L_i^{-M / 2}   \tag{2}
+
+    smoothed with the gain `weight_gain`. This is the exponentially weighted average of the normalised likelihoods of
+    errors with unknown variance. No claim covers these weights.
+
+    *Weights, projection.* Of each joint, with the rows :math:`h_i = (\hat q_i - \hat q_0) / T` and the output
+    :math:`y = (q - \hat q_0) / T`, expert 0 the silent one,
+
+    .. math::
+
+        w^+ = \mathrm{clip}(w + \Gamma h (y - h^\top w) / (\nu + \Gamma h^\top h), 0, 1), \qquad w_0 = 1 - \sum_i w_i
+        \tag{3}
+
+    *Certificate* of (3). Let :math:`n = \nu + \Gamma h^\top h`, :math:`\varepsilon` the forecast error with w, and
+    :math:`\eta` that with any constant weights :math:`w^\ast` in the box, such as those of one expert alone. Then
+
+    .. math::
+
+        |w^+ - w^\ast|^2 / \Gamma \le |w - w^\ast|^2 / \Gamma + (\eta^2 - (\nu / n)\, \varepsilon^2) / n   \tag{4}
+
+    so that the sum of :math:`\nu \varepsilon^2 / n^2` exceeds that of :math:`\eta^2 / n` by at most the initial
+    :math:`|w - w^\ast|^2 / \Gamma`, on the motion that happened. Where :math:`\Gamma h^\top h \ll \nu` the errors
+    are then, in the sum of squares, at most those of the best expert but for a constant; with larger steps up to four
+    times as much. That the loop is stable does not follow.
+
+    *Rate.* With `a_max` a command changes by at most a_max T per sample, as behind a ramp that limits accelerations.
+
+    Parameters
+    ----------
+    rate : scalar, rad/s, > 0
+        Angular frequency with which the motion repeats, with `periodic`.
+    periodic : true or false
+        Also observe with Fourier series of 4 and of 20 multiples of the rate, each fast and slow.
+    delay : 0, 1 or 2
+        Whole samples from a command to its effect, as in the blocks that compute dq_r and dq_model.
+    weighting : exponential or projection
+        See above.
+    memory : scalar, s, > 0
+        Time over which errors are compared by exponential weights.
+    weight_gain : scalar, > 0
+        Share by which exponential weights approach those of (2) in a sample.
+    quiet : scalar, rad/s, > 0
+        Errors far below this are compared as equal: its square is added to :math:`L_i`.
+    Gamma, nu : scalar, , rad^2/s^2, > 0
+        Gain and normalisation of the projection.
+    u_max : diagonal (n,), rad/s, > 0
+        Largest command.
+    a_max : diagonal (n,), rad/s^2, > 0
+        Largest change of a command per second; by default it is not limited.
+
+    Notes
+    -----
+    Not for: an unknown delay. The forecasts compare experts on the motion that the aggregation caused; an expert that
+    would destabilise the loop can have small errors as long as its weight is small.
+
+    References
+    ----------
+    [CesaBianchiLugosi2006]_, prediction with expert advice; [GoodwinSin1984]_ Section 3.3, the projection algorithm.
+    """
+
+    inputs = (
+        Input("q", "n", "rad"),
+        Input("dq_r", "n", "rad/s"),
+        Input("dq_model", "n", "rad/s"),
+        Input("q_model", "n", "rad"),
+        Input("epsilon", "n", "rad/s"),
+        Input("slope", "n"),
+        PERIOD,
+    )
+    outputs = (
+        Output("dq_sent", "n", "rad/s", Access.COMMANDED),
+        Output("q_start", "n", "rad"),
+        Output("model_share", "n"),
+    )
+    states = (
+        State("observed", "n H", "rad/s", sampled=True, recorded=False),
+        State("phase", "", "rad", sampled=True, optional=True),
+        State("losses", "n E", "rad^2/s^2", sampled=True, recorded=False, optional=True),
+        State("weights", "w", sampled=True, recorded=False),
+        State("forecasts", "n F", "rad", sampled=True, recorded=False),
+        State("q_before", "n", "rad", sampled=True),
+        State("queue", "n d", "rad/s", sampled=True),
+        State("count", sampled=True),
+    )
+
+    rate: Scalar | None = Positive("", "rad/s", default=None)
+    periodic: bool = False
+    delay: Literal[0, 1, 2] = 0
+    weighting: Literal["exponential", "projection"] = "exponential"
+    memory: Scalar = Positive("", "s", default=6.0)
+    weight_gain: Scalar = Positive(default=0.2)
+    quiet: Scalar = Positive("", "rad/s", default=1e-8)
+    Gamma: Scalar = Positive(default=1.0)
+    nu: Scalar = Positive("", "rad^2/s^2", default=1e-6)
+    u_max: Diagonal = Positive("n", "rad/s", default=3.0)
+    a_max: Diagonal | None = Positive("n", "rad/s^2", default=None)
+
+    @model_validator(mode="after")
+    def _has_a_rate(self) -> Self:
+        if self.periodic != (self.rate is not None):
+            raise ValueError("expected periodic: true together with the rate of the motion; give both or neither")
+        return self
+
+    @property
+    def _observers(self) -> tuple[Observer, ...]:
+        """Those of one signal."""
+        return (*SIMPLE, *(PERIODIC if self.periodic else ()))
+
+    def sizes(self, robot: Any) -> Mapping[str, int]:
+        """E: experts; w: weights of all but the first, of all joints; H: numbers of observers; F: stored forecasts."""
+        observers = self._observers
+        E = 2 * (1 + len(observers))
+        own = {"E": E, "H": 2 * size_of(observers), "F": E * (self.delay + 1), "d": self.delay + 1}
+        return {**super().sizes(robot), **own, "w": robot.n * (E - 1)}
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
+        """At rest, with the silent expert alone."""
+        return {"q_before": u.q, "forecasts": ca.repmat(u.q, 1, 2 * (1 + len(self._observers)) * (self.delay + 1))}
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """The observers, the weights by (2) or (3), the command, and the forecasts (1) of what it does."""
+        lag = named("lag_now", x.queue[:, 0] - (u.q - x.q_before) / u.T)
+        waves = Waves(x.phase, p.rate * u.T) if self.periodic else Waves(0 * u.T, 0 * u.T)
+        observers = 2 * self._observers
+        seen = [signal for signal in (lag, u.epsilon) for _ in self._observers]
+        before = split(observers, x.observed)
+        held = [each.updated(old, new, waves) for each, old, new in zip(observers, before, seen, strict=True)]
+        moved = {"observed": ca.horzcat(*held)} | ({"phase": x.phase + p.rate * u.T} if self.periodic else {})
+
+        def ahead(k: int) -> list[SX]:
+            found = [each.forecast(item, k, waves) for each, item in zip(observers, held, strict=True)]
+            half = len(found) // 2
+            return [0 * lag, *found[:half], 0 * lag, *found[half:]]
+
+        experts = self._forecasts(u, x, ahead)
+        weights, losses = self._weighed(u, x, p)
+        w = named("w_all", _with_first(weights, lag.shape[0]))
+        q_start = named("q_mean", ca.sum2(w * experts.q_start))
+        wished = clip(named("dq_mean", ca.sum2(w * experts.command)), p.u_max)
+        last = x.queue[:, -1]
+        dq_sent = named("dq_now", last + clip(wished - last, p.a_max * u.T) if "a_max" in p else wished)
+        E = experts.command.shape[1]
+        by_command = experts.slope * (ca.repmat(dq_sent, 1, E) - experts.command)
+        ends = named("q_ends", experts.q_start + u.T * (ca.repmat(u.dq_r, 1, E) + by_command))
+        return Equations(
+            outputs={"dq_sent": dq_sent, "q_start": q_start, "model_share": ca.sum2(w[:, E // 2 :])},
+            next={
+                **moved,
+                **losses,
+                "weights": weights,
+                "forecasts": ca.horzcat(x.forecasts[:, E:], ends),
+                "q_before": u.q,
+                "queue": ca.horzcat(x.queue[:, 1:], dq_sent),
+                "count": x.count + 1,
+            },
+        )
+
+    def _forecasts(self, u: Signals, x: Signals, ahead: Callable[[int], list[SX]]) -> Forecasts:
+        """Of the experts without a model, then of those with it."""
+        coming = ahead(self.delay + 1)
+        half = len(coming) // 2
+        starts = [u.q] * half + [u.q_model] * half
+        for k in range(1, self.delay + 1):
+            missed = ahead(k)
+            starts = [
+                q + u.T * (x.queue[:, k] - missed[i]) if i < half else q - u.T * u.slope * missed[i]
+                for i, q in enumerate(starts)
+            ]
+        commands = [u.dq_r if i < half else u.dq_model for i in range(2 * half)]
+        slopes = [0 * u.slope + 1] * half + [u.slope] * half
+        return Forecasts(
+            named("q_i", ca.horzcat(*starts)),
+            named("u_i", ca.horzcat(*(u_0 + missed for u_0, missed in zip(commands, coming, strict=True)))),
+            ca.horzcat(*slopes),
+        )
+
+    def _row(self, u: Signals, x: Signals) -> tuple[SX, SX, SX]:
+        """Rows h and outputs y of (3), zero before the first forecast ends; and the errors of all experts."""
+        E = x.forecasts.shape[1] // (self.delay + 1)
+        ended = x.count > self.delay + 1
+        errors = named("e", ended * (x.forecasts[:, :E] - ca.repmat(u.q, 1, E)) / u.T)
+        first = errors[:, 0]
+        h = named("h_w", ca.vec((errors[:, 1:] - ca.repmat(first, 1, E - 1)).T))
+        return h, named("y_w", -first), errors
+
+    def _weighed(self, u: Signals, x: Signals, p: Signals) -> tuple[SX, dict[str, SX]]:
+        """The weights of all experts but the first, by (2) or (3); and what else is kept."""
+        h, y, errors = self._row(u, x)
+        n, E = errors.shape
+        if self.weighting == "projection":
+            rows = ca.reshape(h, E - 1, n)
+            old = ca.reshape(x.weights, E - 1, n)
+            gain = p.Gamma * (y.T - ca.sum1(rows * old)) / (p.nu + p.Gamma * ca.sum1(rows * rows))
+            moved = old + rows * ca.repmat(gain, E - 1, 1)
+            return named("w_new", ca.vec(ca.fmin(ca.fmax(moved, 0), 1))), {}
+        losses = named("L", ca.fmax(0, 1 - u.T / p.memory) * x.losses + errors * errors)
+        logs = ca.log(losses / (p.quiet * p.quiet) + 1)
+        over = logs - ca.repmat(ca.vertcat(*(ca.mmin(row) for row in ca.vertsplit(logs))), 1, E)
+        shares = ca.exp(-ca.fmin(p.memory / (2 * u.T) * over, _SHARPEST))
+        wanted = named("w_wanted", shares / ca.repmat(ca.sum2(shares), 1, E))
+        wanted = ca.vec(wanted[:, 1:].T)
+        return named("w_new", x.weights + p.weight_gain * (wanted - x.weights)), {"losses": losses}
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
+        """Normalised steps of the weights towards any constant ones; nothing for exponential weights."""
+        if self.weighting == "exponential":
+            return None
+        h, y, errors = self._row(u, x)
+        n, E = errors.shape
+        true = type(x.weights).sym("w_true", n * (E - 1))
+        ones = ca.DM.ones(n * (E - 1))
+        steps = NormalisedSteps(
+            "weights", x.weights, true, p.Gamma * ones, (E - 1,) * n, p.nu, ((h, y),), (0 * ones, ones)
+        )
+        return Certificate(steps=(steps,), unknown={"w_true": true})
+
+
+def _with_first(weights: SX, n: int) -> SX:
+    """All weights of each joint in a row, the first so that their sum is 1."""
+    rest = ca.reshape(weights, -1, n).T
+    return ca.horzcat(1 - ca.sum2(rest), rest)

@@ -1,0 +1,185 @@
+"""Aggregation of experts: weights against NumPy, the bound of their steps, the proof, and the loop with two links."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+import pytest
+from sampled_arm2 import sampled_arm2
+
+import dmframe as dm
+from dmframe.block import Equations
+from dmframe.catalogue import block_types
+from dmframe.certify import verify
+from dmframe.errors import DmframeError
+
+KIND = block_types()["expert_aggregation"]
+T, RATE = 0.02, 5.0
+HALF = 8  # silent, four levels, three trends
+
+
+def start(delay: int = 0, half: int = HALF) -> dict[str, Any]:
+    """At rest at zero, for one joint."""
+    return {"q_before": [0.0], "forecasts": np.zeros((1, 2 * half * (delay + 1)))}
+
+
+def played(block: Any, lags: np.ndarray, errors: np.ndarray) -> list[dict[str, Any]]:
+    """A joint that moves by T (command - lag), and a model that knows the lag but for an error."""
+    q, states, found = 0.0, start(), []
+    for lag, error in zip(lags, errors, strict=True):
+        before = errors[len(found) - 1] if found else 0.0
+        u = {"q": [q], "dq_r": [0.3], "dq_model": [0.3 + lag - error], "q_model": [q], "slope": [1.0], "T": T}
+        item = block.evaluate({**u, "epsilon": [before]}, states, robot="pendulum")
+        states = dict(item.next)
+        found.append({**item.outputs, **{f"{name} after": value for name, value in states.items()}, "q": q})
+        q += T * (float(item.outputs["dq_sent"][0]) - lag)
+    return found
+
+
+def errors_of(found: list[dict[str, Any]], k: int) -> np.ndarray:
+    """The errors in sample k of the forecasts of all experts, in rad/s."""
+    return (np.ravel(found[k - 1]["forecasts after"])[: 2 * HALF] - found[k]["q"]) / T
+
+
+def all_weights(found: dict[str, Any]) -> np.ndarray:
+    rest = np.ravel(found["weights after"])
+    return np.concatenate([[1 - rest.sum()], rest])
+
+
+LAGS = 0.1 + 0.05 * np.sin(RATE * np.arange(60) * T)
+ERRORS = 0.01 * np.cos(1.7 * RATE * np.arange(60) * T) + 0.003
+
+
+def test_exponential_weights_are_powers_of_discounted_losses() -> None:
+    found = played(KIND(memory=0.4), LAGS, ERRORS)
+    losses, w, M = np.zeros(2 * HALF), np.eye(2 * HALF)[0], 0.4 / T
+    for k in range(2, 60):
+        losses = (1 - 1 / M) * losses + errors_of(found, k) ** 2
+        wanted = (losses + 1e-16) ** (-M / 2)
+        w = w + 0.2 * (wanted / wanted.sum() - w)
+        if k == 2:
+            np.testing.assert_allclose(all_weights(found[k]).sum(), 1, rtol=1e-12)
+            w = all_weights(found[k])  # the first forecasts of all experts but the silent one are equal
+            continue
+        np.testing.assert_allclose(all_weights(found[k]), w, atol=1e-9)
+    best = int(np.argmin(losses))
+    assert all_weights(found[-1])[best] == max(all_weights(found[-1]))
+
+
+def test_the_command_is_the_mean_that_the_weights_give() -> None:
+    found = played(KIND(memory=0.4), LAGS, ERRORS)[-1]
+    w = all_weights(found)
+    ends = np.ravel(found["forecasts after"])[: 2 * HALF]
+    # the pose that the aggregation forecasts is that of dq_r
+    assert w @ ends == pytest.approx(found["q_start"][0] + T * 0.3, abs=1e-12)
+    assert found["model_share"][0] == pytest.approx(w[HALF:].sum())
+
+
+def test_a_repeating_error_is_forecast_better_than_by_the_model_and_by_the_last_lag() -> None:
+    found = played(KIND(), LAGS, ERRORS)
+    late = range(40, 60)
+    mine = [abs(all_weights(found[k - 1]) @ errors_of(found, k)) for k in late]
+    model, last = ([abs(errors_of(found, k)[i]) for k in late] for i in (HALF, 1))
+    assert np.sqrt(np.mean(np.square(mine))) < 0.5 * np.sqrt(np.mean(np.square(model)))
+    assert np.sqrt(np.mean(np.square(mine))) < 1.02 * np.sqrt(np.mean(np.square(last)))
+
+
+def test_steps_of_the_projection_lose_to_no_expert_by_more_than_its_error() -> None:
+    nu, Gamma = 1e-4, 0.5
+    found = played(KIND(weighting="projection", nu=nu, Gamma=Gamma), LAGS, ERRORS)
+    w = np.zeros(2 * HALF - 1)
+    for k in range(2, 60):
+        errors = errors_of(found, k)
+        h, y = errors[1:] - errors[0], -errors[0]
+        n = nu + Gamma * h @ h
+        new = np.clip(w + Gamma * h * (y - h @ w) / n, 0, 1)
+        np.testing.assert_allclose(np.ravel(found[k]["weights after"]), new, atol=1e-12)
+        for i in range(2 * HALF):
+            one = np.eye(2 * HALF)[i][1:]
+            rises = ((new - one) @ (new - one) - (w - one) @ (w - one)) / Gamma
+            epsilon = y - h @ w  # the error with w = e_i is that of expert i
+            assert rises <= (errors[i] ** 2 - nu / n * epsilon**2) / n + 1e-12
+        w = new
+
+
+def test_large_steps_can_have_four_times_the_error_of_the_best_weights() -> None:
+    w, nu, Gamma, own, best, rises = 0.5, 1e-9, 1.0, 0.0, 0.0, 0.0
+    for k in range(1000):  # h = 1, and the output alternates around the best weight 0.5
+        y = 0.5 + 0.4 * (-1) ** k
+        n = nu + Gamma
+        new = w + Gamma * (y - w) / n
+        rises += ((new - 0.5) ** 2 - (w - 0.5) ** 2) / Gamma
+        own, best, w = own + (y - w) ** 2, best + (y - 0.5) ** 2, new
+    assert own / best == pytest.approx(4, rel=2e-3)
+    assert best / n - nu * own / n**2 >= rises
+
+
+def test_a_command_changes_by_at_most_a_max() -> None:
+    found = played(KIND(a_max=[0.5]), 10 * LAGS, ERRORS)
+    sent = np.array([item["dq_sent"][0] for item in found])
+    assert np.abs(np.diff(sent)).max() == pytest.approx(0.5 * T)
+    assert abs(sent[0]) <= 0.5 * T + 1e-12
+
+
+@pytest.mark.parametrize("options", [{"periodic": True}, {"rate": 1.0}, {"delay": 3}, {"memory": -1}])
+def test_options_that_do_not_fit_are_refused(options: dict[str, Any]) -> None:
+    with pytest.raises(DmframeError):
+        KIND(**options)
+
+
+def aggregated(**mix: Any) -> dict[str, Any]:
+    """Two links at 40 ms, a model of each joint without coupling, and the aggregation."""
+    inverse = {"estimator": "least_squares", "supervised": True, "aggregated": True, "dynamics": "joints"}
+    graph = copy.deepcopy(sampled_arm2(**inverse))
+    graph["blocks"]["task"] = {"type": "sampled_tracking", "Lambda": 3}
+    graph["blocks"]["mix"] = {"type": "expert_aggregation", **mix}
+    wires = {"mix.dq_model": "inverse.dq_c", "mix.q_model": "inverse.q_start", "task.q_start": "mix.q_start"}
+    graph["wires"] = {**wires, "servo.dq_c": "mix.dq_sent"}
+    return graph
+
+
+def test_the_steps_of_projected_weights_are_proved_and_no_more() -> None:
+    found = verify(dm.load(aggregated(weighting="projection")).diagram)
+    assert "mix.weights" in str(found.headline), found.headline
+    assert "not known to be bounded, and tracking is not part of it" in str(found.headline)
+
+
+def test_exponential_weights_are_no_part_of_the_proof() -> None:
+    found = verify(dm.load(aggregated()).diagram)
+    assert "mix.weights" not in str(found.headline).partition(";")[0]
+
+
+def test_projected_weights_that_step_away_are_refuted(monkeypatch: pytest.MonkeyPatch) -> None:
+    honest = KIND.equations
+
+    def away(self: Any, u: Any, x: Any, p: Any) -> Equations:
+        found = honest(self, u, x, p)
+        return Equations(outputs=found.outputs, next={**found.next, "weights": 2 * x.weights - found.next["weights"]})
+
+    monkeypatch.setattr(KIND, "equations", away)
+    found = verify(dm.load(aggregated(weighting="projection")).diagram)
+    assert found.outcome == "refuted"
+    assert found.refutation is not None
+    assert found.refutation.says == "mix: what weights becomes"
+
+
+def test_the_loop_is_better_than_with_the_model_alone_and_with_the_observer_alone() -> None:
+    def error(graph: dict[str, Any]) -> float:
+        found = dm.load({**graph, "duration": "60 s"}).run(judge=False, progress=False).error
+        assert found is not None
+        return float(found.rms_by_eighth[-1])
+
+    gains = {"k_p": 3, "K_v": [60, 30], "K_i": [120, 60], "feed_forward": [0.8, 0.9]}
+    cascade = {"type": "p_pi_servo", **gains, "velocity_filter": "2 ms", "torque_lag": "1 ms"}
+    alone, both = aggregated(), aggregated()
+    for graph in (alone, both):  # the model is that of a PID servo
+        graph["blocks"]["inverse"]["dynamics"] = "robot"
+        graph["blocks"]["servo"] = cascade
+    alone["blocks"]["inverse"].update(supervised=False, aggregated=False)
+    del alone["blocks"]["mix"]
+    model = error({**alone, "wires": {}})
+    alone["blocks"]["inverse"] = {"type": "disturbance_observer"}
+    observer = error({**alone, "wires": {}})
+    assert error(both) < 0.5 * min(model, observer)
