@@ -254,10 +254,14 @@ def figures(run: dm.Run, graph: dm.Graph) -> dict[str, Any]:
 
 def law_row(law: Mapping[str, Any], k: int, circle: Mapping[str, str]) -> dict[str, Any]:
     """What a law does on a circle."""
-    cell = law["cells"][circle.get("cell", k)]
-    graph = real(law_of(cell, circle["on"]), circle.get("reality", "none"))
-    found = figures(graph.run(progress=False, judge=False), graph)
-    return {"law": law["title"], "circle": circle["title"]} | found
+    cell, row = law["cells"][circle.get("cell", k)], {"law": law["title"], "circle": circle["title"]}
+    graph = law_of(cell, circle["on"])
+    if "servo" in circle:
+        if "dq_c" not in {port.name for port in graph.blocks["servo"].inputs}:
+            return row | dict.fromkeys(FIGURES, "")  # it drives the joints by torques
+        graph = graph.set({"servo": circle["servo"]})
+    graph = real(graph, circle.get("reality", "none"))
+    return row | figures(graph.run(progress=False, judge=False), graph)
 
 
 def limit_row(law: Mapping[str, Any], reality: str, on: str) -> dict[str, Any]:
@@ -325,6 +329,8 @@ def shown_mrad(value: float) -> str:
 def _cell(row: Mapping[str, str]) -> str:
     if row["diverged_at"]:
         return f"**diverges** at {plain(float(row['diverged_at']), 's')}"
+    if not row["rms_final"]:
+        return "-"
     rms = shown(float(row["rms_final"]), row["unit"])
     share = float(row["at_limits"] or 0)
     return f"**{rms}**, at limits {100 * share:.0f} % of the time" if share >= 0.01 else rms

@@ -110,6 +110,7 @@ class QuickSection(Section):
     plants: Labels = ()
     paths: Labels = ()
     realities: Labels = ()
+    laws: Labels = ()
     budget: Count | None = None
 
 

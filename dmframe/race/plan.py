@@ -134,6 +134,7 @@ class Race:
         paths = {name: file.paths[name] for name in (*file.training.paths, *(chosen.paths or file.paths))}
         changes: dict[str, Any] = {"plants": plants, "paths": paths, "clocks": chosen.clocks or file.clocks}
         changes["realities"] = {name: file.realities[name] for name in chosen.realities or file.realities}
+        changes["laws"] = {name: file.laws[name] for name in chosen.laws or file.laws}
         changes["budget"] = chosen.budget or file.budget
         return replace(self, name=f"{self.name}_quick", file=file.model_copy(update=changes))
 

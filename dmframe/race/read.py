@@ -76,6 +76,12 @@ def _unknown_names(file: RaceFile) -> Iterable[DmframeError]:
             for name in getattr(getattr(file, section), kind):
                 if name not in names:
                     yield UnknownNameError(f"{section}.{kind}", kind[:-1], name, names, path=(section, kind))
+    for name in file.quick.laws:
+        if name not in file.laws:
+            yield UnknownNameError("quick.laws", "law", name, file.laws, path=("quick", "laws"))
+    if file.quick.laws and (file.entrant not in file.quick.laws or len(file.quick.laws) < 2):
+        text = f"quick.laws: expected {file.entrant}, the entrant, and a rival, found {', '.join(file.quick.laws)}"
+        yield ValueFault(text, path=("quick", "laws"))
     for kind in ("plants", "paths"):
         if not set(known[kind]) - set(getattr(file.training, kind)):
             text = f"training.{kind}: expected at least one of {kind} that is held out, found all of them in training"

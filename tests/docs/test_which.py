@@ -129,7 +129,7 @@ def test_an_estimate_without_a_word_is_reported(which: ModuleType, monkeypatch: 
         which.learnt(dm.load("pendulum").diagram)
 
 
-@pytest.mark.parametrize(("law", "circle"), [(0, 0), (0, 1), (0, 3), (3, 0), (4, 1), (4, 2), (5, 0)])
+@pytest.mark.parametrize(("law", "circle"), [(0, 0), (0, 1), (0, 3), (0, 4), (3, 0), (4, 1), (4, 2), (4, 5), (5, 0)])
 def test_a_law_on_a_circle_comes_out_as_the_table_says(
     law: int, circle: int, which: ModuleType, said: dict[str, Any]
 ) -> None:
@@ -139,6 +139,31 @@ def test_a_law_on_a_circle_comes_out_as_the_table_says(
     for key in ("rms_final", "diverged_at", "at_limits"):
         assert bool(str(found[key])) == bool(kept[key])
         assert float(found[key] or 0) == pytest.approx(float(kept[key] or 0), rel=0.02)
+
+
+FRONT = {
+    "stiff P-PI cascade": ("fast circle, stiff cascade", "slow circle, stiff cascade"),
+    "soft PID": ("fast circle", "slow circle"),
+}
+FRONT_LAWS = ("inverse of J, the gain from margins", "the paper's law, tuned", "the sampled law")
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/index.md"])
+def test_the_front_pages_figures_are_those_of_the_competitors(page: str, which: ModuleType) -> None:
+    text = ROOT.joinpath(page).read_text(encoding="utf-8")
+    rows = re.findall(r"^\| ([^|]+) \| (8|90) ms \| (.+) \|$", text, re.MULTILINE)
+    assert len(rows) == 4
+    kept = {(row["law"], row["circle"]): row for row in which.read(which.LAWS)}
+    servo = ""
+    for label, clock, cells in rows:
+        servo = next((name for name in FRONT if label.startswith(name)), servo)
+        circle = FRONT[servo][clock == "90"]
+        ideal = circle if "cascade" in circle else f"{circle}, {clock} ms"
+        for law, cell in zip(FRONT_LAWS, cells.split(" | "), strict=True):
+            (title,) = {one for one, _ in kept if law in one and "supervised" not in one}
+            for said, place in zip(cell.replace("*", "").split(" / "), (ideal, f"{circle}, `ur`"), strict=True):
+                error = 1e3 * float(kept[title, place]["rms_final"])
+                assert float(said) == pytest.approx(error, rel=0.01), (law, place)
 
 
 def test_at_limits_is_the_share_of_instants_in_which_commands_or_torques_were_cut_off(
@@ -212,19 +237,25 @@ def test_all_laws_of_a_circle_have_its_plant_path_clock_and_start(which: ModuleT
 def test_what_the_page_says_of_the_competitors_agrees_with_the_table(which: ModuleType, said: dict[str, Any]) -> None:
     cells = {(row["law"], row["circle"]): row for row in which.read(which.LAWS)}
     titles = [law["title"] for law in said["laws"]]
-    ideal, real = ([c["title"] for c in said["circles"] if ("reality" in c) is wanted] for wanted in (False, True))
+    soft, stiff = ([c for c in said["circles"] if ("servo" in c) is wanted] for wanted in (False, True))
+    ideal, real = ([c["title"] for c in soft if ("reality" in c) is wanted] for wanted in (False, True))
     for circle in ideal:
         rms = [float(cells[title, circle]["rms_final"] or "inf") for title in titles]
-        without, paper = rms[:6], rms[6]
-        assert sum(value < paper for value in without) == 3
-        assert min(without) == without[5]
-        assert sorted(rms)[:2] == [rms[10], rms[9]]
+        without, paper = rms[:7], rms[7]
+        assert sum(value < paper for value in without) == 4
+        assert min(without) == without[6]
+        assert sorted(rms)[:2] == [rms[11], rms[10]]
     rms = [float(cells[title, real[0]]["rms_final"]) for title in titles]
-    assert min(rms) == rms[9]
+    assert min(rms) == rms[10]
     limited = {(title, circle) for title in titles for circle in real if float(cells[title, circle]["at_limits"]) > 0}
-    assert limited == {(title, circle) for title in titles[:2] for circle in real} | {(titles[5], real[0])}
-    assert rms[4] < 1.1 * float(cells[titles[4], ideal[0]]["rms_final"])
-    assert rms[10] == pytest.approx(rms[3], rel=0.1)  # the supervisor sends the kinematic command
+    assert limited == {(title, circle) for title in titles[:2] for circle in real} | {(titles[6], real[0])}
+    assert rms[5] < 1.1 * float(cells[titles[5], ideal[0]]["rms_final"])
+    assert rms[11] == pytest.approx(rms[3], rel=0.1)  # the supervisor sends the kinematic command
+    margins, *papers = ([1e3 * float(cells[titles[k], c["title"]]["rms_final"]) for c in stiff] for k in (4, 7, 8, 9))
+    assert margins == pytest.approx([0.015, 0.027, 0.043, 0.061], rel=0.02)
+    assert 0.495 < min(map(min, papers)) < max(map(max, papers)) < 3.45
+    ratios = [tuned / inverse for tuned, inverse in zip(papers[2], margins, strict=True)]
+    assert (round(min(ratios)), round(max(ratios))) == (27, 65)
 
 
 def test_a_cell_that_names_no_graph_is_reported(which: ModuleType) -> None:

@@ -31,6 +31,11 @@ FAULTS = {
     "a path's type": (("other:  {type: epicycles", "other:  {type: epicycle"), "small.yaml:13:18: blocks.path.type"),
     "a reality's type": (("{ideal: {}}", "{ideal: {transport_dely: {}}}"), "unknown block type"),
     "a quick clock": (("budget: 4", "quick: {clocks: [9 ms]}"), "quick.clocks: expected some of clocks, found 0.009 s"),
+    "a quick race of one law": (
+        ("budget: 4", "quick: {laws: weak}"),
+        "quick.laws: expected tuned, the entrant, and a rival",
+    ),
+    "an unknown quick law": (("budget: 4", "quick: {laws: [tuned, week]}"), "quick.laws: unknown law"),
     "a removed block's wire": (
         ("first:  {servo:", "first:  {drive:"),
         "expected a block servo in each plant or path, found none; name the blocks as the law's graph does",
