@@ -98,9 +98,10 @@ class Epicycles(AbstractBlock):
         m = p.center.numel()
         first, second = ("xyz".index(axis) for axis in self.plane) if m == 3 else (0, 1)
         t_stop = named("t_stop", (1 - p.stop) * u.t + p.stop * p.every * stops(u.t / p.every, p.pause))
-        angle, e = p.rate * t_stop + p.phase, ca.DM.eye(m)
-        x_d = p.center + e[:, first] * ca.dot(p.radius, ca.cos(angle)) + e[:, second] * ca.dot(p.radius, ca.sin(angle))
-        return Equations(outputs={"x_d": x_d})
+        angle = p.rate * t_stop + p.phase
+        along: list[Any] = [0] * m
+        along[first], along[second] = ca.dot(p.radius, ca.cos(angle)), ca.dot(p.radius, ca.sin(angle))
+        return Equations(outputs={"x_d": p.center + ca.vertcat(*along)})
 
 
 @operation

@@ -25,11 +25,9 @@ from dmframe.block import (
     State,
     clip,
     named,
+    operation,
 )
 from dmframe_blocks._residual_observers import PERIODIC, SIMPLE, Forecasts, Observer, Waves, size_of, split
-
-_SHARPEST = 200.0
-"""Largest difference of the exponents of two weights."""
 
 
 @final
@@ -116,6 +114,7 @@ class ExpertAggregation(AbstractBlock):
     [CesaBianchiLugosi2006]_, prediction with expert advice; [GoodwinSin1984]_ Section 3.3, the projection algorithm.
     """
 
+    uses_robot = True
     inputs = (
         Input("q", "n", "rad"),
         Input("dq_r", "n", "rad/s"),
@@ -182,24 +181,25 @@ class ExpertAggregation(AbstractBlock):
         observers = 2 * self._observers
         seen = [signal for signal in (lag, u.epsilon) for _ in self._observers]
         before = split(observers, x.observed)
-        held = [each.updated(old, new, waves) for each, old, new in zip(observers, before, seen, strict=True)]
+        updated = [each.updated(old, new, waves) for each, old, new in zip(observers, before, seen, strict=True)]
+        held = [named(f"o_{k}", new) for k, new in enumerate(updated, start=1)]
         moved = {"observed": ca.horzcat(*held)} | ({"phase": x.phase + p.rate * u.T} if self.periodic else {})
 
-        def ahead(k: int) -> list[SX]:
+        def ahead(k: int) -> SX:
             found = [each.forecast(item, k, waves) for each, item in zip(observers, held, strict=True)]
             half = len(found) // 2
-            return [0 * lag, *found[:half], 0 * lag, *found[half:]]
+            return named(f"missed_{k}", ca.horzcat(0 * lag, *found[:half], 0 * lag, *found[half:]))
 
         experts = self._forecasts(u, x, ahead)
         weights, losses = self._weighed(u, x, p)
-        w = named("w_all", _with_first(weights, lag.shape[0]))
-        q_start = named("q_mean", ca.sum2(w * experts.q_start))
-        wished = clip(named("dq_mean", ca.sum2(w * experts.command)), p.u_max)
+        w = named("w_all", with_first(weights, lag))
+        q_start = named("q_mean", along(w, experts.q_start))
+        wished = clip(named("dq_mean", along(w, experts.command)), p.u_max)
         last = x.queue[:, -1]
         dq_sent = named("dq_now", last + clip(wished - last, p.a_max * u.T) if "a_max" in p else wished)
+        by_command = elementwise(experts.slope, halves(dq_sent, dq_sent, experts.command) - experts.command)
+        ends = experts.q_start + u.T * (halves(u.dq_r, u.dq_r, experts.command) + by_command)
         E = experts.command.shape[1]
-        by_command = experts.slope * (ca.repmat(dq_sent, 1, E) - experts.command)
-        ends = named("q_ends", experts.q_start + u.T * (ca.repmat(u.dq_r, 1, E) + by_command))
         return Equations(
             outputs={"dq_sent": dq_sent, "q_start": q_start, "model_share": ca.sum2(w[:, E // 2 :])},
             next={
@@ -213,50 +213,31 @@ class ExpertAggregation(AbstractBlock):
             },
         )
 
-    def _forecasts(self, u: Signals, x: Signals, ahead: Callable[[int], list[SX]]) -> Forecasts:
+    def _forecasts(self, u: Signals, x: Signals, ahead: Callable[[int], SX]) -> Forecasts:
         """Of the experts without a model, then of those with it."""
         coming = ahead(self.delay + 1)
-        half = len(coming) // 2
-        starts = [u.q] * half + [u.q_model] * half
+        slopes = named("G", halves(0 * u.slope + 1, u.slope, coming))
+        starts = halves(u.q, u.q_model, coming)
         for k in range(1, self.delay + 1):
-            missed = ahead(k)
-            starts = [
-                q + u.T * (x.queue[:, k] - missed[i]) if i < half else q - u.T * u.slope * missed[i]
-                for i, q in enumerate(starts)
-            ]
-        commands = [u.dq_r if i < half else u.dq_model for i in range(2 * half)]
-        slopes = [0 * u.slope + 1] * half + [u.slope] * half
-        return Forecasts(
-            named("q_i", ca.horzcat(*starts)),
-            named("u_i", ca.horzcat(*(u_0 + missed for u_0, missed in zip(commands, coming, strict=True)))),
-            ca.horzcat(*slopes),
-        )
+            known = halves(x.queue[:, k], 0 * u.q, coming)  # q_model holds the known commands
+            starts = starts + u.T * (known - elementwise(slopes, ahead(k)))
+        command = named("u_i", halves(u.dq_r, u.dq_model, coming) + coming)
+        return Forecasts(named("q_i", starts), command, slopes)
 
     def _row(self, u: Signals, x: Signals) -> tuple[SX, SX, SX]:
         """Rows h and outputs y of (3), zero before the first forecast ends; and the errors of all experts."""
         E = x.forecasts.shape[1] // (self.delay + 1)
-        ended = x.count > self.delay + 1
-        errors = named("e", ended * (x.forecasts[:, :E] - ca.repmat(u.q, 1, E)) / u.T)
-        first = errors[:, 0]
-        h = named("h_w", ca.vec((errors[:, 1:] - ca.repmat(first, 1, E - 1)).T))
-        return h, named("y_w", -first), errors
+        arrived = x.forecasts[:, :E]
+        errors = named("e", (x.count > self.delay + 1) * (arrived - halves(u.q, u.q, arrived)) / u.T)
+        return named("h_w", differences(errors)), named("y_w", -errors[:, 0]), errors
 
     def _weighed(self, u: Signals, x: Signals, p: Signals) -> tuple[SX, dict[str, SX]]:
         """The weights of all experts but the first, by (2) or (3); and what else is kept."""
         h, y, errors = self._row(u, x)
-        n, E = errors.shape
         if self.weighting == "projection":
-            rows = ca.reshape(h, E - 1, n)
-            old = ca.reshape(x.weights, E - 1, n)
-            gain = p.Gamma * (y.T - ca.sum1(rows * old)) / (p.nu + p.Gamma * ca.sum1(rows * rows))
-            moved = old + rows * ca.repmat(gain, E - 1, 1)
-            return named("w_new", ca.vec(ca.fmin(ca.fmax(moved, 0), 1))), {}
-        losses = named("L", ca.fmax(0, 1 - u.T / p.memory) * x.losses + errors * errors)
-        logs = ca.log(losses / (p.quiet * p.quiet) + 1)
-        over = logs - ca.repmat(ca.vertcat(*(ca.mmin(row) for row in ca.vertsplit(logs))), 1, E)
-        shares = ca.exp(-ca.fmin(p.memory / (2 * u.T) * over, _SHARPEST))
-        wanted = named("w_wanted", shares / ca.repmat(ca.sum2(shares), 1, E))
-        wanted = ca.vec(wanted[:, 1:].T)
+            return named("w_new", projected(x.weights, h, y, p.Gamma, p.nu)), {}
+        losses = named("L", ca.fmax(0, 1 - u.T / p.memory) * x.losses + elementwise(errors, errors))
+        wanted = named("w_wanted", in_power(losses / (p.quiet * p.quiet) + 1, p.memory / (2 * u.T)))
         return named("w_new", x.weights + p.weight_gain * (wanted - x.weights)), {"losses": losses}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
@@ -273,7 +254,56 @@ class ExpertAggregation(AbstractBlock):
         return Certificate(steps=(steps,), unknown={"w_true": true})
 
 
-def _with_first(weights: SX, n: int) -> SX:
-    """All weights of each joint in a row, the first so that their sum is 1."""
-    rest = ca.reshape(weights, -1, n).T
+@operation
+def halves(first: Any, second: Any, like: Any) -> Any:
+    """A matrix of that size whose columns are the first column in its first half, and the second one in the rest."""
+    half = like.shape[1] // 2
+    return ca.horzcat(ca.repmat(first, 1, half), ca.repmat(second, 1, half))
+
+
+@operation
+def elementwise(a: Any, b: Any) -> Any:
+    """The product of each element of two matrices."""
+    return a * b
+
+
+@operation
+def differences(errors: Any) -> Any:
+    """The errors of the experts without that of the first one, by joint in one column."""
+    return ca.vec((errors[:, 1:] - ca.repmat(errors[:, 0], 1, errors.shape[1] - 1)).T)
+
+
+@operation
+def projected(w: Any, h: Any, y: Any, Gamma: Any, nu: Any) -> Any:
+    """The weights after the step (3) of each joint."""
+    n = y.shape[0]
+    rows, old = ca.reshape(h, -1, n), ca.reshape(w, -1, n)
+    gain = Gamma * (y.T - ca.sum1(rows * old)) / (nu + Gamma * ca.sum1(rows * rows))
+    return ca.vec(ca.fmin(ca.fmax(old + rows * ca.repmat(gain, rows.shape[0], 1), 0), 1))
+
+
+@operation
+def with_first(weights: Any, like: Any) -> Any:
+    """All weights of each joint in a row, the first one so that their sum is 1."""
+    rest = ca.reshape(weights, -1, like.shape[0]).T
     return ca.horzcat(1 - ca.sum2(rest), rest)
+
+
+@operation
+def along(w: Any, values: Any) -> Any:
+    """The weighted mean of each row."""
+    return ca.sum2(w * values)
+
+
+@operation
+def in_power(losses: Any, power: Any) -> Any:
+    """Weights of all but the first expert, in proportion to its loss to minus that power, by joint in one column.
+
+    The losses are divided by a smooth minimum first, of two norms, so that no power leaves the range of a float.
+    """
+    E = losses.shape[1]
+    near = losses
+    for norm in (8, 64):
+        near = near * ca.repmat(ca.sum2(near**-norm) ** (1 / norm), 1, E)
+    shares = ca.exp(-power * ca.log(near))
+    return ca.vec((shares / ca.repmat(ca.sum2(shares), 1, E))[:, 1:].T)

@@ -35,7 +35,7 @@ from dmframe.block import (
     named,
 )
 from dmframe.robot.parameters import Friction
-from dmframe_blocks._averaged_servo import LEAST, AveragedServo, Start, averaged_servo
+from dmframe_blocks._averaged_servo import AveragedServo, Start, averaged_servo
 from dmframe_blocks._friction import columns_for
 from dmframe_blocks._loads import with_held
 from dmframe_blocks._sample_estimators import Estimator, Learning, Projection, least_squares, triangle
@@ -314,7 +314,8 @@ class SampledInverse(AbstractBlock):
         safe = averaged.safe(S, p.margin)
         dq_c = self._command(u, x, p, theta_new, start, slow, safe)
         rises = 1 + averaged.damping(theta_new, v, p.robot.friction_velocity, u.T) + safe * ca.diag(S)
-        moved = {"slope": (1 + averaged.share(theta_new, u.T)) / ca.fmax(LEAST, rises)} if self.aggregated else {}
+        rises = (rises + ca.sqrt(rises * rises + 0.01)) / 2  # above zero with any estimate
+        moved = {"slope": (1 + averaged.share(theta_new, u.T)) / rises} if self.aggregated else {}
         return Equations(
             outputs={
                 **moved,

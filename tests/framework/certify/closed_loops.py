@@ -364,7 +364,7 @@ def states_of(diagram: Diagram, count: int, seed: int) -> Iterator[tuple[np.ndar
 
 
 def true_in_numbers(diagram: Diagram, claim: Claim, tolerance: float = 1e-8) -> bool:
-    """Is dV/dt + dissipation - consumption zero, to rounding, with the rates that a run has?
+    """Is dV/dt + dissipation - consumption - residual zero, to rounding, with the rates that a run has?
 
     Raises `FloatingPointError` where it has no value at the graph's numbers.
     """
@@ -379,7 +379,10 @@ def true_in_numbers(diagram: Diagram, claim: Claim, tolerance: float = 1e-8) -> 
 
     V = of_time(claim.V)
     slopes = [ca.gradient(V, loop.state), ca.gradient(V, loop.time)]
-    rest = ca.vertcat(*(of_time(term) for term in spent), -of_time(claim.consumption))
+    left = [claim.weight(part) * part.excess for part in claim.parts]
+    rest = ca.vertcat(
+        *(of_time(term) for term in spent), -of_time(claim.consumption), -of_time(ca.sum1(ca.vertcat(*left)))
+    )
     inputs = [loop.state, loop.time, loop.p, weigh]
     try:
         function = ca.Function("V", inputs, [*slopes, rest])

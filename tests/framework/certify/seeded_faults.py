@@ -133,6 +133,8 @@ def mutants_of(
     """
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
     unchanged = ast.unparse(tree)
+    deleted = {name.id for node in ast.walk(tree) if isinstance(node, ast.Delete) for name in node.targets}  # type: ignore[attr-defined]
+    arguments = [name for name in arguments if name not in deleted]
     check_compiled(unchanged, function)
     first, seen = _inner(function).__code__.co_firstlineno - 1, {unchanged}
     for node, put in _places(tree.body[0]):
