@@ -37,10 +37,9 @@ class DisturbanceObserver(AbstractBlock):
         e            &= \mathrm{lag} - (\mathrm{level} + \mathrm{trend})   \tag{2} \\
         \mathrm{level}^+ &= \mathrm{level} + \mathrm{trend} + \alpha e, \quad
         \mathrm{trend}^+ = \mathrm{trend} + \beta e                         \tag{3} \\
-        \dot q_c  &= \mathrm{clip}(\dot q_r + \mathrm{level}^+ + (\mathrm{delay} + 1)\, \mathrm{trend}^+, u_{max})
-                                                                          \tag{4} \\
-        q_{start} &= q, \quad q_{before}^+ = q                           \tag{5}
+        q_{start} &= q, \quad q_{before}^+ = q                           \tag{4}
 
+    The command is :math:`\dot q_r + \mathrm{level}^+ + (\mathrm{delay} + 1)\, \mathrm{trend}^+`, clipped to u_max.
     The difference between the command and the average joint velocity is treated as a disturbance. Without
     `alpha` the estimate is the lag of the last sample, as with :math:`\alpha = 1`, which is time delay control: the
     regression of `sampled_inverse` with one column, the constant 1, and no memory. A smaller :math:`\alpha` averages
@@ -138,7 +137,7 @@ class DisturbanceObserver(AbstractBlock):
         return begins | ({"q_aim": u.q_echo} if self.echoed else {})
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1) to (5)."""
+        """(1) to (4), and the command."""
         T, waiting = u.t - x.t_before if self.time_stamps else u.T, x.queue[:, 1:]
         u_applied = named("u_applied", (u.q_echo - x.q_aim) / T if self.echoed else x.queue[:, 0])
         lag = named("lag", u_applied - (u.q - x.q_before) / T)

@@ -28,17 +28,13 @@ from dmframe.block import (
 class Epicycles(AbstractBlock):
     r"""Tool path that is a sum of circles, each with its own radius and angular rate.
 
-    .. math::
-
-        x_d = c + \sum_i r_i\, (\cos(\omega_i t_{stop} + \varphi_i),\, \sin(\omega_i t_{stop} + \varphi_i))   \tag{1}
+        x_d = c + sum_i r_i (cos(w_i t_stop + phi_i), sin(w_i t_stop + phi_i))
 
     with :math:`c = \mathrm{center}`, in the two axes of `plane`; a task with two coordinates has one plane only. One
     circle is a circle, two of opposite rates are an ellipse or a line, and incommensurate rates are a path that never
     repeats. The path time :math:`t_{stop}` is t, or stops at regular intervals: with :math:`P = \mathrm{every}`,
 
-    .. math::
-
-        t_{stop} = (1 - \mathrm{stop})\, t + \mathrm{stop}\, P (n + s(\tau))   \tag{2}
+        t_stop = (1 - stop) t + stop P (n + s(tau))
 
     where n is the number of whole intervals until t, and :math:`s(\tau)` is the minimum-jerk motion of `waypoints` from
     0 to 1 over the first part of the interval, followed by a pause that takes the fraction `pause` of it. With a stop
@@ -94,7 +90,7 @@ class Epicycles(AbstractBlock):
         return self
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1) and (2)."""
+        """The sum of the circles at the path time."""
         m = p.center.numel()
         first, second = ("xyz".index(axis) for axis in self.plane) if m == 3 else (0, 1)
         t_stop = named("t_stop", (1 - p.stop) * u.t + p.stop * p.every * stops(u.t / p.every, p.pause))

@@ -44,17 +44,13 @@ class ExpertAggregation(AbstractBlock):
     command :math:`u_i` for the velocity :math:`\dot q_r`, and the change of velocity per unit of command,
     :math:`G_i`, which is 1 without a model. With the command u that is sent it forecasts the next pose
 
-    .. math::
-
-        \hat q_i = q_i + T (\dot q_r + G_i (u - u_i))   \tag{1}
+        q_hat_i = q_i + T (dq_r + G_i (u - u_i))
 
     and with the pose q measured `delay` + 1 samples later :math:`e_i = (\hat q_i - q) / T`.
 
     *Weights, exponential.* Of each joint, with the memory of M = `memory` / T samples,
 
-    .. math::
-
-        L_i^+ = (1 - 1 / M) L_i + e_i^2, \qquad w_i \propto L_i^{-M / 2}   \tag{2}
+        L_i = (1 - 1/M) L_i + e_i^2,    w_i proportional to L_i^(-M/2)
 
     smoothed with the gain `weight_gain`. This is the exponentially weighted average of the normalised likelihoods of
     errors with unknown variance. No claim covers these weights.
@@ -62,17 +58,12 @@ class ExpertAggregation(AbstractBlock):
     *Weights, projection.* Of each joint, with the rows :math:`h_i = (\hat q_i - \hat q_0) / T` and the output
     :math:`y = (q - \hat q_0) / T`, expert 0 the silent one,
 
-    .. math::
+        w = clip(w + Gamma h (y - h'w)/(nu + Gamma h'h), 0, 1),    w_0 = 1 - sum_i w_i
 
-        w^+ = \mathrm{clip}(w + \Gamma h (y - h^\top w) / (\nu + \Gamma h^\top h), 0, 1), \qquad w_0 = 1 - \sum_i w_i
-        \tag{3}
+    *Certificate of the projection.* Let :math:`n = \nu + \Gamma h^\top h`, :math:`\varepsilon` the forecast error with
+    w, and :math:`\eta` that with any constant weights :math:`w^\ast` in the box, such as those of one expert alone. Then
 
-    *Certificate* of (3). Let :math:`n = \nu + \Gamma h^\top h`, :math:`\varepsilon` the forecast error with w, and
-    :math:`\eta` that with any constant weights :math:`w^\ast` in the box, such as those of one expert alone. Then
-
-    .. math::
-
-        |w^+ - w^\ast|^2 / \Gamma \le |w - w^\ast|^2 / \Gamma + (\eta^2 - (\nu / n)\, \varepsilon^2) / n   \tag{4}
+        |w_new - w*|^2/Gamma <= |w - w*|^2/Gamma + (eta^2 - (nu/n) epsilon^2)/n
 
     so that the sum of :math:`\nu \varepsilon^2 / n^2` exceeds that of :math:`\eta^2 / n` by at most the initial
     :math:`|w - w^\ast|^2 / \Gamma`, on the motion that happened. Where :math:`\Gamma h^\top h \ll \nu` the errors
@@ -94,7 +85,7 @@ class ExpertAggregation(AbstractBlock):
     memory : scalar, s, > 0
         Time over which errors are compared by exponential weights.
     weight_gain : scalar, > 0
-        Share by which exponential weights approach those of (2) in a sample.
+        Share by which exponential weights approach those that the losses give in a sample.
     quiet : scalar, rad/s, > 0
         Errors far below this are compared as equal: its square is added to :math:`L_i`.
     Gamma, nu : scalar, , rad^2/s^2, > 0
@@ -175,7 +166,7 @@ class ExpertAggregation(AbstractBlock):
         return {"q_before": u.q, "forecasts": ca.repmat(u.q, 1, 2 * (1 + len(self._observers)) * (self.delay + 1))}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """The observers, the weights by (2) or (3), the command, and the forecasts (1) of what it does."""
+        """The observers, the weights, the command, and the forecasts of what it does."""
         lag = named("lag_now", x.queue[:, 0] - (u.q - x.q_before) / u.T)
         waves = Waves(x.phase, p.rate * u.T) if self.periodic else Waves(0 * u.T, 0 * u.T)
         observers = 2 * self._observers
@@ -225,14 +216,14 @@ class ExpertAggregation(AbstractBlock):
         return Forecasts(named("q_i", starts), command, slopes)
 
     def _row(self, u: Signals, x: Signals) -> tuple[SX, SX, SX]:
-        """Rows h and outputs y of (3), zero before the first forecast ends; and the errors of all experts."""
+        """Rows h and outputs y of the projection, zero before the first forecast ends; and all errors."""
         E = x.forecasts.shape[1] // (self.delay + 1)
         arrived = x.forecasts[:, :E]
         errors = named("e", (x.count > self.delay + 1) * (arrived - halves(u.q, u.q, arrived)) / u.T)
         return named("h_w", differences(errors)), named("y_w", -errors[:, 0]), errors
 
     def _weighed(self, u: Signals, x: Signals, p: Signals) -> tuple[SX, dict[str, SX]]:
-        """The weights of all experts but the first, by (2) or (3); and what else is kept."""
+        """The weights of all experts but the first, by losses or by projection; and what else is kept."""
         h, y, errors = self._row(u, x)
         if self.weighting == "projection":
             return named("w_new", projected(x.weights, h, y, p.Gamma, p.nu)), {}
@@ -275,7 +266,7 @@ def differences(errors: Any) -> Any:
 
 @operation
 def projected(w: Any, h: Any, y: Any, Gamma: Any, nu: Any) -> Any:
-    """The weights after the step (3) of each joint."""
+    """The weights after the step of each joint."""
     n = y.shape[0]
     rows, old = ca.reshape(h, -1, n), ca.reshape(w, -1, n)
     gain = Gamma * (y.T - ca.sum1(rows * old)) / (nu + Gamma * ca.sum1(rows * rows))

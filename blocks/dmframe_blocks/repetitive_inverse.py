@@ -36,13 +36,10 @@ class RepetitiveInverse(AbstractBlock):
 
     The motion repeats with the angular frequency `rate`. At the phase :math:`\varphi` of the middle of a sample
 
-    .. math::
-
-        h(\varphi) &= (1, \cos \varphi, \ldots, \cos H \varphi, \sin \varphi, \ldots, \sin H \varphi)   \tag{1} \\
-        \mathrm{lag} &= u_{applied} - (q - q_{before}) / T                                      \tag{2} \\
-        \theta_i^+ &= \theta_i + \Gamma h_k (\mathrm{lag}_i - h_k^\top \theta_i)
-                       / (\nu + \Gamma h_k^\top h_k)                                            \tag{3} \\
-        \dot q_{c,i} &= \mathrm{clip}(\dot q_{r,i} + h_{k + 1 + \mathrm{delay}}^\top \theta_i^+, u_{max})   \tag{4}
+        h(phi)  = (1, cos phi, ..., cos H phi, sin phi, ..., sin H phi)
+        lag     = u_applied - (q - q_before)/T
+        theta_i = theta_i + Gamma h (lag_i - h' theta_i)/(nu + Gamma h'h)
+        u_i     = clip(dq_r_i + h(phi + (1 + delay) rate T)' theta_i, u_max)
 
     with :math:`h^\top h = 1 + H`. The coefficients of joint i converge with the time constant
     :math:`T (\nu / \Gamma + 1 + H)` if the motion of the joint lags its command at the learnt frequencies by less than
@@ -114,7 +111,7 @@ class RepetitiveInverse(AbstractBlock):
         return {"q_before": u.q}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1) to (4)."""
+        """The step of the coefficients, and the command with their forecast."""
         lag, h = self._sample(u, x, p)
         epsilon = named("epsilon", lag - forecast(x.theta, h))
         gain = p.Gamma / (p.nu + p.Gamma * (1 + self.harmonics))
@@ -149,7 +146,7 @@ class RepetitiveInverse(AbstractBlock):
         return lag, named("h", self._columns(x, u, p, 0))
 
     def _columns(self, x: Signals, u: Signals, p: Signals, k: int) -> SX:
-        """(1) for the k-th sample after the last one, of which `phase` is the middle."""
+        """The columns of the k-th sample after the last one, of which `phase` is the middle."""
         phase = x.phase + k * p.rate * u.T
         waves = phase * ca.DM(range(1, self.harmonics + 1))
         return ca.vertcat(1, ca.cos(waves), ca.sin(waves))

@@ -55,9 +55,7 @@ class SampledTracking(AbstractBlock):
     samples later than predicted, then :math:`\Delta x_{k+1} = \Delta x_k - T \Lambda g \Delta x_{k-m}`, which is stable
     if and only if :math:`0 < T \Lambda g < 2 \sin(\pi / (4 m + 2))`. With `gain_margin` in place of Lambda
 
-    .. math::
-
-        T \Lambda = \frac{2}{\mathrm{gain\_margin}} \sin \frac{\pi}{4\, \mathrm{delay\_margin} + 2}   \tag{5}
+        T Lambda = 2 sin(pi/(4 delay_margin + 2))/gain_margin
 
     so that this loop is stable with any g below `gain_margin` and any m up to `delay_margin`.
 
@@ -73,9 +71,9 @@ class SampledTracking(AbstractBlock):
         Task gain with feedback through the inverse of :math:`J`, instead of :math:`\gamma`. :math:`T \Lambda` must be
         below 2.
     gain_margin : scalar, >= 1
-        Margin of the gain from a command to the motion, instead of gamma or Lambda: see (5).
+        Margin of the gain from a command to the motion, instead of gamma or Lambda: see above.
     delay_margin : 0, 1, 2, ...
-        Margin of the delay from a command to the motion, in samples, for (5). The lag of the servo counts.
+        Margin of the delay from a command to the motion, in samples. The lag of the servo counts.
     damping : scalar, m/rad, >= 0
         Damping of the inverse: near a singular pose it limits the joint velocities, and the tool leaves its path.
     delay : 0, 1 or 2
@@ -87,7 +85,7 @@ class SampledTracking(AbstractBlock):
 
     References
     ----------
-    [WangTAC2020]_ Section V, for the law in continuous time; [LevinMay1976]_ for the bound in (5).
+    [WangTAC2020]_ Section V, for the law in continuous time; [LevinMay1976]_ for the bound of the gain.
     """
 
     uses_robot = True
