@@ -61,7 +61,8 @@ class ExpertAggregation(AbstractBlock):
         w = clip(w + Gamma h (y - h'w)/(nu + Gamma h'h), 0, 1),    w_0 = 1 - sum_i w_i
 
     *Certificate of the projection.* Let :math:`n = \nu + \Gamma h^\top h`, :math:`\varepsilon` the forecast error with
-    w, and :math:`\eta` that with any constant weights :math:`w^\ast` in the box, such as those of one expert alone. Then
+    w, and :math:`\eta` that with any constant weights :math:`w^\ast` in the box, such as those of one expert alone.
+    Then
 
         |w_new - w*|^2/Gamma <= |w - w*|^2/Gamma + (eta^2 - (nu/n) epsilon^2)/n
 
