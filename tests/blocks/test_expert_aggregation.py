@@ -148,7 +148,9 @@ def test_the_steps_of_projected_weights_are_proved_and_no_more() -> None:
 
 def test_exponential_weights_are_no_part_of_the_proof() -> None:
     found = verify(dm.load(aggregated()).diagram)
-    assert "mix.weights" not in str(found.headline).partition(";")[0]
+    assert found.outcome == "proved", found.reason
+    assert "inverse.theta" in str(found.headline)
+    assert "mix.weights" not in str(found.headline)
 
 
 def test_projected_weights_that_step_away_are_refuted(monkeypatch: pytest.MonkeyPatch) -> None:
