@@ -57,12 +57,12 @@ def race(
         found = load_race(file)
         found = found.quick if quick else found
     place = out or Path("races", safe_name(found.name))
-    printed = ("", 0.0)
+    printed, at = ("", False), 0.0
 
     def report(stage: str, state: State) -> None:
-        nonlocal printed
-        if stage != printed[0] or state.complete or state.seconds > printed[1] + EVERY:
-            printed = stage, state.seconds
+        nonlocal printed, at
+        if (stage, state.complete) != printed or state.seconds > at + EVERY:
+            printed, at = (stage, state.complete), state.seconds
             count = f"{state.kept} of {state.runs} runs"
             tell(f"{found.name}: {stage}: {count} after {state.seconds:.0f} s", aside=True)
 
