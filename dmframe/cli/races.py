@@ -35,6 +35,7 @@ def race(
 
     An interrupted race continues; results in its folder are not computed again.
     """
+    from dmframe.build.compiler import find_compiler
     from dmframe.catalogue import find_race
     from dmframe.cli import STOPPED
     from dmframe.cli.options import whole
@@ -56,6 +57,8 @@ def race(
         say("reading its laws, plants and paths")
         found = load_race(file)
         found = found.quick if quick else found
+    if find_compiler() is None:
+        tell(f"{found.name}: notice: there is no C compiler: runs are interpreted, which takes longer", aside=True)
     place = out or Path("races", safe_name(found.name))
     printed, at = ("", False), 0.0
 

@@ -17,7 +17,7 @@ from typing import Final, final
 from dmframe.batch.columns import Columns
 from dmframe.batch.figures import ERROR, Wanted
 from dmframe.batch.runner import Runner, Runs
-from dmframe.errors import DmframeError, EngineError, raise_all
+from dmframe.errors import DmframeError, EngineError, OutputError, raise_all
 from dmframe.files import append, writing
 from dmframe.graph.graph import Graph
 from dmframe.race.plan import Race, Run
@@ -100,8 +100,12 @@ class Kept:
         self.errors = dict[str, float]()
         with writing(folder, "folder"):
             folder.mkdir(parents=True, exist_ok=True)
+            if self.path.exists() and not self.path.is_file():
+                raise OutputError(
+                    f"{self.path}: expected the journal of a race, found no regular file; name another folder"
+                )
             end_line(self.path)
-            text = self.path.read_text(encoding="utf-8", errors="replace") if self.path.is_file() else ""
+            text = self.path.read_text(encoding="utf-8", errors="replace") if self.path.exists() else ""
         for line in text.splitlines():
             with suppress(ValueError, TypeError, KeyError, RecursionError):  # a line that no race has written in full
                 key, error = (row := json.loads(line))["key"], row["error"]

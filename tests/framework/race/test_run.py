@@ -147,6 +147,13 @@ def test_lines_of_the_journal_that_no_race_has_written_are_left_out(tmp_path: Pa
     assert compute.Kept(tmp_path).errors == {"good": 0.5, "lost": math.inf}
 
 
+@pytest.mark.parametrize("make", [Path.mkdir, lambda path: path.symlink_to("/dev/full")])
+def test_a_journal_that_is_no_file_is_refused(make: Callable[[Path], None], tmp_path: Path) -> None:
+    make(tmp_path / JOURNAL)
+    with pytest.raises(DmframeError, match="expected the journal of a race, found no regular file"):
+        compute.Kept(tmp_path)
+
+
 def test_a_folder_with_other_files_is_refused_and_keeps_them(race: Make, tmp_path: Path) -> None:
     (tmp_path / "worst_1.yaml").write_text("mine", encoding="utf-8")
     found = race()
@@ -185,4 +192,7 @@ def test_the_command_prints_the_table_as_json_and_how_to_continue(
     assert row["ratio"] == pytest.approx(row["error"] / row["rival_error"])
     assert err.count("tuning: 16 of 16 runs") == 1
     assert "median ratio" in ended(InProcess)[1]
+    assert "no C compiler" not in err
+    monkeypatch.setattr("dmframe.build.compiler.find_compiler", lambda: None)
+    assert "notice: there is no C compiler" in ended(InProcess)[2]
     assert ended(InProcess, "--workers", "0")[0] == 2
