@@ -23,14 +23,17 @@ _PROCESSES = 4
 
 
 @contextmanager
-def shared(jobs: Sequence[Callable[[], T]], *, busy: bool = False) -> Iterator[Callable[[], list[T]]]:
+def shared(
+    jobs: Sequence[Callable[[], T]], *, busy: bool = False, small: bool = False
+) -> Iterator[Callable[[], list[T]]]:
     """Start jobs in forked processes; the yielded function does the remaining ones, and returns all results.
 
-    The forks work while this process does something else. If forks are not safe, or there is one core, that function
-    does all jobs. A job that fails in a fork is repeated in this process, which raises its error. Forks are killed at
-    the end of the ``with`` block. A `busy` process has other work as long as a job, and forks a single job too.
+    The forks work while this process does something else. If forks are not safe, or there is one core, or the jobs are
+    `small`, shorter than a fork, that function does all jobs. A job that fails in a fork is repeated in this process,
+    which raises its error. Forks are killed at the end of the ``with`` block. A `busy` process has other work as long
+    as a job, and forks a single job too.
     """
-    count = min(_cores(), len(jobs) + busy, _PROCESSES) - 1 if len(jobs) < _MOST else 0
+    count = min(_cores(), len(jobs) + busy, _PROCESSES) - 1 if len(jobs) < _MOST and not small else 0
     if count < 1:
         yield lambda: [job() for job in jobs]
         return

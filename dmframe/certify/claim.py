@@ -225,21 +225,32 @@ class Claim:
         return able[int(np.nanargmin(sizes))]
 
 
-def claim_of(diagram: Diagram) -> Claim:
+def claim_of(diagram: Diagram, *, held: bool = True) -> Claim:
     """Assemble the blocks' certificates. The printed laws are compared with the code at a few points only.
 
-    `dmframe.certify.laws.check_laws` compares them fully, and the docstrings too.
+    `dmframe.certify.laws.check_laws` compares them fully, and the docstrings too. If not `held`, it is left to
+    `unsteady` whether certificates hold numbers.
 
     Raises `NotApplicableError` where a block has no certificate or an ill-formed one, or needs a true value that the
     diagram does not have.
     """
     found = certificates_of(diagram)
+    if held:
+        hold_claims(diagram, found.truths)
     return _over_samples(diagram, found) if diagram.loop.clocked else _in_continuous_time(diagram, found)
+
+
+def unsteady(diagram: Diagram) -> str:
+    """Why a certificate, a condition or a start holds a number that it did not take from `p`; empty where none does."""
+    try:
+        hold_claims(diagram, certificates_of(diagram).truths)
+    except NotApplicableError as error:
+        return error.text
+    return ""
 
 
 def _in_continuous_time(diagram: Diagram, found: Certificates) -> Claim:
     stated, truths = dict(found.stated), found.truths
-    hold_claims(diagram, truths)
     laws = printed_laws(diagram, stated, truths)
     unfollowed = _unfollowed(diagram, stated)
     stated |= {name: Certificate(truth=stated[name].truth) for name in unfollowed}
@@ -317,7 +328,6 @@ def _over_samples(diagram: Diagram, found: Certificates) -> Claim:
     if not any(item.storage or item.steps for item in claiming.values()):
         reason = f"{diagram.loop.clocked}; a proof in continuous time does not reach it"
         raise NotApplicableError(f"{reason}, and no block of this graph claims anything over samples")
-    hold_claims(diagram, found.truths)
     step = Sample(diagram)
     parts = tuple(_sample_part(step, name, item) for name, item in claiming.items())
     claim = Claim(diagram, diagram.loop, parts, ca.SX(1), found.truths, {}, step, silent=found.silent)
@@ -349,4 +359,4 @@ def _sample_part(step: Sample, name: str, certificate: Certificate) -> Part:
     return Part(name, replace(own, plant=outside.plant, acted=acted), False, ca.SX(0))
 
 
-__all__ = ["Claim", "NotApplicableError", "Part", "claim_of", "flow_part", "total"]
+__all__ = ["Claim", "NotApplicableError", "Part", "claim_of", "flow_part", "total", "unsteady"]

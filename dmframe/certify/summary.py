@@ -8,7 +8,7 @@ from typing import Any
 
 from dmframe.certificate import Clipped, Gathered, Lemma, LogDet, NormSquare, Potential, Square
 from dmframe.certify.claim import Claim
-from dmframe.certify.verify import Verdict
+from dmframe.certify.verdict import Verdict
 from dmframe.exact.rational import as_float
 
 KINDS = {

@@ -3,135 +3,51 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from hashlib import sha256
-from typing import Any, Final, Literal, final
+from typing import Any, Final, final
+
+import casadi as ca
 
 from dmframe.certificate import Assumption
 from dmframe.certify.assemble import assembled
 from dmframe.certify.barriers import barrier_statements, tubes
 from dmframe.certify.checked import Checked, Numbers, sorted_out
-from dmframe.certify.claim import Claim, NotApplicableError, claim_of
+from dmframe.certify.claim import Claim, NotApplicableError, claim_of, unsteady
 from dmframe.certify.closure import Closure
 from dmframe.certify.conditions import conditions_of, decide, remedies
 from dmframe.certify.contradicted import contradicted
 from dmframe.certify.discrete import discrete_assumptions, discrete_conditions, discrete_statements
-from dmframe.certify.excess import Bound, bounds_of, total_bound
-from dmframe.certify.explained import UNCHECKED, explained
+from dmframe.certify.excess import Bound, bounds_of
+from dmframe.certify.explained import explained
 from dmframe.certify.hypotheses import hypotheses, undefined
 from dmframe.certify.over import failing_of, over_intervals
 from dmframe.certify.positive import Signs
 from dmframe.certify.reach import reach_conditions
-from dmframe.certify.small_gain import Kappa, small_gain
+from dmframe.certify.small_gain import small_gain
 from dmframe.certify.smoothness import Examiner
 from dmframe.certify.statements import Statement, States, bases_of, statements_of, states_of, vanishing_of
-from dmframe.certify.states import held_in_v, sampled_states
+from dmframe.certify.states import sampled_states
 from dmframe.certify.symbols import Symbols, symbols_of
+from dmframe.certify.verdict import Outcome, Verdict
+from dmframe.copies import shared
 from dmframe.diagram import Diagram
-from dmframe.errors import ValueFault, listed
+from dmframe.errors import ValueFault
 from dmframe.exact import ZeroTest
-from dmframe.exact.rational import Interval, as_float
+from dmframe.exact.rational import Interval
 from dmframe.prove import claim as data
 from dmframe.prove.export import digest
 from dmframe.prove.faults import Control, inject_faults
-from dmframe.prove.identity import empty, identity
+from dmframe.prove.identity import Points, empty, together
 from dmframe.prove.reals import doubt
 from dmframe.prove.refute import Refutation, refute
 from dmframe.prove.sound import hold_sound
 from dmframe.text import DV, UNNAMED, Text, Written, joined, sentence
 
-Outcome = Literal["proved", "refuted", "not_applicable"]
-
-NAMED: Final = 3
-"""States up to which a headline names them; of more it gives the number, and the text below the names."""
-
-
-@final
-@dataclass(frozen=True, repr=False)
-class Verdict:
-    """The outcome of `verify`, with everything it rests on.
-
-    Parameters
-    ----------
-    outcome
-        ``proved``: the identity holds for all values of its symbols, every condition holds at the graph's numbers, and
-        every seeded fault was refuted; where there are `bounds`, it is proved up to a bounded residual.
-        ``refuted``: the identity is false. ``not_applicable``: there is nothing to prove, or a condition fails;
-        `reason` says which.
-    test
-        The exact test, with its error bound.
-    states
-        Which states are bounded, and which are not known to be; over samples too.
-    fixed
-        Parameters that are zero in the graph, and that the proof takes for zero, by label.
-    uncertain
-        Parameters over whose intervals the conditions hold, by label.
-    bounds
-        What dV/dt may have above the dissipation, term by term; none for a claim without a bounded residual.
-    build, check
-        Seconds spent on writing V and dV/dt, and on deciding.
-    exact
-        The claim as data, of which `test`, `controls` and `refutation` speak; `dmframe.prove.export.to_json` writes it.
-    """
-
-    outcome: Outcome
-    reason: Text
-    claim: Claim | None = None
-    test: ZeroTest | None = None
-    refutation: Refutation | None = None
-    kappa: Kappa | None = None
-    conditions: tuple[Checked, ...] = ()
-    assumptions: tuple[Assumption, ...] = ()
-    controls: tuple[Control, ...] = ()
-    statements: tuple[Statement, ...] = ()
-    states: States | None = None
-    fixed: tuple[str, ...] = ()
-    uncertain: tuple[str, ...] = ()
-    bounds: tuple[Bound, ...] = ()
-    build: float = 0.0
-    check: float = 0.0
-    exact: data.Claim | None = None
-
-    @property
-    def flow_claim(self) -> Claim | None:
-        """The claim, where it is in continuous time."""
-        return self.claim if self.claim is not None and not self.claim.over_samples else None
-
-    @property
-    def samples(self) -> Claim | None:
-        """The claim, where it is over samples."""
-        return self.claim if self.claim is not None and self.claim.over_samples else None
-
-    @property
-    def rows_assumed(self) -> bool:
-        """True where an estimator's rows could not be compared with motions of the plant."""
-        return any(UNCHECKED in item.text for item in self.assumptions)
-
-    @property
-    def headline(self) -> str:
-        """The outcome in words, with what a proof does not reach."""
-        words = self.outcome.replace("_", " ")
-        if self.outcome == "proved" and self.samples is not None:
-            words += f" over samples of {_over(self.samples, self.states)}"
-            words += "; that its rows follow from the plant is assumed" * self.rows_assumed
-        if self.outcome == "proved" and self.bounds:
-            grows = any(bound.times for bound in self.bounds)
-            words += ", up to a residual that grows with a signal" if grows else ", up to a bounded residual"
-        if self.states is not None and self.states.open and self.outcome == "proved" and self.samples is None:
-            words += ", but not the stability of the whole loop"
-        return words
-
-    @property
-    def residual_bound(self) -> float | None:
-        """The most that dV/dt can be above minus the dissipation; None where a signal scales it, and over samples."""
-        if self.samples is not None:
-            return None
-        return total_bound(list(self.bounds), as_float(self.kappa.chosen) if self.kappa else 1.0)
-
-    def __repr__(self) -> str:
-        return f"<Verdict: {self.headline}>"
+LONG: Final = 2000
+"""Operations of a diagram from which on a proof takes longer than a copy of the process."""
 
 
 def verify(
@@ -141,6 +57,7 @@ def verify(
     seed: int = 0,
     uncertain: Mapping[str, Sequence[Interval]] | None = None,
     start: Mapping[str, Any] | None = None,
+    copies: bool = False,
 ) -> Verdict:
     """Prove dV/dt for a diagram, exactly, for all values of its gains and physical parameters.
 
@@ -155,16 +72,28 @@ def verify(
         ``{"start.arm.q": [...]}``. A condition that is not decided over all of them does not hold.
     start
         A graph's own start values, by a state's name or ``block.state``.
+    copies
+        Copies of this process do a part of the work of a large diagram, if there are other cores.
     """
-    clock = _Clock()
-    try:
-        found = _verified(diagram, trials, seed, uncertain or {}, start or {}, clock)
-    except NotApplicableError as error:
-        return Verdict("not_applicable", Text(error.text), build=clock.build, check=clock.check)
-    if found.outcome == "proved" and diagram.unit_faults:
-        texts = "; ".join(fault.text for fault in diagram.unit_faults)
-        return replace(found, outcome="not_applicable", reason=Text(f"the units do not agree: {texts}"))
+    clock, alone = _Clock(), not copies or _size(diagram) < LONG
+    with shared([partial(unsteady, diagram)], busy=True, small=alone) as finished:
+        try:
+            found = _verified(diagram, trials, seed, uncertain or {}, start or {}, clock, alone)
+        except NotApplicableError as error:
+            found = Verdict("not_applicable", Text(error.text), build=clock.build, check=clock.check)
+        (number,) = finished()
+    if number:
+        return Verdict("not_applicable", Text(number), build=clock.build, check=clock.check)
     return found
+
+
+def _size(diagram: Diagram) -> int:
+    """Operations of all blocks' equations."""
+    return sum(ca.n_nodes(x) for model in diagram.models.values() for x in model.equations.expressions)
+
+
+def _unit_faults(diagram: Diagram) -> str:
+    return "; ".join(fault.text for fault in diagram.unit_faults)
 
 
 @final
@@ -196,8 +125,9 @@ def _verified(
     uncertain: Mapping[str, Sequence[Interval]],
     start: Mapping[str, Any],
     clock: _Clock,
+    alone: bool,
 ) -> Verdict:
-    claim = claim_of(diagram)
+    claim = claim_of(diagram, held=False)
     exact = assembled(claim, tuple(uncertain))  # which has differentiated all that has to vanish
     symbols = symbols_of(claim, uncertain)
     own = seed
@@ -221,32 +151,38 @@ def _verified(
         lacking = [] if claim.over_samples else remedies(claim, numbers)
         return ends("not_applicable", joined([*lacking, Text(error.text)], "; "))
 
-    try:
-        hold_sound(exact)
-        test = replace(identity(exact, trials=trials, seed=seed), seed=own)
-    except ValueFault as error:
-        return undefined(error)
-    of = "what a sample does" if claim.over_samples else DV
-    if not test.zero and (reason := doubt(exact, seed, of)):
-        return ends("not_applicable", reason, test=test)
-    if not test.zero:
+    def refuted(test: ZeroTest) -> Verdict:
+        of = "what a sample does" if claim.over_samples else DV
+        if reason := doubt(exact, seed, of):
+            return ends("not_applicable", reason, test=test)
         refutation = refute(exact, seed=seed)
         blame = _blame(claim, refutation, [] if claim.over_samples else remedies(claim, numbers))
         return ends("refuted", blame, test=test, refutation=refutation)
-    try:
-        controls = inject_faults(exact, seed=seed)
-    except ValueFault as error:
-        return ends("not_applicable", Text(error.text), test=test)
+
     find = _in_discrete_time if examiner is None else partial(_in_continuous_time, examiner=examiner)
     try:
-        found = find(claim, symbols, numbers, start, seed)
+        hold_sound(exact)
+        points = Points.of(exact, seed=seed)
+        test = replace(points.at(0), seed=own)
+        if not test.zero:
+            return refuted(test)
+        jobs: list[Callable[[], Any]] = [partial(inject_faults, exact, seed=seed), partial(_unit_faults, diagram)]
+        jobs += (partial(points.at, k) for k in range(1, trials))
+        with shared(jobs, busy=True, small=alone) as finished:
+            found = find(claim, symbols, numbers, start, seed)
+            controls, units, *others = finished()
     except ValueFault as error:
         return undefined(error)
+    test = together([test, *others])
+    if not test.zero:
+        return refuted(test)
     if found.fault:
         return ends("not_applicable", found.fault, test=test)
     conditions = found.conditions if found.undefined else tuple(over_intervals(list(found.conditions), claim, numbers))
     nothing = () if found.undefined else empty(exact, seed)
     outcome, reason = _judge(claim, conditions, controls, nothing, found.bounds)
+    if outcome == "proved" and units:
+        outcome, reason = "not_applicable", Text(f"the units do not agree: {units}")
     if found.undefined:
         return ends(outcome, reason, test=test, conditions=conditions)
     return ends(
@@ -319,21 +255,6 @@ def _in_discrete_time(claim: Claim, symbols: Symbols, numbers: Numbers, start: M
         tuple(discrete_statements(claim)),
         sampled_states(claim, numbers, seed),
     )
-
-
-def _over(claim: Claim, states: States | None) -> str:
-    """Of which states something is proved over samples, up to what, and of which nothing is."""
-    held, left = held_in_v(claim), [] if states is None else list(states.open)
-    words = _counted(held, "states") + f", up to {claim.left}" * bool(claim.left)
-    if left:
-        many = "states" if set(held) & set(left) else "other states"
-        words += f"; {_counted(left, many)} {'is' if len(left) == 1 else 'are'} not known to be bounded, and"
-    return f"{words} tracking is not part of it" if left else f"{words}; tracking is not part of it"
-
-
-def _counted(labels: Sequence[str], many: str) -> str:
-    """Their names, or how many they are."""
-    return listed(list(labels)) if len(labels) <= NAMED else f"{len(labels)} {many}"
 
 
 def drawn(claim: data.Claim, fingerprint: str, seed: int) -> int:

@@ -111,13 +111,16 @@ def learn(
 def schema(
     verdict: Annotated[bool, typer.Option("--verdict", help="Schema of verify --json instead.")] = False,
     study: Annotated[bool, typer.Option("--study", help="Schema of study files instead.")] = False,
+    race: Annotated[bool, typer.Option("--race", help="Schema of race files instead.")] = False,
 ) -> None:
     """Print the JSON Schema of graph files, for an editor."""
     from dmframe.certify.schema import verdict_schema
     from dmframe.cli.options import refuse
     from dmframe.config.schema import json_schema
+    from dmframe.race.grammar import race_schema
     from dmframe.study.grammar import study_schema
 
-    refuse({"--study": study and verdict}, "it has no effect with --verdict; leave one out")
-    made = study_schema() if study else verdict_schema() if verdict else json_schema()
+    refuse({"--study": study and verdict, "--race": race and verdict}, "it has no effect with --verdict; leave one out")
+    refuse({"--race": race and study}, "it has no effect with --study; leave one out")
+    made = race_schema() if race else study_schema() if study else verdict_schema() if verdict else json_schema()
     tell(json.dumps(made, indent=2))

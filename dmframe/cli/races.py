@@ -35,6 +35,7 @@ def race(
 
     An interrupted race continues; results in its folder are not computed again.
     """
+    from dmframe.build.compiler import find_compiler
     from dmframe.catalogue import find_race
     from dmframe.cli import STOPPED
     from dmframe.cli.options import whole
@@ -56,13 +57,15 @@ def race(
         say("reading its laws, plants and paths")
         found = load_race(file)
         found = found.quick if quick else found
+    if find_compiler() is None:
+        tell(f"{found.name}: notice: there is no C compiler: runs are interpreted, which takes longer", aside=True)
     place = out or Path("races", safe_name(found.name))
-    printed = ("", 0.0)
+    printed, at = ("", False), 0.0
 
     def report(stage: str, state: State) -> None:
-        nonlocal printed
-        if stage != printed[0] or state.complete or state.seconds > printed[1] + EVERY:
-            printed = stage, state.seconds
+        nonlocal printed, at
+        if (stage, state.complete) != printed or state.seconds > at + EVERY:
+            printed, at = (stage, state.complete), state.seconds
             count = f"{state.kept} of {state.runs} runs"
             tell(f"{found.name}: {stage}: {count} after {state.seconds:.0f} s", aside=True)
 

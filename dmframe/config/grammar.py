@@ -47,7 +47,7 @@ def _place(value: Any) -> float:
 
 
 Place = Annotated[float, PlainValidator(_place), _schema("rad, or m for a joint that slides")]
-Length = Annotated[float, _reader("m", positive=False), _schema("m")]
+Length = Annotated[float, _reader("m", positive=True), _schema("m")]
 Speed = Annotated[float, _reader("rad/s", positive=True), _schema("rad/s")]
 
 
@@ -137,8 +137,8 @@ class SolverSection(Section):
         description="longest step of rk4, ros34pw2; default 1 ms, 0.5 ms for ros34pw2, less where rk4 requires it",
     )
     output: Seconds = Field(0.01, description="with a continuous clock, the period of recording")
-    tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(1e-9, description="of cvodes, relative")
-    share: Annotated[float, Field(gt=0, le=1)] = Field(
+    tolerance: Annotated[float, Field(strict=True, gt=0, lt=1)] = Field(1e-9, description="of cvodes, relative")
+    share: Annotated[float, Field(strict=True, gt=0, le=1)] = Field(
         0.8, description="fraction of the longest stable step that rk4 uses if no step is given"
     )
 
@@ -204,6 +204,22 @@ def shown(value: Any) -> str:
 Path: TypeAlias = tuple[str | int, ...]
 
 
+_EXPECTED: Final = {
+    **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "keys with values"),
+    "string_type": "a text",
+    "tuple_type": "a list",
+    "too_short": "at least {min_length}",
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "greater_than": "a number above {gt:g}",
+    "greater_than_equal": "a number of at least {ge:g}",
+    "less_than": "a number below {lt:g}",
+    "less_than_equal": "a number of at most {le:g}",
+}
+"""What a value should have been, by the type of pydantic's error, with the fields of its context."""
+
+
 def fault_of(detail: Any, keys: Callable[[Path], Sequence[str]] | None = None) -> DmframeError:
     """The fault for one of pydantic's errors of a `GraphFile`, or of another file whose sections have `keys`."""
     *parts, last = detail["loc"]
@@ -223,9 +239,9 @@ def fault_of(detail: Any, keys: Callable[[Path], Sequence[str]] | None = None) -
         case "value_error":
             return ValueFault(f"{where}: {detail['msg'].removeprefix('Value error, ')}", path=path)
         case _:
-            kind = {"dict_type": "keys with values", "string_type": "a text", "tuple_type": "a list"}
-            kind |= {"model_type": "keys with values", "model_attributes_type": "keys with values"}
-            expected = kind.get(detail["type"], detail["msg"])
+            expected = detail["msg"]
+            if detail["type"] in _EXPECTED:
+                expected = _EXPECTED[detail["type"]].format_map(detail.get("ctx", {}))
             return ValueFault(f"{where}: expected {expected}, found {shown(found)}", path=path)
 
 

@@ -235,13 +235,13 @@ class BaseGraph:
         with self.placing():
             return simulate(diagram or self.diagram, self.file.duration, **settings)
 
-    def verdict(self, diagram: Diagram | None = None, *, seed: int = 0) -> Verdict:
+    def verdict(self, diagram: Diagram | None = None, *, seed: int = 0, copies: bool = False) -> Verdict:
         """Prove it, or give the reason why not. See `dmframe.certify.verify`."""
         from dmframe.certify import verify
 
         diagram = diagram or self.diagram
         with self.placing(), SYMBOLIC:
-            return verify(diagram, seed=seed, uncertain=self.intervals(diagram), start=self.start)
+            return verify(diagram, seed=seed, uncertain=self.intervals(diagram), start=self.start, copies=copies)
 
     def intervals(self, diagram: Diagram | None = None) -> Mapping[str, Sequence[Interval]]:
         """The true parameters that the file gives as intervals.

@@ -151,6 +151,16 @@ class Diagram:
         return f"<Diagram of {len(self.blocks)} blocks: {', '.join(self.blocks)}>"
 
 
+def doubtful(blocks: Mapping[str, AbstractBlock], wires: Mapping[str, str], robot: Any = None) -> bool:
+    """True if `Diagram.build` may raise, as far as it shows without the blocks' equations, which take much longer."""
+    outputs = declared_outputs(blocks)
+    sizes, faults = bind_sizes(blocks, robot)
+    sources, more = wire_blocks(blocks, outputs, wires)
+    if faults or more or _contracts(blocks) or check_wires(blocks, outputs, sources, sizes, wires):
+        return True
+    return any(parameter_arrays(name, block, sizes, blocks, robot)[1] for name, block in blocks.items())
+
+
 def _causes(
     faults: Sequence[DmframeError], blocks: Mapping[str, AbstractBlock], wiring: Sequence[DmframeError]
 ) -> list[DmframeError]:

@@ -18,7 +18,6 @@ import numpy as np
 
 from dmframe.certificate import SX
 from dmframe.diagram.closed_loop import ClosedLoop, stack
-from dmframe.program import CONST, instructions
 
 SHORT: Final = 12
 """Number of digits of a hash that are printed with a verdict."""
@@ -49,7 +48,7 @@ def fingerprint(loop: ClosedLoop, others: Mapping[str, Any] | None = None) -> st
         if expression is not None:
             expressions.append(ca.densify(expression))
     digest = hashlib.sha256()
-    for line in (*lines, *_instructions(stack(expressions))):
+    for line in (*lines, *_function(stack(expressions))):
         digest.update(line.encode())
         digest.update(b"\n")
     return digest.hexdigest()
@@ -99,9 +98,7 @@ def _walk(name: str, item: Any) -> Iterator[tuple[str, SX | None]]:
             raise TypeError(f"{name}: the hash of a model does not support {type(item).__name__}")
 
 
-def _instructions(column: SX) -> Iterator[str]:
-    """The names of the symbols, and the operations in the order in which CasADi evaluates them."""
+def _function(column: SX) -> Sequence[str]:
+    """The names of the symbols, and the function of them as CasADi stores it: all operations, in order."""
     symbols = ca.symvar(column)
-    yield " ".join(symbol.name() for symbol in symbols)
-    for code, read, written, constant in instructions(ca.Function("model", [stack(symbols)], [column])):
-        yield f"{code} {read} {written} {constant.hex() if code == CONST else ''}"
+    return " ".join(symbol.name() for symbol in symbols), ca.Function("model", [stack(symbols)], [column]).serialize()

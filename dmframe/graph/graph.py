@@ -133,7 +133,7 @@ class Graph(BaseGraph):
             raise ValueFault(f"seed: expected a whole number, found {seed!r:.40}")
         with progress_line(self.name) as tell:
             tell("proving")
-            verdict = self.verdict(seed=seed)
+            verdict = self.verdict(seed=seed, copies=True)
         return Verification(self, verdict, seed)
 
     def analyse(self, horizon: float | str = 20.0) -> Analysis:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, final
+
+from dmframe.errors import visible
 
 if TYPE_CHECKING:  # rich is not imported if standard error is not displayed
     from rich.console import Console
@@ -96,15 +99,29 @@ def shown(progress: bool | Bar | None, name: str, total: float) -> Iterator[Bar 
 
 @contextmanager
 def progress_line(name: str, *, quiet: bool = False) -> Iterator[Callable[[str], None]]:
-    """Show the current step in one transient line; nothing if standard error is not displayed."""
+    """Show the current step in one transient line; nothing if standard error is not displayed.
+
+    It takes no thread, with which the process could not be copied (`dmframe.copies`), and no import of rich.
+    """
     if quiet or not sys.stderr.isatty():
         yield lambda _: None
         return
-    from rich.text import Text
+    width = shutil.get_terminal_size().columns - 1
+    shown = ""
 
-    console = _aside()
-    with console.status(Text(name)) as status:
-        yield lambda text: status.update(Text(f"{name}: {text}"))
+    def tell(text: str) -> None:
+        nonlocal shown
+        before, shown = shown, visible(text)[:width]
+        sys.stderr.write(f"\r{shown:{len(before)}}")
+        sys.stderr.flush()
+
+    tell(name)
+    try:
+        yield lambda text: tell(f"{name}: {text}")
+    finally:
+        tell("")
+        sys.stderr.write("\r")
+        sys.stderr.flush()
 
 
 @contextmanager

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import Any, Final
+from typing import Any, Final, final
 
 from dmframe.errors import ValueFault
 from dmframe.exact import Evaluation, Trial, Witness, ZeroDivision, ZeroTest, random_prime
@@ -91,26 +92,65 @@ def bound_of(claim: Claim) -> Bound:
     return ring.bound(size for size in sums if not isinstance(size, int))
 
 
+@final
+@dataclass(frozen=True)
+class Points:
+    """The random points of `identity`, of which none depends on another.
+
+    Parameters
+    ----------
+    bits
+        Of the primes.
+    error
+        log2 of the error bound of one point.
+    """
+
+    claim: Claim
+    seed: int
+    bits: int
+    error: float
+    degree: int
+
+    @classmethod
+    def of(cls, claim: Claim, *, seed: int) -> Points:
+        """Raises `ValueFault` where the error bound of one point exceeds 2**`MOST_LOG2_ERROR`."""
+        bound = bound_of(claim)
+        bits = next((bits for bits in (BITS, *MORE_BITS) if log2_error(bound, 0, bits, False) <= MOST_LOG2_ERROR), BITS)
+        error = log2_error(bound, 0, bits, False)
+        if error > MOST_LOG2_ERROR:
+            raise ValueFault(
+                f"the exact test: a point would miss what does not vanish with a probability of up to 2^{error:.0f}; "
+                f"expected at most 2^{MOST_LOG2_ERROR}: the degree of what is claimed is too high"
+            )
+        return cls(claim, seed, bits, error, bound.degree_total)
+
+    def at(self, place: int) -> ZeroTest:
+        """The test at one point. Raises `ValueFault` where what is claimed is nowhere defined."""
+        prime, witness = _trial(self.claim, random.Random(f"{self.seed}:{place}"), self.bits)
+        error = self.error if witness is None else -math.inf
+        return ZeroTest(witness is None, 1, (prime,), self.degree, error, witness, self.seed)
+
+
 def identity(claim: Claim, *, trials: int, seed: int) -> ZeroTest:
     """Decide whether everything vanishes that the claim says to be zero; see `dmframe.exact.zero_test`.
 
     Raises `ValueFault` where it is nowhere defined, such as with a Jacobian that never has full rank, and where the
     error bound of one point exceeds 2**`MOST_LOG2_ERROR`.
     """
-    bound, rng, used = bound_of(claim), random.Random(seed), list[int]()
-    bits = next((bits for bits in (BITS, *MORE_BITS) if log2_error(bound, 0, bits, False) <= MOST_LOG2_ERROR), BITS)
-    error = log2_error(bound, 0, bits, False)
-    if error > MOST_LOG2_ERROR:
-        raise ValueFault(
-            f"the exact test: a point would miss what does not vanish with a probability of up to 2^{error:.0f}; "
-            f"expected at most 2^{MOST_LOG2_ERROR}: the degree of what is claimed is too high"
-        )
-    for _ in range(trials):
-        prime, witness = _trial(claim, rng, bits)
-        used.append(prime)
-        if witness is not None:
-            return ZeroTest(False, len(used), tuple(used), bound.degree_total, -math.inf, witness, seed)
-    return ZeroTest(True, trials, tuple(used), bound.degree_total, trials * error, None, seed)
+    points = Points.of(claim, seed=seed)
+    return together(map(points.at, range(trials)))
+
+
+def together(tests: Iterable[ZeroTest]) -> ZeroTest:
+    """One test of the points of several, up to the first that something does not vanish at."""
+    done = list[ZeroTest]()
+    for test in tests:
+        done.append(test)
+        if not test.zero:
+            break
+    primes = tuple(prime for test in done for prime in test.primes)
+    error = sum(test.log2_error_bound for test in done)
+    return replace(done[-1], trials=len(primes), primes=primes, log2_error_bound=error)
 
 
 def _trial(claim: Claim, rng: random.Random, bits: int) -> tuple[int, Witness | None]:

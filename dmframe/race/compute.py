@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import math
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
@@ -15,7 +17,7 @@ from typing import Final, final
 from dmframe.batch.columns import Columns
 from dmframe.batch.figures import ERROR, Wanted
 from dmframe.batch.runner import Runner, Runs
-from dmframe.errors import DmframeError, EngineError
+from dmframe.errors import DmframeError, EngineError, OutputError, raise_all
 from dmframe.files import append, writing
 from dmframe.graph.graph import Graph
 from dmframe.race.plan import Race, Run
@@ -28,8 +30,8 @@ from dmframe.study.pool import Pool
 JOURNAL: Final = "runs.jsonl"
 CHUNK: Final = 240
 """Largest number of runs between two entries of the journal."""
-MOST: Final = 3
-"""Failed runs that an error lists."""
+MOST: Final = 5
+"""Different faults of runs that an error lists."""
 
 Errors = Mapping[Run, float]
 """RMS of the tool's error over the last eighth of a run [mm]; infinite for a run that diverged."""
@@ -98,14 +100,17 @@ class Kept:
         self.errors = dict[str, float]()
         with writing(folder, "folder"):
             folder.mkdir(parents=True, exist_ok=True)
+            if self.path.exists() and not self.path.is_file():
+                raise OutputError(
+                    f"{self.path}: expected the journal of a race, found no regular file; name another folder"
+                )
             end_line(self.path)
-            text = self.path.read_text(encoding="utf-8") if self.path.is_file() else ""
+            text = self.path.read_text(encoding="utf-8", errors="replace") if self.path.exists() else ""
         for line in text.splitlines():
-            try:
-                row = json.loads(line)
-                self.errors[row["key"]] = math.inf if row["error"] is None else float(row["error"])
-            except (ValueError, TypeError, KeyError):
-                continue  # an incomplete line of a process that was ended
+            with suppress(ValueError, TypeError, KeyError, RecursionError):  # a line that no race has written in full
+                key, error = (row := json.loads(line))["key"], row["error"]
+                if isinstance(key, str) and (error is None or (type(error) is float and 0 <= error < math.inf)):
+                    self.errors[key] = math.inf if error is None else error
 
     def write(self, keys: Sequence[str], errors: Sequence[float]) -> None:
         """Append some runs."""
@@ -137,11 +142,14 @@ def computed(
     wanted = sorted(set(runs), key=lambda run: (race.structure(run), run.cell, run.values))
     keys = {run: race.key(run) for run in wanted}
     missing = tuple(run for run in wanted if keys[run] not in kept.errors)
-    state, began, faults = State(len(wanted), kept=len(wanted) - len(missing)), time.monotonic(), list[str]()
+    state, began = State(len(wanted), kept=len(wanted) - len(missing)), time.monotonic()
+    faults = defaultdict[str, list[Run]](list)
 
     def write(chunk: Chunk, answer: Computed) -> None:
         rows = list(zip(missing[chunk.point : chunk.end], answer.table["error"], answer.table["fault"], strict=True))
-        faults.extend(f"{run.law}, {run.cell.name}: {fault}" for run, _, fault in rows if fault)
+        for run, _, fault in rows:
+            for line in fault.splitlines():
+                faults[line].append(run)
         good = [(keys[run], error) for run, error, fault in rows if not fault]
         kept.write([key for key, _ in good], [error for _, error in good])
 
@@ -155,11 +163,16 @@ def computed(
         with executor(heat) if executor else Pool(heat, workers) as pool:
             Dispatcher(write, pool, state, update).compute(iter(_chunks(race, missing)))
         update()
-    faults += [f"{chunk}: {text}" for chunk, text in state.failed.items()]
-    if faults:
-        more = f"\nand {len(faults) - MOST} more" if len(faults) > MOST else ""
-        raise EngineError("\n".join(faults[:MOST]) + more)
+    for chunk, text in state.failed.items():
+        faults[" ".join(text.split())].extend(missing[chunk.point : chunk.end])
+    raise_all([EngineError(_listed(text, of)) for text, of in list(faults.items())[:MOST]])
     return {run: kept.errors[keys[run]] for run in wanted}
+
+
+def _listed(fault: str, runs: Sequence[Run]) -> str:
+    """A fault with the first of its runs."""
+    more = f" and {len(runs) - 1} more runs" if len(runs) > 1 else ""
+    return f"{runs[0].law} in {runs[0].cell.name}{more}: {fault}"
 
 
 def _chunks(race: Race, runs: Sequence[Run]) -> list[Chunk]:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
+from dmframe.race.plan import listed
 from dmframe.race.protocol import QUANTILES, RESAMPLES, Row, Spread, spread
 from dmframe.race.run import Finished
 from dmframe.report.parts import Bullets, Cell, Lead, Marked, Paragraph, Section, Subsection, Table, Word
@@ -51,7 +53,7 @@ def _sections(found: Finished) -> Iterator[Section]:
     yield Section("cells", "All cells", [_cells(found)], wide=True)
     yield Section("worst", "The worst cells", [_worst(found)])
     yield Section("tuning", "The tuning", [*_tuning(found)], wide=True)
-    command = f"dmframe race {race.name}.yaml --out {found.folder.name}"
+    command = f"{race.command} --out {shlex.quote(str(found.folder))}"
     again: Cell = (Word(command, "command"), " continues this race, or adds a law to it")
     yield Section("again", "To repeat it", [Bullets([again])])
 
@@ -148,7 +150,7 @@ def _tuning(found: Finished) -> Iterator[Paragraph | Table]:
     rows: list[list[Cell]] = []
     for choice in found.choices:
         best = choice.best
-        values = "all rejected" if best is None else ", ".join(f"{label} = {value:g}" for label, value in best.values)
+        values = "all rejected" if best is None else listed(best.values)
         score = "" if best is None else _number(math.exp(best.score))
         own, rejected = choice.tried[0], sum(bool(each.why) for each in choice.tried)
         cells: list[Cell] = [Word(choice.law, "code"), plain(choice.clock, "s"), values, score]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Final, final
 
@@ -12,11 +13,11 @@ import scipy
 
 from dmframe.config.document import Document, Node, mapping_of
 from dmframe.config.given import node_of
-from dmframe.errors import ValueFault
+from dmframe.errors import DmframeError, ValueFault
 from dmframe.graph.graph import Graph
 from dmframe.race.grammar import LawSection, RaceFile
 from dmframe.study.identity import key_of
-from dmframe.units import plain
+from dmframe.units import plain, to_unit
 
 Entries = Mapping[str, tuple[Node, Node]]
 Values = tuple[tuple[str, float], ...]
@@ -88,6 +89,8 @@ class Race:
 
     Parameters
     ----------
+    command
+        The command that runs it.
     document
         The file with lines and columns.
     laws
@@ -101,6 +104,7 @@ class Race:
     """
 
     name: str
+    command: str
     text: str
     document: Document
     file: RaceFile
@@ -136,7 +140,13 @@ class Race:
         changes["realities"] = {name: file.realities[name] for name in chosen.realities or file.realities}
         changes["laws"] = {name: file.laws[name] for name in chosen.laws or file.laws}
         changes["budget"] = chosen.budget or file.budget
-        return replace(self, name=f"{self.name}_quick", file=file.model_copy(update=changes))
+        name, command = f"{self.name}_quick", f"{self.command} --quick"
+        return replace(self, name=name, command=command, file=file.model_copy(update=changes))
+
+    def corners(self, law: str, clock: float) -> list[Values]:
+        """The graph's own values, the lower bounds and the upper bounds."""
+        bounds = [(label, section.at(clock)) for label, section in self.file.laws[law].tune.items()]
+        return [self.laws[law, clock].own, *(tuple((label, ends[k]) for label, ends in bounds) for k in (0, 1))]
 
     def candidates(self, law: str, clock: float) -> list[Values]:
         """The values that are tried: the graph's own, then a Halton sequence, log-uniform over the ranges."""
@@ -148,8 +158,8 @@ class Race:
         for point in points:
             values = list[tuple[str, float]]()
             for (label, section), share in zip(tune.items(), point, strict=True):
-                lower, upper = section.between or [bound / clock for bound in section.per_clock or ()]
-                values.append((label, float(f"{lower * (upper / lower) ** share:.{DIGITS}g}")))
+                lower, upper = map(math.log, section.at(clock))
+                values.append((label, float(f"{math.exp(lower + (upper - lower) * share):.{DIGITS}g}")))
             found.append(tuple(values))
         return found
 
@@ -184,17 +194,22 @@ class Race:
         path = dict(_entries(node))
         rate = path.pop(REPEATS, None)
         blocks = {PATH: (_node(PATH), replace(node, value=path)), **law.blocks, **plant}
-        known: list[tuple[str, Any]] = [(label, self.delays.get(run.cell.reality, 0)) for label in law.section.delay]
-        known += [(label, rate[1].value) for label in law.section.rate if rate is not None]
-        for label, value in (*run.values, *known):
+        known: list[tuple[str, str, Any]] = [(f"tune.{label}", label, value) for label, value in run.values]
+        late = self.delays.get(run.cell.reality, 0)
+        known += [("delay", label, late) for label in law.section.delay]
+        known += [("rate", label, rate[1].value) for label in law.section.rate if rate is not None]
+        for key, label, value in known:
             name, _, parameter = label.partition(".")
             at, block = blocks[name]
-            blocks[name] = at, replace(block, value={**_entries(block), parameter: (_node(parameter), _node(value))})
-        keys: dict[str, Any] = {"dmframe": 1, "title": f"{run.law}: {run.cell.name}", "seed": run.seed}
-        keys |= {"clock": run.cell.clock, "duration": self.file.duration}
+            node_at = self._stamped(value, "laws", run.law, *key.split(".", 1))
+            blocks[name] = at, replace(block, value={**_entries(block), parameter: (node_at, node_at)})
+        keys: dict[str, Any] = {"dmframe": 1, "title": f"{run.law}: {run.cell.name}"}
         entries = {key: (_node(key), _node(value)) for key, value in keys.items()}
+        times = {"seed": ("seed", run.seed), "clock": ("clocks", run.cell.clock)}
+        for key, (place, value) in (times | {"duration": ("duration", self.file.duration)}).items():
+            entries[key] = (_node(key), self._stamped(value, place))
         parts = {"robot": self.sections["robot"], "start": self.sections["start"]}
-        parts |= {"blocks": _node({}, blocks), "wires": _node({}, self._fitting(wires, blocks))}
+        parts |= {"blocks": _node({}, blocks), "wires": _node({}, self._fitting(wires, blocks, run.cell.plant))}
         parts["reality"] = self._reality(run)
         entries |= {key: (_node(key), part) for key, part in parts.items() if part.value}
         root = _node({}, entries)
@@ -232,12 +247,21 @@ class Race:
         else:
             whole = max(math.ceil(more + own) - 1, 0)
             late["share"] = (_node("share"), _node(more + own - whole))
-        late["samples"] = (_node("samples"), _node(self.delays[name] + whole))
+        late["samples"] = (_node("samples"), self._stamped(self.delays[name] + whole, "margins", "delay"))
         models[DELAY] = (_node(DELAY), _node({}, late))
-        models[GAIN] = (_node(GAIN), _node({"gain": self.file.margins.gain if run.margin else 1}))
+        gain = dict(_entries(models[GAIN][1])) if GAIN in models else {}
+        if run.margin:
+            with suppress(DmframeError):  # a gain that is no number is reported by the graph
+                factor = to_unit(mapping_of(_node({}, gain)).get("gain", 1), "") * self.file.margins.gain
+                gain["gain"] = (_node("gain"), self._stamped(factor, "margins", "gain"))
+        models[GAIN] = (_node(GAIN), _node({}, {"gain": (_node("gain"), _node(1)), **gain}))
         return _node({}, models)
 
-    def _fitting(self, wires: Entries, blocks: Entries) -> Entries:
+    def _stamped(self, value: Any, *path: str) -> Node:
+        """A value that the race sets, with the place in its file that decides it."""
+        return node_of(value, (), self.document.locate(path))
+
+    def _fitting(self, wires: Entries, blocks: Entries, plant: str) -> Entries:
         """The wires between blocks of the graph; those of the law's own plant are left out."""
         found = dict[str, tuple[Node, Node]]()
         for end, (at, node) in wires.items():
@@ -245,12 +269,18 @@ class Race:
             absent = [name for name in names if name not in blocks]
             if len(absent) == 1:
                 raise ValueFault(
-                    f"{node.said or 'wires'}: {end}: {node.value}: expected a block {absent[0]} in each plant or path, "
-                    "found none; name the blocks as the law's graph does"
+                    f"wires.{end}: {node.value}: expected a block {absent[0]} in plants.{plant}, found none; name the "
+                    "blocks as the law's graph does",
+                    location=node.said,
                 )
             if not absent:
                 found[end] = at, node
         return found
+
+
+def listed(values: Values) -> str:
+    """``task.Lambda = 3, inverse.nu = 10``."""
+    return ", ".join(f"{label} = {value:g}" for label, value in values)
 
 
 def _node(value: Any, entries: Entries | None = None) -> Node:

@@ -178,10 +178,20 @@ class Spread:
 def spread(values: Sequence[float], seed: int) -> Spread:
     """Quantiles as order statistics, and the percentile bootstrap interval of the median.
 
-    The interval takes the cells as independent draws. They share plants and paths, so it is too short for new ones.
+    The median of an even number is the geometric mean of the two in the middle, infinite if one of them is. The
+    interval takes the cells as independent draws. They share plants and paths, so it is too short for new ones.
     """
     found = np.asarray(values, dtype=float)
     draws = np.random.default_rng(seed).integers(0, found.size, (RESAMPLES, found.size))
-    medians = np.quantile(found[draws], 0.5, axis=1, method="inverted_cdf")
+    medians = _medians(found[draws])
     low, high = (quantile(medians, p, independent=False).value for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
-    return Spread({p: quantile(found, p, independent=False).value for p in QUANTILES}, low, high)
+    quantiles = {p: quantile(found, p, independent=False).value for p in QUANTILES}
+    return Spread(quantiles | {0.5: float(_medians(found))}, low, high)
+
+
+def _medians(values: np.ndarray) -> np.ndarray:
+    """The median along the last axis, as of the logarithms."""
+    ordered, count = np.sort(values, axis=-1), values.shape[-1]
+    lower, upper = ordered[..., (count - 1) // 2], ordered[..., count // 2]
+    product = np.prod([np.where(np.isfinite(each), each, 0) for each in (lower, upper)], axis=0)
+    return np.where(np.isfinite(upper) & (lower < upper), np.sqrt(product), upper)

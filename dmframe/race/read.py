@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,18 +12,19 @@ from typing import Any, Final
 
 from pydantic import ValidationError
 
-from dmframe.block import AbstractBlock
+from dmframe.block import AbstractBlock, type_name
 from dmframe.catalogue import find_graph, find_race, packages
 from dmframe.config.document import Document, Node, mapping_of, read_file
 from dmframe.config.grammar import KEYS as GRAPH_KEYS
 from dmframe.config.grammar import fault_of, shown
 from dmframe.config.overrides import put_at
 from dmframe.config.sections import kinds_of
+from dmframe.diagram.diagram import doubtful
 from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault
 from dmframe.parameter import specs
 from dmframe.port import Side
 from dmframe.race.grammar import RACE, LawSection, RaceFile, keys_at, raise_placed
-from dmframe.race.plan import Law, Race, Run
+from dmframe.race.plan import PATH, Law, Race, Run, listed
 from dmframe.units import to_unit
 
 SECTIONS: Final = ("robot", "start", "plants", "paths", "realities")
@@ -39,7 +41,7 @@ def load_race(source: str | Path) -> Race:
     path = find_race(str(source))
     document = read_file(path, RACE)
     file = _checked(document)
-    faults = [*_unknown_names(file)]
+    faults = [*_unknown_names(file), *_misplaced(file, path.parent)]
     sections = {name: _absolute(_said(_node(document, name), document.name), path.parent) for name in SECTIONS}
     laws = dict[tuple[str, float], Law]()
     for name, clock in itertools.product(file.laws, file.clocks):
@@ -50,11 +52,14 @@ def load_race(source: str | Path) -> Race:
                 fault.path = fault.path if fault.location or fault.path[:1] == ("laws",) else ("laws", name)
                 if fault.text not in [other.text for other in faults]:  # the same at each sampling period
                     faults.append(fault)
+    faults += _shared_names(file, laws)
     raise_placed(faults, document)
     text = path.read_text(encoding="utf-8")
     files = [file for law in laws.values() for file in _files(_nodes(law.blocks), Path(law.document).parent)]
     files += _files([node for node in sections.values() if node.value], path.parent)
-    race = Race(path.stem, text, document, file, laws, sections, _digest(files), {})
+    race = Race(
+        path.stem, f"dmframe race {shlex.quote(str(source))}", text, document, file, laws, sections, _digest(files), {}
+    )
     race = replace(race, delays=race.transport_delays())
     _check_graphs(race)
     return race
@@ -79,6 +84,11 @@ def _unknown_names(file: RaceFile) -> Iterable[DmframeError]:
     for name in file.quick.laws:
         if name not in file.laws:
             yield UnknownNameError("quick.laws", "law", name, file.laws, path=("quick", "laws"))
+    for kind in ("plants", "paths"):
+        chosen = getattr(file.quick, kind)
+        if chosen and set(chosen) <= set(getattr(file.training, kind)):
+            text = f"quick.{kind}: expected at least one of {kind} that is held out, found those of training alone"
+            yield ValueFault(text, path=("quick", kind))
     if file.quick.laws and (file.entrant not in file.quick.laws or len(file.quick.laws) < 2):
         text = f"quick.laws: expected {file.entrant}, the entrant, and a rival, found {', '.join(file.quick.laws)}"
         yield ValueFault(text, path=("quick", "laws"))
@@ -95,31 +105,100 @@ def _unknown_names(file: RaceFile) -> Iterable[DmframeError]:
         yield MissingError(f"laws: expected at least one rival of {file.entrant}, found none", path=("laws",))
 
 
+def _misplaced(file: RaceFile, folder: Path) -> Iterable[DmframeError]:
+    """Faults of plants without blocks, and of blocks that are not of their section's side."""
+    for name, plant in file.plants.items():
+        where, at = f"plants.{name}", ("plants", name)
+        if not plant.blocks:
+            yield MissingError(f"{where}: expected at least one block, found none", path=at)
+        if PATH in plant.blocks:
+            yield ValueFault(f"{where}.{PATH}: expected another name, the path's block has this one", path=(*at, PATH))
+        for block, kind in kinds_of(plant.blocks, folder).items():
+            if kind.side is Side.CONTROLLER:
+                text = (
+                    f"{where}.{block}: expected a block of the plant, found {type_name(kind)} of the {kind.side.value}"
+                )
+                yield ValueFault(text, path=(*at, block))
+    for name, kind in kinds_of({name: {"type": path.type} for name, path in file.paths.items()}, folder).items():
+        if kind.side is not Side.SOURCE:
+            text = f"paths.{name}: expected a source, found {type_name(kind)} of the {kind.side.value}"
+            yield ValueFault(text, path=("paths", name))
+
+
+def _shared_names(file: RaceFile, laws: Mapping[tuple[str, float], Law]) -> Iterable[DmframeError]:
+    """Faults of blocks of a law that have the name of the path's block, or of a plant's."""
+    owners = {
+        PATH: "the path's block",
+        **{block: f"a block of plants.{name}" for name, plant in file.plants.items() for block in plant.blocks},
+    }
+    for name in file.laws:
+        for block in sorted(
+            {block for (law, _), each in laws.items() if law == name for block in each.blocks} & owners.keys()
+        ):
+            text = f"laws.{name}: expected another name than that of {owners[block]} for its block {block}"
+            yield ValueFault(text, path=("laws", name))
+
+
 def _law(name: str, clock: float, section: LawSection, race: Document, folder: Path) -> Law:
     """The controller's blocks of a law's graph at a sampling period, with the values that the race sets."""
-    path = folder / section.graph_at(clock)
-    document = read_file(path if path.suffix in (".yaml", ".yml") else find_graph(section.graph_at(clock)))
+    where = f"laws.{name}"
+    document = _graph_of(where, section.graph_at(clock), folder, ("laws", name, "graph"))
     for label in section.set:
-        place = ("laws", name, "set", label)
-        document = put_at(document, label, race.node(place), race.locate(place), GRAPH_KEYS)
+        document = _set(document, label, race, name)
     kinds = kinds_of(document.data.get("blocks"), Path(document.name).parent)
     mine = {block: kind for block, kind in kinds.items() if kind.side is Side.CONTROLLER}
+    for label in section.set:
+        words = label.removeprefix("blocks.").partition(".")
+        if words[0] in kinds.keys() - mine.keys() or (words[0] in GRAPH_KEYS and words[0] not in ("blocks", "wires")):
+            text = (
+                f"{where}.set: {label}: expected a parameter of the controller, the race sets {words[0]}; leave it out"
+            )
+            raise ValueFault(text, path=("laws", name, "set", label))
     blocks = {block: pair for block, pair in _entries(document, "blocks").items() if block in mine}
-    where, values = f"laws.{name}", mapping_of(Node(0, 0, blocks))
-    for key, labels in (("delay", section.delay), ("rate", section.rate)):
-        for label in labels:
-            _check_parameter(f"{where}.{key}", label, mine, ("laws", name, key))
+    values, taken = mapping_of(Node(0, 0, blocks)), set[str]()
+    for key in ("tune", "delay", "rate"):
+        for label in getattr(section, key):
+            at = ("laws", name, key, label) if key == "tune" else ("laws", name, key)
+            _check_parameter(f"{where}.{key}", label, mine, at)
+            if label in taken:
+                raise ValueFault(f"{where}.{key}: {label}: expected one of tune, delay and rate, found two", path=at)
+            taken.add(label)
     own = list[tuple[str, float]]()
     for label, searched in section.tune.items():
         at = ("laws", name, "tune", label)
         block, _, parameter = label.partition(".")
-        _check_parameter(f"{where}.tune", label, mine, at)
         if (searched.between is None) == (searched.per_clock is None):
             raise ValueFault(f"{where}.tune.{label}: expected one of between and per_clock", path=at)
         own.append((label, _own(f"{where}.tune.{label}", mine[block], parameter, values[block], at)))
     stamped = {block: (key, _said(node, document.name)) for block, (key, node) in blocks.items()}
     wires = {end: (key, _said(node, document.name)) for end, (key, node) in _entries(document, "wires").items()}
     return Law(section, document.name, stamped, wires, tuple(own))
+
+
+def _graph_of(where: str, graph: str, folder: Path, at: tuple[str, ...]) -> Document:
+    """The document of a law's graph: a file if its name ends like one, or a packaged graph."""
+    path = folder / graph
+    try:
+        document = read_file(path if path.suffix in (".yaml", ".yml") else find_graph(graph))
+    except (MissingError, UnknownNameError) as error:
+        error.text, error.path, error.location = f"{where}.graph: {error}", at, ""
+        raise
+    if "dmframe" not in document.data:
+        raise ValueFault(f"{where}.graph: {graph}: expected a graph, which has the key dmframe: 1", path=at)
+    return document
+
+
+def _set(document: Document, label: str, race: Document, law: str) -> Document:
+    """The law's document with one of its values under ``set``."""
+    at = ("laws", law, "set", label)
+    said = race.locate(at)
+    try:
+        return put_at(document, label, race.node(at), said, GRAPH_KEYS)
+    except DmframeError as error:
+        for fault in error.faults:
+            fault.text = f"laws.{law}.set: {fault.text.removeprefix(f'{said}: ')}"
+            fault.path, fault.location = at, said
+        raise
 
 
 def _check_parameter(where: str, label: str, kinds: Mapping[str, type[AbstractBlock]], path: tuple[str, ...]) -> None:
@@ -135,26 +214,45 @@ def _own(
 ) -> float:
     """The graph's own value of a searched parameter, in the parameter's unit."""
     value, spec = values.get(parameter, kind.model_fields[parameter].default), specs(kind).get(parameter)
-    if spec is None or isinstance(value, bool) or not isinstance(value, int | float | str):
+    if spec is None:
+        raise ValueFault(f"{where}: expected a parameter that is a real number, found a choice or a count", path=path)
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
         text = f"{where}: expected a parameter with one number in the law's graph, found {shown(value)}; set one"
         raise ValueFault(text, path=path)
     return to_unit(value, spec.unit)
 
 
 def _check_graphs(race: Race) -> None:
-    """Read a graph of each law, plant, path and reality, to find the faults of their blocks before any run."""
-    first, like, faults = race.training[0], None, dict[str, DmframeError]()
+    """Read graphs of each law, plant, path and reality, to find their faults before any run.
+
+    One graph of each sampling period is flattened, which also checks the times and the start.
+    """
+    first, like, faults, flat = race.training[0], None, dict[str, DmframeError](), set[float]()
     file, entrant = race.file, race.file.entrant
-    cells = [(name, replace(first, clock=clock)) for name, clock in race.laws]
-    cells += [(entrant, replace(first, plant=name)) for name in file.plants]
-    cells += [(entrant, replace(first, path=name)) for name in file.paths]
-    cells += [(entrant, replace(first, reality=name)) for name in file.realities]
-    for law, cell in cells:
-        for margin in (False, True):
-            try:
-                like = race.graph(Run(law, cell, race.laws[law, cell.clock].own, 0, margin), like)
-            except DmframeError as error:
-                faults |= {f"{fault.location}{fault.text}": fault for fault in error.faults}
+    runs = [
+        Run(law, replace(first, clock=clock), values, 0, margin)
+        for law, clock in race.laws
+        for values in race.corners(law, clock)
+        for margin in (False, True)
+    ]
+    cells = [replace(first, plant=name) for name in file.plants]
+    cells += [replace(first, path=name) for name in file.paths]
+    cells += [replace(first, reality=name) for name in file.realities]
+    runs += [Run(entrant, cell, race.laws[entrant, cell.clock].own, 0) for cell in cells]
+    for run in runs:
+        found, own = list[DmframeError](), race.laws[run.law, run.cell.clock].own
+        where = "" if run.values == own else f"with {listed(run.values)}: "
+        try:
+            like = race.graph(run, like)
+            where = f"{run.law} in {run.cell.name}: {where}"
+            if run.cell.clock not in flat or doubtful(like.blocks, like.file.wires, like.robot):
+                flat.add(run.cell.clock)
+                _ = like.diagram
+        except DmframeError as error:
+            found += error.faults
+        for fault in found:
+            if (key := f"{fault.location}{fault.text}") not in faults:
+                faults[key], fault.text = fault, f"{where}{fault.text}"
     raise_placed(list(faults.values()), race.document)
 
 

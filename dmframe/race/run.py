@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, final
 
+from dmframe.errors import OutputError
 from dmframe.files import write_text, writing
-from dmframe.race.compute import Heat, Kept, computed
+from dmframe.race.compute import JOURNAL, Heat, Kept, computed
 from dmframe.race.plan import Race, Run
 from dmframe.race.protocol import Choice, Row, chosen, judged_runs, rows_of, tuning_runs
 from dmframe.study.execute import State
@@ -72,6 +73,7 @@ def run_race(
     with writing(folder, "folder"):
         folder.mkdir(parents=True, exist_ok=True)
     with alone_in(folder):
+        _check_folder(folder)
         kept = Kept(folder)
 
         def errors(stage: str, runs: Sequence[Run]) -> dict[Run, float]:
@@ -85,6 +87,15 @@ def run_race(
         found = Finished(race, folder, choices, rows, _worst(race, choices, rows, folder))
         _write(found)
     return found
+
+
+def _check_folder(folder: Path) -> None:
+    """Raise `OutputError` for a folder with other files: those of a race would replace them."""
+    with writing(folder, "folder"):
+        others = sorted(item.name for item in folder.iterdir() if not item.name.startswith("."))
+    if others and JOURNAL not in others:
+        text = f"{folder}: expected an empty or a new folder, or that of a race, found {others[0]}"
+        raise OutputError(f"{text}; name another with --out")
 
 
 def _worst(

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from typing import Any, Final, final
 
+from dmframe import copies
 from dmframe.remembered import store
 from dmframe.remembered.front import Call
 from dmframe.remembered.inputs import ABSENT, states_of
@@ -42,7 +43,6 @@ _REFUSED: Final = frozenset(
             "os.exec",
             "os.posix_spawn",
             "os.spawn",
-            "os.fork",
             "os.forkpty",
             "pty.spawn",
         ),
@@ -50,6 +50,8 @@ _REFUSED: Final = frozenset(
         *("sqlite3.connect", "os.startfile", "winreg.OpenKey"),
     )
 )
+_COPIES: Final = copies.__file__
+"""Its copies of the process end where they read anything."""
 _METADATA: Final = os.path.join("importlib", "metadata", "")  # noqa: PTH118 - see front
 
 _watching: list[Recorder] = []
@@ -61,7 +63,7 @@ class Recorder:
     """The inputs of one call, from `begin` on."""
 
     def __init__(self, call: Call, place: str) -> None:
-        self.call, self.place = call, place
+        self.call, self.place, self._process = call, place, os.getpid()
         self.refused = ""
         self.aside = list[str]()
         self._began = time.time_ns()
@@ -70,7 +72,18 @@ class Recorder:
 
     def add(self, kind: str, name: str) -> None:
         """Note an input."""
+        self._end_copy()
         self._seen[kind, name] = None
+
+    def refuse(self, reason: str) -> None:
+        """Note that not all is known; the first reason is kept."""
+        self._end_copy()
+        self.refused = self.refused or reason
+
+    def _end_copy(self) -> None:
+        """End a copy of the process: what it would record is lost, and its work is repeated by the process itself."""
+        if os.getpid() != self._process:
+            os._exit(1)
 
     def opened(self, path: Any, flags: int) -> None:
         """A file was opened; descriptors were opened before under a name."""
@@ -183,7 +196,7 @@ def _open(recorder: Recorder, _: str, arguments: tuple[Any, ...], caller: str) -
 def _list(recorder: Recorder, _: str, arguments: tuple[Any, ...], caller: str) -> None:
     path = arguments[0]
     if isinstance(path, int):
-        recorder.refused = "a folder was listed by its descriptor"
+        recorder.refuse("a folder was listed by its descriptor")
         return
     kind = "modules" if caller.startswith("<frozen importlib") else "packages" if _METADATA in caller else "names"
     recorder.add(kind, _absolute("." if path is None else path))
@@ -193,8 +206,13 @@ def _look(recorder: Recorder, _: str, arguments: tuple[Any, ...], caller: str) -
     recorder.add("probe", _absolute(arguments[0]))
 
 
+def _fork(recorder: Recorder, event: str, arguments: tuple[Any, ...], caller: str) -> None:
+    if caller != _COPIES:
+        _refuse(recorder, event, arguments, caller)
+
+
 def _refuse(recorder: Recorder, event: str, _: tuple[Any, ...], caller: str) -> None:
-    recorder.refused = recorder.refused or f"the proof called {event}"
+    recorder.refuse(f"the proof called {event}")
 
 
 _EVENTS: Final[Mapping[str, Callable[[Recorder, str, tuple[Any, ...], str], None]]] = {
@@ -202,6 +220,7 @@ _EVENTS: Final[Mapping[str, Callable[[Recorder, str, tuple[Any, ...], str], None
     "os.listdir": _list,
     "os.scandir": _list,
     PROBE: _look,
+    "os.fork": _fork,
     **dict.fromkeys(_REFUSED, _refuse),
 }
 

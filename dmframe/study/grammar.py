@@ -50,7 +50,12 @@ def _maps(value: Any) -> Any:
 
 Quantity: TypeAlias = Annotated[float | str, BeforeValidator(_quantity), WithJsonSchema(_QUANTITY)]
 Pair: TypeAlias = Annotated[tuple[float | str, float | str], BeforeValidator(_pair), WithJsonSchema(_PAIR)]
-Labels: TypeAlias = Annotated[tuple[str, ...], BeforeValidator(_labels)]
+Labels: TypeAlias = Annotated[
+    tuple[str, ...],
+    BeforeValidator(_labels),
+    WithJsonSchema({"type": ["string", "array"], "items": {"type": "string"}}),
+]
+"""Names, or one of them alone."""
 
 KINDS: Final = ("uniform", "log", "normal")
 _DRAWN: Final = {
@@ -114,15 +119,20 @@ class Variation(Distribution):
         return (*KINDS, "scale", "shift")
 
 
-def _runs(value: Any) -> Any:
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise ValueError(f"expected a whole number, found {shown(value)}")
-    if not 1 <= value <= MOST_RUNS:
-        raise ValueError(f"expected a number from 1 to {MOST_RUNS}, found {value}")
-    return value
+def counted(most: int) -> BeforeValidator:
+    """Accepts whole numbers from 1 to a largest one."""
+
+    def count(value: Any) -> Any:
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise ValueError(f"expected a whole number, found {shown(value)}")
+        if not 1 <= value <= most:
+            raise ValueError(f"expected a number from 1 to {most}, found {value}")
+        return value
+
+    return BeforeValidator(count)
 
 
-Count: TypeAlias = Annotated[int, BeforeValidator(_runs)]
+Count: TypeAlias = Annotated[int, counted(MOST_RUNS)]
 
 
 class _Open(BaseModel):

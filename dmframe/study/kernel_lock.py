@@ -53,7 +53,7 @@ def journal_lock(path: Path) -> Any:
 @contextmanager
 def alone_in(folder: Path) -> Iterator[None]:
     """Lock a folder while this process uses it, if the system has ``flock``. Raises `OutputError` if it is locked."""
-    busy = f"{folder}: another study runs there; wait until it has ended, or name another folder"
+    busy = f"{folder}: another study or race runs there; wait until it has ended, or name another folder"
     with writing(folder, "folder"):
         descriptor = flocked(folder / FOLDER_LOCK, os.O_RDWR | os.O_CREAT, busy)
     try:

@@ -133,6 +133,9 @@ def test_quantiles_are_order_statistics_and_the_interval_of_the_median_is_a_seed
     assert list(found.quantiles.values()) == [1, 2, 3, 4, math.inf]
     assert found == spread(values, seed=3)
     assert found.low <= found.median <= found.high == math.inf
+    assert spread([1.0, 4.0], seed=0).median == 2  # of an even number, that of the logarithms
+    assert spread([0.0, 1.0, math.inf, 4.0], seed=0).median == 2
+    assert spread([0.0, math.inf], seed=0).median == math.inf
     narrow = spread([1 + k / 1000 for k in range(1000)], seed=0)
     # the median of 1000 uniform numbers has the standard deviation 1/(2 sqrt(1000)) = 0.0158
     assert narrow.high - narrow.low == pytest.approx(2 * 1.96 * 0.0158, rel=0.15)
@@ -147,6 +150,7 @@ def test_quantiles_are_order_statistics_and_the_interval_of_the_median_is_a_seed
         ("{transport_delay: {samples: 1, late: 0.1}}", 1, [(1, None, 1), (2, None, 1.3)]),
         ("{}", 2, [(0, 0, 1), (1, 1, 1.3)]),
         ("ur", 0, [(1, 0, 1), (1, 0, 1.3)]),
+        ("{command_gain: {gain: 2}}", 1, [(0, 0, 2), (0, 1, 2.6)]),  # the margin multiplies the reality's own
     ],
 )
 def test_the_margins_add_a_delay_and_a_gain_to_a_reality(race: Make, reality: str, more: int, models: object) -> None:
@@ -193,9 +197,11 @@ def test_the_packaged_race_has_what_it_promises_and_its_quick_part_24_cells() ->
     found = load_race("packaged")
     paths = found.file.paths
     assert len(paths) >= 10
-    assert sum(len({rate for rate in path["rate"] if rate}) > 2 for path in paths.values()) >= 3  # never repeat
-    assert sum(path.get("stop", 0) == 1 for path in paths.values()) >= 2
-    assert any(any(plant["arm"]["payload"]) for plant in found.file.plants.values())
+    assert (
+        sum(len({rate for rate in path.parameters["rate"] if rate}) > 2 for path in paths.values()) >= 3
+    )  # never repeat
+    assert sum(path.parameters.get("stop", 0) == 1 for path in paths.values()) >= 2
+    assert any(any(plant.blocks["arm"]["payload"]) for plant in found.file.plants.values())
     for part in (found, found.quick):
         assert not {cell.plant for cell in part.training} & {cell.plant for cell in part.held_out}
         assert not {cell.path for cell in part.training} & {cell.path for cell in part.held_out}

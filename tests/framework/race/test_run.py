@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -98,7 +99,8 @@ def test_the_worst_cells_are_graphs_that_run_again_with_the_error_of_the_table(d
         for each in (graph, graph.set({"blocks.transport_delay": None, "blocks.command_gain": None})):  # without effect
             assert 1000 * each.run(progress=False).error.rms_final == pytest.approx(row.errors[law], rel=1e-9)
     page = (done.folder / PAGE).read_text(encoding="utf-8")
-    for text in ("20 ms, other, second, ideal", f"{row.ratio:.3g}", "dmframe run worst_1.yaml", "Halton"):
+    again = f"dmframe race {done.race.document.name} --out {done.folder}"
+    for text in ("20 ms, other, second, ideal", f"{row.ratio:.3g}", "dmframe run worst_1.yaml", "Halton", again):
         assert text in page
 
 
@@ -109,16 +111,55 @@ def test_a_plant_without_an_arm_and_an_error_in_radians_are_reported_with_law_an
         finished(
             race((", arm: {type: manipulator}}\n  second", "}\n  second"), ("budget: 4", "budget: 1")), tmp_path / "a"
         )
-    assert "tuned, 20 ms, circle, first, ideal: " in str(caught.value)
+    assert "tuned in 20 ms, circle, first, ideal: " in str(caught.value)
     assert "expected an output of that name in another block, found none" in str(caught.value)
     circle = "{type: epicycles, center: [0.5, 0.3], radius: [0.1], rate: [2], phase: [0]}"
+    other = "{type: epicycles, center: [0.5, 0.3], radius: [0.08], rate: [-3], phase: [1]}"
     swing = "{type: sinusoid, center: [1, 1], amplitude: 0.1, rate: 1}"
     gains = [("task.gamma: {per_clock: [0.02, 2]}", "task.alpha_bar: [1, 2]"), ("task.gamma: [1", "task.alpha_bar: [1")]
     file = tmp_path / "law.yaml"
     law = file.read_text(encoding="utf-8").replace("known_tracking, gamma: 4", "joint_tracking, alpha_bar: 4")
     file.write_text(law.replace("  geometry: {type: kinematics}\n", ""), encoding="utf-8")
-    with pytest.raises(DmframeError, match="the error of a race is that of the tool in mm, and the graph follows"):
-        finished(race((circle, swing), ("budget: 4", "budget: 1"), *gains), tmp_path / "b")
+    with pytest.raises(DmframeError) as caught:
+        finished(race((circle, swing), (other, swing), ("budget: 4", "budget: 1"), *gains), tmp_path / "b")
+    text = "the error of a race is that of the tool in mm, and the graph follows a path in rad"
+    assert str(caught.value) == f"tuned in 20 ms, circle, first, ideal and 3 more runs: {text}"
+
+
+def test_different_faults_of_runs_are_different_errors(race: Make, tmp_path: Path) -> None:
+    far = ("center: [0.5, 0.3], radius: [0.08]", "center: [5, 3], radius: [0.08]")
+    with pytest.raises(DmframeError) as caught:
+        finished(race(far, ("start: {near: [0.5, 0.5]}", "start: {}"), ("budget: 4", "budget: 1")), tmp_path / "a")
+    (fault,) = caught.value.faults
+    assert str(fault).startswith("tuned in 20 ms, other, second, ideal and 1 more runs: start: arm.x cannot reach")
+
+
+FOREIGN = ("", "[1]", "null", '{"key": 1, "error": 1.0}', '{"key": "a"}', '{"key": "a", "error": true}', "[" * 9999)
+WRONG = ("NaN", "Infinity", "-1.0", '"1.0"', "1" * 400, "{}")
+
+
+def test_lines_of_the_journal_that_no_race_has_written_are_left_out(tmp_path: Path) -> None:
+    wrong = [f'{{"key": "b", "error": {value}}}' for value in WRONG]
+    text = "\n".join(
+        [*FOREIGN, *wrong, '{"key": "good", "error": 0.5}', '{"key": "lost", "error": null}', "\udcff", CUT]
+    )
+    (tmp_path / JOURNAL).write_bytes(text.encode("utf-8", "surrogateescape"))
+    assert compute.Kept(tmp_path).errors == {"good": 0.5, "lost": math.inf}
+
+
+@pytest.mark.parametrize("make", [Path.mkdir, lambda path: path.symlink_to("/dev/full")])
+def test_a_journal_that_is_no_file_is_refused(make: Callable[[Path], None], tmp_path: Path) -> None:
+    make(tmp_path / JOURNAL)
+    with pytest.raises(DmframeError, match="expected the journal of a race, found no regular file"):
+        compute.Kept(tmp_path)
+
+
+def test_a_folder_with_other_files_is_refused_and_keeps_them(race: Make, tmp_path: Path) -> None:
+    (tmp_path / "worst_1.yaml").write_text("mine", encoding="utf-8")
+    found = race()
+    with pytest.raises(DmframeError, match="expected an empty or a new folder, or that of a race, found law"):
+        finished(found, tmp_path)
+    assert (tmp_path / "worst_1.yaml").read_text(encoding="utf-8") == "mine"
 
 
 def test_an_error_above_the_limit_counts_as_diverged(race: Make, tmp_path: Path) -> None:
@@ -149,6 +190,9 @@ def test_the_command_prints_the_table_as_json_and_how_to_continue(
     assert not status
     assert list(row) == ["cell", "law", "error", "best_rival", "rival_error", "ratio"]
     assert row["ratio"] == pytest.approx(row["error"] / row["rival_error"])
-    assert "tuning: 16 of 16 runs" in err
+    assert err.count("tuning: 16 of 16 runs") == 1
     assert "median ratio" in ended(InProcess)[1]
+    assert "no C compiler" not in err
+    monkeypatch.setattr("dmframe.build.compiler.find_compiler", lambda: None)
+    assert "notice: there is no C compiler" in ended(InProcess)[2]
     assert ended(InProcess, "--workers", "0")[0] == 2

@@ -13,6 +13,7 @@ import platformdirs
 import pytest
 
 from dmframe.build.cache import cache_folder
+from dmframe.copies import shared
 from dmframe.files import probed
 from dmframe.remembered import recorder, store
 from dmframe.remembered.front import Call, call_of, found, page_of
@@ -130,6 +131,27 @@ def test_what_cannot_be_recorded_is_not_kept(
     act(tmp_path)
     assert begun.entry() is None
     assert why in begun.refused
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="no copies elsewhere")
+def test_what_a_copy_would_read_unseen_is_read_and_recorded_here(
+    begun: recorder.Recorder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def read() -> tuple[int, str]:
+        return os.getpid(), (tmp_path / "data").read_text()
+
+    monkeypatch.setattr("dmframe.copies.threading.active_count", lambda: 1)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
+    (tmp_path / "data").write_text("1")
+    begun._written.clear()
+    for job, own in ((read, True), (lambda: (os.getpid(), "1"), False)):
+        with shared([job], busy=True) as finished:
+            os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOWAIT)  # the copy has ended
+            ((process, text),) = finished()
+        assert (process == os.getpid(), text) == (own, "1")
+    entry = begun.entry()
+    assert entry is not None
+    assert str(tmp_path / "data") in entry["inputs"]["content"]
 
 
 def test_a_file_that_changed_after_the_proof_began_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

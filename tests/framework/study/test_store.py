@@ -136,7 +136,7 @@ def test_a_study_of_fewer_runs_is_refused(out: Path) -> None:
 def test_the_second_of_two_clients_is_refused(out: Path) -> None:
     with (
         opened(out, FakeStudy(), {}),
-        pytest.raises(OutputError, match="another study runs there; wait until it has ended"),
+        pytest.raises(OutputError, match="another study or race runs there; wait until it has ended"),
         opened(out, FakeStudy(), {}),
     ):
         pass

@@ -1,0 +1,129 @@
+"""The outcome of ``verify``, with everything it rests on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, final
+
+from dmframe.certificate import Assumption
+from dmframe.certify.checked import Checked
+from dmframe.certify.claim import Claim
+from dmframe.certify.excess import Bound, total_bound
+from dmframe.certify.explained import UNCHECKED
+from dmframe.certify.small_gain import Kappa
+from dmframe.certify.statements import Statement, States
+from dmframe.certify.states import held_in_v
+from dmframe.errors import listed
+from dmframe.exact import ZeroTest
+from dmframe.exact.rational import as_float
+from dmframe.prove import claim as data
+from dmframe.prove.faults import Control
+from dmframe.prove.refute import Refutation
+from dmframe.text import Text
+
+Outcome = Literal["proved", "refuted", "not_applicable"]
+
+NAMED: Final = 3
+"""States up to which a headline names them; of more it gives the number, and the text below the names."""
+
+
+@final
+@dataclass(frozen=True, repr=False)
+class Verdict:
+    """The outcome of `verify`, with everything it rests on.
+
+    Parameters
+    ----------
+    outcome
+        ``proved``: the identity holds for all values of its symbols, every condition holds at the graph's numbers, and
+        every seeded fault was refuted; where there are `bounds`, it is proved up to a bounded residual.
+        ``refuted``: the identity is false. ``not_applicable``: there is nothing to prove, or a condition fails;
+        `reason` says which.
+    test
+        The exact test, with its error bound.
+    states
+        Which states are bounded, and which are not known to be; over samples too.
+    fixed
+        Parameters that are zero in the graph, and that the proof takes for zero, by label.
+    uncertain
+        Parameters over whose intervals the conditions hold, by label.
+    bounds
+        What dV/dt may have above the dissipation, term by term; none for a claim without a bounded residual.
+    build, check
+        Seconds spent on writing V and dV/dt, and on deciding.
+    exact
+        The claim as data, of which `test`, `controls` and `refutation` speak; `dmframe.prove.export.to_json` writes it.
+    """
+
+    outcome: Outcome
+    reason: Text
+    claim: Claim | None = None
+    test: ZeroTest | None = None
+    refutation: Refutation | None = None
+    kappa: Kappa | None = None
+    conditions: tuple[Checked, ...] = ()
+    assumptions: tuple[Assumption, ...] = ()
+    controls: tuple[Control, ...] = ()
+    statements: tuple[Statement, ...] = ()
+    states: States | None = None
+    fixed: tuple[str, ...] = ()
+    uncertain: tuple[str, ...] = ()
+    bounds: tuple[Bound, ...] = ()
+    build: float = 0.0
+    check: float = 0.0
+    exact: data.Claim | None = None
+
+    @property
+    def flow_claim(self) -> Claim | None:
+        """The claim, where it is in continuous time."""
+        return self.claim if self.claim is not None and not self.claim.over_samples else None
+
+    @property
+    def samples(self) -> Claim | None:
+        """The claim, where it is over samples."""
+        return self.claim if self.claim is not None and self.claim.over_samples else None
+
+    @property
+    def rows_assumed(self) -> bool:
+        """True where an estimator's rows could not be compared with motions of the plant."""
+        return any(UNCHECKED in item.text for item in self.assumptions)
+
+    @property
+    def headline(self) -> str:
+        """The outcome in words, with what a proof does not reach."""
+        words = self.outcome.replace("_", " ")
+        if self.outcome == "proved" and self.samples is not None:
+            words += f" over samples of {_over(self.samples, self.states)}"
+            words += "; that its rows follow from the plant is assumed" * self.rows_assumed
+        if self.outcome == "proved" and self.bounds:
+            grows = any(bound.times for bound in self.bounds)
+            words += ", up to a residual that grows with a signal" if grows else ", up to a bounded residual"
+        if self.states is not None and self.states.open and self.outcome == "proved" and self.samples is None:
+            words += ", but not the stability of the whole loop"
+        return words
+
+    @property
+    def residual_bound(self) -> float | None:
+        """The most that dV/dt can be above minus the dissipation; None where a signal scales it, and over samples."""
+        if self.samples is not None:
+            return None
+        return total_bound(list(self.bounds), as_float(self.kappa.chosen) if self.kappa else 1.0)
+
+    def __repr__(self) -> str:
+        return f"<Verdict: {self.headline}>"
+
+
+def _over(claim: Claim, states: States | None) -> str:
+    """Of which states something is proved over samples, up to what, and of which nothing is."""
+    held, left = held_in_v(claim), [] if states is None else list(states.open)
+    words = _counted(held, "states") + f", up to {claim.left}" * bool(claim.left)
+    if left:
+        many = "states" if set(held) & set(left) else "other states"
+        words += f"; {_counted(left, many)} {'is' if len(left) == 1 else 'are'} not known to be bounded, and"
+    return f"{words} tracking is not part of it" if left else f"{words}; tracking is not part of it"
+
+
+def _counted(labels: Sequence[str], many: str) -> str:
+    """Their names, or how many they are."""
+    return listed(list(labels)) if len(labels) <= NAMED else f"{len(labels)} {many}"
