@@ -59,7 +59,7 @@ def longest(block: Delayed) -> int:
 
 
 def check_delay(block: Delayed) -> None:
-    """Raise ValueError if a configured delay is given beside the range of an identified one."""
+    """Raise ValueError if both a configured delay and the range of an identified one are given."""
     if block.delay_up_to is not None and block.delay:
         raise ValueError(
             f"expected delay: 0 with delay_up_to, since the input delay_hat gives the delay; found {block.delay}"
