@@ -13,6 +13,7 @@ from dmframe.block import (
     SX,
     AbstractBlock,
     Access,
+    Acted,
     Certificate,
     Diagonal,
     Element,
@@ -50,7 +51,8 @@ class RepetitiveInverse(AbstractBlock):
 
     *Certificate.* For any constant coefficients :math:`\theta^\ast`, the squared distance
     :math:`|\theta - \theta^\ast|^2 / \Gamma` increases by at most :math:`\eta^2 / (\nu + \Gamma h^\top h)` per sample,
-    where :math:`\eta = \mathrm{lag} - h^\top \theta^\ast` is the part of the lag that does not repeat.
+    where :math:`\eta = \mathrm{lag} - h^\top \theta^\ast` is the part of the lag that does not repeat. The command in
+    the lag is the one that acted: a condition compares `delay` with the delays of the graph.
 
     Parameters
     ----------
@@ -77,6 +79,7 @@ class RepetitiveInverse(AbstractBlock):
 
     uses_robot = True
     inputs = (Input("q", "n", "rad"), Input("dq_r", "n", "rad/s"), PERIOD)
+    truth = (Input("dq_s", "n", "rad/s"), Input("q", "n", "rad"))
     outputs = (
         Output("dq_c", "n", "rad/s", Access.COMMANDED),
         Output("q_start", "n", "rad"),
@@ -138,7 +141,9 @@ class RepetitiveInverse(AbstractBlock):
         rows = ((ca.repmat(h, n, 1), lag),)
         gain = p.Gamma * ca.DM.ones(x.theta.shape[0])
         steps = NormalisedSteps("theta", x.theta, true, gain, (h.shape[0],) * n, p.nu, rows, ())
-        return Certificate(steps=(steps,), unknown={"theta_true": true})
+        known = "dq_s" in truth and "q" in truth
+        acted = (Acted(x.queue[:, 0], truth.dq_s, u.q, truth.q),) if known else ()
+        return Certificate(steps=(steps,), acted=acted, unknown={"theta_true": true})
 
     def _sample(self, u: Signals, x: Signals, p: Signals) -> tuple[SX, SX]:
         """The lag of the last sample, and the columns of its middle."""

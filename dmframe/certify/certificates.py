@@ -72,7 +72,10 @@ def certificates_of(diagram: Diagram) -> Certificates:
         if list(faults) == waiting or rounds > 2 * len(everyone):
             needed = [text for name, text in faults.items() if not sampled or _is_sampled(diagram, name)]
             if needed or early:
-                raise NotApplicableError("; ".join(needed) or f"the truth of {', '.join(early)} does not settle")
+                causes = [_unproved(diagram, name) for name in silent if needed and diagram.blocks[name].unproved]
+                raise NotApplicableError(
+                    "; ".join([*causes, *needed]) or f"the truth of {', '.join(early)} does not settle"
+                )
             silent += faults  # laws in continuous time
             break
         waiting = [*faults, *early]

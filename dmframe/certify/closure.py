@@ -8,8 +8,9 @@ open direction only through sines, cosines and other bounded functions is bounde
 2. a combination of states whose rate is zero keeps its value;
 3. what a stable linear equation drives (`Driven`) is bounded, if its remainder does not move with any open direction;
 4. and so on, until nothing more follows. Then what is driven by an input of which nothing is known (`Driven.inputs`) is
-   bounded too, by what its block assumes of that input, if its remainder without it does not move; so is that input. A
-   signal that does not move with what is still open is bounded.
+   bounded too, by what its block assumes of that input, if its remainder without it does not move; so is that input. So
+   is what a linear equation drives whose stability is not decided and assumed. A signal that does not move with what is
+   still open is bounded; `needs` gives the assumptions that a signal uses.
 
 Each "does not move" is decided exactly, in a random prime field: `dmframe.exact.shift`. Parameters have the graph's own
 numbers there: with other numbers, a combination may close that this graph leaves open. That trajectories, with the
@@ -18,12 +19,11 @@ derivatives that appear, are bounded is an assumption, and so is that no denomin
 
 from __future__ import annotations
 
-import random
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
-from typing import Any, final
+from typing import final
 
 import casadi as ca
 
@@ -32,17 +32,13 @@ from dmframe.certificate import SX, Assumption, Condition, Driven
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.linear import is_stable
-from dmframe.certify.symbols import Group, exact_values, symbols_of
+from dmframe.certify.movement import Movement
+from dmframe.certify.symbols import Group
 from dmframe.diagram.closed_loop import Variable
-from dmframe.errors import ValueFault
-from dmframe.exact import Tape, random_prime
+from dmframe.exact import Tape
 from dmframe.exact.linear import Echelon
-from dmframe.exact.shift import Shift, ZeroDivision
-from dmframe.linalg import nodes
-from dmframe.text import Label, Text, joined, listed_text
+from dmframe.text import Label, Text, joined, listed_text, text_of
 
-ATTEMPTS = 20
-BITS = 149
 SIGNED = (1, -1)
 
 
@@ -80,20 +76,17 @@ class Closure:
         anywhere: bool = False,
         zeros: frozenset[str] = frozenset(),
     ) -> None:
-        self._claim, self._numbers, self._free, self._zeros = claim, numbers, anywhere, zeros
-        self._symbols = symbols_of(claim, numbers.uncertain)
+        self._claim, self._numbers, self.seed = claim, numbers, seed
         self._variables = claim.loop.variables
-        self.seed = seed
         self._columns = sum(variable.symbol.numel() for variable in self._variables) + 1  # the last one is the time
-        self._draw(random.Random(seed + 3))
+        self._movement = Movement(claim, numbers, seed, anywhere=anywhere, zeros=zeros)
+        self._shift = self._movement.shift
         self._known = Echelon(self._shift.prime, self._columns)
         self.driving: list[tuple[str, Driven]] = []
         self.given: list[tuple[str, Driven]] = []
-        self.without: list[Variable] = []  # open states before the first input was assumed bounded
+        self._sure: Echelon | None = None  # what is bounded if nothing is assumed of what is driven
         self.assumed: list[tuple[str, Driven]] = []
         self.missed: list[tuple[str, Driven]] = []
-        self.tapes = list[tuple[Sequence[Group], Tape]]()
-        self.read, self._tapes = list[SX](), dict[tuple[Any, ...], Tape]()
         self._follow(bases)
 
     @property
@@ -105,6 +98,16 @@ class Closure:
     def prime(self) -> int:
         """Of the field in which all is decided."""
         return self._shift.prime
+
+    @property
+    def tapes(self) -> Sequence[tuple[Sequence[Group], Tape]]:
+        """All that was evaluated, as operations of the field, with the symbols that they read."""
+        return self._movement.tapes
+
+    @property
+    def read(self) -> Sequence[SX]:
+        """The expressions of these operations."""
+        return self._movement.read
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -150,6 +153,16 @@ class Closure:
             for rows, expression in zip(differences, expressions, strict=True)
         ]
 
+    def needs(self, expressions: Sequence[SX]) -> tuple[Text, ...]:
+        """What is assumed of what is driven, if these bounded expressions are not bounded without it."""
+        if self._sure is None:
+            return ()
+        known, self._known = self._known, self._sure
+        sure = all(self.bounds(expressions))
+        self._known = known
+        stated = (condition for _, item in (*self.assumed, *self.given) for condition in item.otherwise)
+        return () if sure else tuple(dict.fromkeys(text_of(c.text) for c in stated if isinstance(c, Assumption)))
+
     def _corrected(self, expression: SX, seen: frozenset[str] = frozenset()) -> bool:
         """True where each projection's correction in it is bounded: it takes away what a nominal rate has too much."""
         used = symbols_in([expression])
@@ -186,51 +199,6 @@ class Closure:
     def _rate(self, variable: Variable) -> SX:
         return self._rates[variable.label]
 
-    def _draw(self, rng: random.Random) -> None:
-        """Two random points of one field, with the same parameters."""
-        self._shift = Shift(random_prime(rng, BITS), rng)
-        self._points: list[dict[str, list[int]]] = [{}, {}]
-        self._extend()
-
-    def _extend(self) -> None:
-        """Values for symbols that have none yet; a derivative may have brought a trajectory's next one."""
-        first, second = self._points
-        own = exact_values(self._claim.diagram)
-        for group in self._symbols.groups:
-            if group.label not in first:
-                size = group.symbol.numel()
-                if group.label in self._zeros:
-                    first[group.label] = [0] * size
-                elif group.kind == "parameter" and not self._varies(group):
-                    first[group.label] = [self._shift.residue(value) for value in own[group.label]]
-                else:
-                    first[group.label] = [self._shift.random() for _ in range(size)]
-                shared = group.kind in ("parameter", "weight")
-                second[group.label] = first[group.label] if shared else [self._shift.random() for _ in range(size)]
-
-    def _varies(self, group: Group) -> bool:
-        """True for a parameter without a fixed number: one in an interval; the robot's rotations are orthogonal."""
-        if group.label in self._numbers.uncertain:
-            return True
-        return self._free and group.values is None
-
-    def _moved(self, point: Mapping[str, Sequence[int]], u: Sequence[int]) -> list[list[int]]:
-        """A point with its states and its time moved along u."""
-        steps, start = {"t": u[-1:]}, 0
-        for variable in self._variables:
-            size = variable.symbol.numel()
-            steps[variable.label] = u[start : start + size]
-            start += size
-        return [
-            [(a + b) % self._shift.prime for a, b in zip(point[group.label], steps[group.label], strict=True)]
-            if group.kind in ("state", "time")
-            else list(point[group.label])
-            for group in self._symbols.groups
-        ]
-
-    def _at(self, place: int) -> list[list[int]]:
-        return [self._points[place][group.label] for group in self._symbols.groups]
-
     def _open(self) -> list[list[int]]:
         return self._known.null_space()
 
@@ -242,38 +210,9 @@ class Closure:
             found = [(a + factor * b) % self._shift.prime for a, b in zip(found, u, strict=True)]
         return found
 
-    def _tape(self, expressions: Sequence[SX]) -> Tape:
-        if sum(group.kind == "trajectory" for group in self._symbols.groups) < len(
-            self._claim.diagram.resolver.trajectories
-        ):
-            self._symbols = symbols_of(self._claim, self._numbers.uncertain)
-            self._extend()
-            self._tapes.clear()
-        key = tuple(map(nodes, expressions))
-        if key not in self._tapes:
-            self.read += expressions  # which keeps the nodes, by whose identity they are found
-            self._tapes[key] = Tape.from_function(self._symbols.function("closure", expressions))
-            self.tapes.append((self._symbols.groups, self._tapes[key]))
-        return self._tapes[key]
-
     def _moves(self, expressions: Sequence[SX]) -> list[list[int]]:
         """By how much each element moves along a random open direction."""
-        tape = self._tape(expressions)
-        (flat,) = self._differences(tape, 0, [self._anywhere()])
-        found, start = [], 0
-        for expression in expressions:
-            found.append(flat[start : start + expression.numel()])
-            start += expression.numel()
-        return found
-
-    def _differences(self, tape: Tape, place: int, directions: Sequence[Sequence[int]]) -> list[list[int]]:
-        point = self._points[place]
-        for _ in range(ATTEMPTS):
-            try:
-                return self._shift.difference(tape, self._at(place), [self._moved(point, u) for u in directions])
-            except ZeroDivision:
-                directions = [[2 * x % self._shift.prime for x in u] for u in directions]
-        raise ValueFault("a denominator vanishes at every random point")
+        return self._movement.along(expressions, self._anywhere())
 
     def _follow(self, bases: Bases) -> None:
         """Add what follows until nothing more does."""
@@ -284,7 +223,7 @@ class Closure:
                 continue
             found = next((item for item in waiting if self._follows(*item)), None)
             if found is None:
-                self.without = self.without or self.open_states()
+                self._sure = self._sure or self._copied()
                 found = next((item for item in waiting if self._follows_if(*item)), None)
             if found is None:
                 break
@@ -298,13 +237,13 @@ class Closure:
         directions = self._open()
         if not vectors or not directions:
             return False
-        tape = self._tape([ca.vec(ca.densify(vector)) for vector in vectors])
+        tape = self._movement.tape([ca.vec(ca.densify(vector)) for vector in vectors])
         along = self._anywhere()
-        here, there = (self._differences(tape, place, [along])[0] for place in (0, 1))
+        here, there = (self._movement.differences(tape, place, [along])[0] for place in (0, 1))
         steady = [row for row, (a, b) in enumerate(zip(here, there, strict=True)) if a == b and a]
         if not steady:
             return False
-        moved = self._differences(tape, 0, directions)
+        moved = self._movement.differences(tape, 0, directions)
         free = [next(k for k in range(self._columns) if u[k] == 1 and _alone(k, u, directions)) for u in directions]
         grown = False
         for row in steady:
@@ -316,8 +255,8 @@ class Closure:
 
     def _keep_constants(self) -> None:
         """Sums and differences of up to three states whose rates cancel keep the value with which they start."""
-        tape = self._tape([ca.vec(ca.densify(self._rate(variable))) for variable in self._variables])
-        flat = [self._shift.values(tape, self._at(place)) for place in (0, 1)]
+        tape = self._movement.tape([ca.vec(ca.densify(self._rate(variable))) for variable in self._variables])
+        flat = [self._movement.values(tape, place) for place in (0, 1)]
         starts, start = list[int](), 0
         for variable in self._variables:
             starts.append(start)
@@ -341,18 +280,16 @@ class Closure:
                         functional[start + element] = factor % p
                     self._known.add(functional)
 
+    def _copied(self) -> Echelon:
+        """The bounded directions, to which others can be added."""
+        found = Echelon(self._shift.prime, self._columns)
+        for row in self._known.rows:
+            found.add(row)
+        return found
+
     def _follows(self, block: str, item: Driven) -> bool:
-        """True where the remainder is bounded by now, and the linear part stable, or assumed to be."""
-        if not all(self.bounds(list(self.remainders(block, item)))):
-            return False
-        holds = is_stable(item, self._numbers)
-        if holds:
-            return True
-        given = holds is None and bool(item.otherwise)
-        given = given and all(isinstance(condition, Assumption) for condition in item.otherwise)
-        if given:
-            self.assumed.append((block, item))
-        return given
+        """True where the remainder is bounded by now, and the linear part stable."""
+        return all(self.bounds(list(self.remainders(block, item)))) and bool(is_stable(item, self._numbers))
 
     def _stays_bounded(self, item: Driven) -> Text:
         """What is assumed of inputs, in words that are not their block's."""
@@ -364,10 +301,14 @@ class Closure:
         return Text("the input of the linear equation that drives ", driven, made, " stays bounded")
 
     def _follows_if(self, block: str, item: Driven) -> bool:
-        """True where the remainder is bounded but for the inputs, of which its block assumes that they are.
+        """True where what its block assumes is all that lacks: stability, or that the inputs are bounded.
 
         An input that is made of what is driven would assume what follows from it.
         """
+        only = bool(item.otherwise) and all(isinstance(condition, Assumption) for condition in item.otherwise)
+        if only and is_stable(item, self._numbers) is None and all(self.bounds(list(self.remainders(block, item)))):
+            self.assumed.append((block, item))
+            return True
         if not item.inputs or self._contained(item):
             return False
         rests = [rest - own for rest, own in zip(self.remainders(block, item), item.inputs, strict=True)]
@@ -382,9 +323,7 @@ class Closure:
         if not read & symbols_in(item.vectors):
             return False
         known, start = self._known, 0
-        self._known = Echelon(self._shift.prime, self._columns)
-        for row in known.rows:
-            self._known.add(row)
+        self._known = self._copied()
         for variable in self._variables:
             size = variable.symbol.numel()
             if read & variable.identities:

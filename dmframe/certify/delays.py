@@ -69,7 +69,7 @@ def delay_conditions(claim: Claim, part: Part) -> Iterator[Checked]:
         if not (wrong or (command.copied and measured.copied)):
             continue  # another signal with the same delay: what acted is left to an assumption
         expression = "what rows take = from the command to the robot + from the robot back"
-        yield Checked(text, expression, -float(wrong), not wrong, SOURCE, strict=False, margin=ca.SX(0, 1))
+        yield Checked(text, expression, 0.0 - wrong, not wrong, SOURCE, strict=False, margin=ca.SX(0, 1))
 
 
 def decided_delays(claim: Claim, part: Part) -> bool:

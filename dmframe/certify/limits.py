@@ -13,7 +13,7 @@ points than there are constants, with the parameters at the graph's own numbers.
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -36,11 +36,15 @@ MORE = 3
 @final
 @dataclass(frozen=True)
 class Vanishing:
-    """A vector that goes to zero; `proved` if its derivative is known to be bounded, which that step needs."""
+    """A vector that goes to zero; `proved` if its derivative is known to be bounded, which that step needs.
+
+    `assumes`: without these assumptions the derivative is not known to be bounded.
+    """
 
     of: Text
     vector: SX
     proved: bool
+    assumes: tuple[Text, ...] = ()
 
 
 @final
@@ -97,10 +101,11 @@ def _combined(field: Combinations, closure: Closure, goal: Goal, vanishing: Sequ
             if None not in inputs:
                 names = dict.fromkeys(name for names in inputs for name in names or ())
                 made = listed_text(list(names))
-                return Made(Text("a stable linear equation drives it, and its input, made of ", made, ", vanishes"))
+                step = Text("a stable linear equation drives it, and its input, made of ", made, ", vanishes")
+                return Made(step, assumed(names, vanishing))
     used = field.made_of(goal.vector, vanishing)
     if used is not None:
-        return Made(Text("it is made of ", listed_text(used)))
+        return Made(Text("it is made of ", listed_text(used)), assumed(used, vanishing))
     for name, R in full_rank(field.claim):
         if not field.can_have(R):
             continue
@@ -111,14 +116,21 @@ def _combined(field: Combinations, closure: Closure, goal: Goal, vanishing: Sequ
                 whole = around(goal.of, f"{name}'({{}})", rf"{name.latex}^\top ({{}})", f"{name.unicode}ᵀ({{}})")
                 how = "goes to zero" if used == [whole] else Text("is made of ", listed_text(used))
                 step = sentence("{whole} {made}, and {name} has full row rank", whole=whole, made=how, name=name)
-                return Made(step, (_keeps_rank(name),))
+                return Made(step, (_keeps_rank(name), *assumed(used, vanishing)))
         if R.shape[0] > goal.vector.shape[0]:
             for gone in vanishing:
                 if field.made_of(goal.vector, list(_parts(gone, R, goal.vector.numel()))) is not None:
                     transposed = around(name, "{}'", r"{}^\top", "{}ᵀ")
                     text = "it is part of what {R} takes to {gone}, and {name} has full row rank"
-                    return Made(sentence(text, R=transposed, gone=gone.of, name=name), (_keeps_rank(name),))
+                    assumes = (_keeps_rank(name), *gone.assumes)
+                    return Made(sentence(text, R=transposed, gone=gone.of, name=name), assumes)
     return None
+
+
+def assumed(names: Iterable[Text], vanishing: Sequence[Vanishing]) -> tuple[Text, ...]:
+    """What is assumed of those of these names."""
+    used = set(names)
+    return tuple(dict.fromkeys(text for item in vanishing if item.of in used for text in item.assumes))
 
 
 def _keeps_rank(name: Text) -> Text:

@@ -10,17 +10,17 @@ import casadi as ca
 
 from dmframe.block import names_of
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Assumption, Clipped, Driven, Gathered, Lemma, LogDet, NormSquare, Square
+from dmframe.certificate import SX, Clipped, Driven, Gathered, Lemma, LogDet, NormSquare, Square
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.closure import Bases, Closure
-from dmframe.certify.limits import Combinations, Vanishing, combined, goals
+from dmframe.certify.limits import Combinations, Vanishing, assumed, combined, goals
 from dmframe.certify.positive import Positive, Signs
 from dmframe.certify.smoothness import slope
 from dmframe.certify.symbols import Symbols
 from dmframe.diagram.closed_loop import Variable
 from dmframe.diagram.projection import Bodies
 from dmframe.names import symbol
-from dmframe.text import Label, Text, Written, around, name_of, sentence, square_of, text_of
+from dmframe.text import Label, Text, Written, around, name_of, sentence, square_of
 
 T = TypeVar("T", bound=Positive)
 
@@ -122,11 +122,11 @@ def statements_of(claim: Claim, symbols: Symbols, signs: Signs, closure: Closure
         for term in _distinct(stored)
     ]
     found += _bodies(claim)
-    held, given = {term.of for term in stored}, _given(closure)
+    held = {term.of for term in stored}
     found += [
-        Statement(name, "is bounded", DRIVEN, given.get(id(item), ()))
+        Statement(name, "is bounded", DRIVEN, closure.needs([vector]))
         for item in closure.driven
-        for name, shown in zip(item.of, closure.bounds(item.bounded), strict=True)
+        for name, vector, shown in zip(item.of, item.bounded, closure.bounds(item.bounded), strict=True)
         if shown and name not in held
     ]
     found += _states(claim, closure, {statement.signal for statement in found})
@@ -134,19 +134,13 @@ def statements_of(claim: Claim, symbols: Symbols, signs: Signs, closure: Closure
     vanishing = _vanishing(claim, closure, spent)
     wanted = _wanted(claim, closure)
     for item in vanishing:
-        assumes = () if item.proved else (_smooth(item.of),)
+        assumes = item.assumes if item.proved else (_smooth(item.of),)
         found.append(Statement(item.of, "goes to zero", BARBALAT, assumes, item.proved and item.of in wanted))
     return [*found, *_conclusions(claim, closure, vanishing), *_into_dead_zones(claim, signs)]
 
 
 def _smooth(of: Text) -> Text:
     return Text("the derivative of ", of, " is bounded")
-
-
-def _given(closure: Closure) -> dict[int, tuple[Text, ...]]:
-    """What is assumed of the inputs of what is driven, by identity."""
-    found = ((item, item.otherwise) for _, item in closure.given)
-    return {id(item): tuple(text_of(c.text) for c in stated if isinstance(c, Assumption)) for item, stated in found}
 
 
 def _stored(claim: Claim) -> Iterator[tuple[Part, Positive]]:
@@ -189,10 +183,8 @@ def _states(claim: Claim, closure: Closure, stated: set[str]) -> list[Statement]
     known = _vectors(claim)
     before = [vector for name, vector in known.items() if name in stated]
     left = {variable.label for variable in closure.open_states()}
-    assumed = tuple(dict.fromkeys(text for texts in _given(closure).values() for text in texts))
-    later = {variable.label for variable in closure.without} if assumed else set()
     return [
-        Statement(_state_name(claim, variable, known), "is bounded", CLOSED, assumed if variable.label in later else ())
+        Statement(_state_name(claim, variable, known), "is bounded", CLOSED, closure.needs([variable.symbol]))
         for variable in claim.loop.plant
         if variable.label not in left and not any(_equal(variable.symbol, vector) for vector in before)
     ]
@@ -216,10 +208,12 @@ def _vanishing(claim: Claim, closure: Closure, spent: Sequence[Square]) -> list[
     """The dissipated squares, with whether their derivatives are bounded."""
     rates = [slope(claim, square.vector) for square in spent]
     shown = iter(closure.bounds([rate for rate in rates if rate is not None]))
-    return [
-        Vanishing(square.of, square.vector, rate is not None and next(shown))
-        for square, rate in zip(spent, rates, strict=True)
-    ]
+    found = list[Vanishing]()
+    for square, rate in zip(spent, rates, strict=True):
+        proved = rate is not None and next(shown)
+        assumes = closure.needs([rate]) if rate is not None and proved else ()
+        found.append(Vanishing(square.of, square.vector, proved, assumes))
+    return found
 
 
 def vanishing_of(claim: Claim, closure: Closure, signs: Signs) -> list[Vanishing]:
@@ -233,7 +227,7 @@ def vanishing_of(claim: Claim, closure: Closure, signs: Signs) -> list[Vanishing
 def _conclusions(claim: Claim, closure: Closure, vanishing: Sequence[Vanishing]) -> Iterator[Statement]:
     """Errors that go to zero because what vanishes is made of them, and their rates."""
     rests = _at_rest(claim, closure, vanishing)
-    yield from (Statement(item.of, "goes to zero", AGAIN) for item in rests)
+    yield from (Statement(item.of, "goes to zero", AGAIN, item.assumes) for item in rests)
     sure = [item for item in (*vanishing, *rests) if item.proved]
     names, wanted = {item.of for item in sure}, _wanted(claim, closure)
     field = Combinations(claim, closure.prime, closure.seed, closure.uncertain)
@@ -244,7 +238,9 @@ def _conclusions(claim: Claim, closure: Closure, vanishing: Sequence[Vanishing])
         if goal.of in wanted and (made is not None or goal.of in names):
             speed = _second(claim, goal.vector)
             if speed is not None and all(closure.bounds([speed])):
-                yield Statement(_rate_of(goal.of), "goes to zero", AGAIN, concludes=True)
+                own = made.assumes if made is not None else assumed([goal.of], sure)
+                assumes = tuple(dict.fromkeys((*own, *closure.needs([speed]))))
+                yield Statement(_rate_of(goal.of), "goes to zero", AGAIN, assumes, concludes=True)
 
 
 def _wanted(claim: Claim, closure: Closure) -> set[Text]:
@@ -266,7 +262,8 @@ def _at_rest(claim: Claim, closure: Closure, vanishing: Sequence[Vanishing]) -> 
             continue
         rate, second = slope(claim, item.vector), _second(claim, item.vector)
         if rate is not None and second is not None and all(closure.bounds([second])):
-            found.append(Vanishing(_rate_name(claim, item.of, rate), rate, True))
+            assumes = tuple(dict.fromkeys((*item.assumes, *closure.needs([second]))))
+            found.append(Vanishing(_rate_name(claim, item.of, rate), rate, True, assumes))
     return found
 
 

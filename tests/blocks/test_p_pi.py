@@ -94,6 +94,11 @@ def test_where_the_task_does_not_bound_the_joint_angles_this_is_assumed(f: float
     bounded = {item.signal: item.assumes for item in found.verdict.statements if item.says == "is bounded"}
     assert {signal for signal, assumed in bounded.items() if assumed == (ANGLES,)} == {"z", "q_c", "xi", "q"}
     assert ANGLES in {item.text for item in found.verdict.assumptions}
+    gone = {item.signal: item.assumes for item in found.verdict.statements if item.says == "goes to zero"}
+    # du/dt, and so the bounded derivative that Barbalat's lemma needs, contains the estimates times q_r, q_c and z
+    marked = {signal for signal, assumed in gone.items() if ANGLES in assumed}
+    assert marked >= {"dq - dq_r", "sigma", "d(x - x_d)/dt"}
+    assert gone.keys() - marked == {"q - q_r", "J_hat'(x - x_d)", "x - x_d"}
 
 
 def test_nothing_is_proved_without_feed_forward_or_with_a_filter_or_a_lag(tmp_path: Path) -> None:

@@ -14,14 +14,16 @@ import dmframe as dm
 from dmframe.catalogue import block_types
 from dmframe.certify import verify
 from dmframe.errors import DmframeError
+from dmframe.robot.library import load
 
 BLOCKS = block_types()
+PENDULUM = load("pendulum")
 T = 0.02
 
 
 def stepped(block: Any, states: dict[str, Any], q: float, dq_r: float) -> tuple[dict[str, Any], dict[str, Any]]:
     """The outputs of a sample and the states after it, for one joint."""
-    found = block.evaluate({"q": [q], "dq_r": [dq_r], "T": T}, states, robot="pendulum")
+    found = block.evaluate({"q": [q], "dq_r": [dq_r], "T": T}, states, robot=PENDULUM)
     return found.outputs, dict(found.next)
 
 
@@ -152,6 +154,29 @@ def test_the_steps_of_the_series_are_proved_and_nothing_more(delay: int) -> None
     assert found.outcome == "proved", found.reason
     assert "not known to be bounded, and tracking is not part of it" in str(found.headline)
     assert "that its rows follow from the plant is assumed" in str(found.headline)
+
+
+@pytest.mark.parametrize(("delay", "line"), [(0, 1), (1, 0), (1, 2)])
+def test_a_delay_that_is_not_the_plants_fails(delay: int, line: int) -> None:
+    graph = repetitive(delay=delay)
+    graph["blocks"]["task"]["delay"] = delay
+    graph["blocks"] |= {"line": {"type": "transport_delay", "samples": line}} if line else {}
+    found = verify(dm.load(graph).diagram)
+    assert found.outcome == "not_applicable"
+    assert f"its rows take a delay of {delay} samples, and the plant delays commands by {line}" in found.reason
+    graph["blocks"]["inverse"]["delay"] = line  # as the plant's
+    (condition,) = [item for item in verify(dm.load(graph).diagram).conditions if "take a delay" in item.name]
+    assert condition.holds
+    assert str(condition.value) == "0.0"  # not -0.0
+
+
+def test_the_reason_that_a_sampled_law_lacks_a_truth_is_the_plant_without_a_theorem() -> None:
+    graph = copy.deepcopy(sampled_arm2(servo="p_pi"))
+    gains = {"k_p": 20, "K_v": [60, 30], "K_i": [240, 120]}
+    graph["blocks"]["servo"] = {"type": "p_pi_servo", **gains, "velocity_filter": "2 ms"}
+    found = verify(dm.load(graph).diagram)
+    assert found.outcome == "not_applicable"
+    assert found.reason.startswith("servo: a p_pi_servo has no certificate: no theorem covers its velocity_filter")
 
 
 def test_a_step_in_the_wrong_direction_is_refuted(monkeypatch: pytest.MonkeyPatch) -> None:

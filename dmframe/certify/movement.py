@@ -1,0 +1,119 @@
+"""How expressions move along directions of the state space, at two random points of a prime field."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, final
+
+from dmframe.certificate import SX
+from dmframe.certify.checked import Numbers
+from dmframe.certify.claim import Claim
+from dmframe.certify.symbols import Group, exact_values, symbols_of
+from dmframe.errors import ValueFault
+from dmframe.exact import Tape, random_prime
+from dmframe.exact.shift import Shift, ZeroDivision
+from dmframe.linalg import nodes
+
+ATTEMPTS: Final = 20
+BITS: Final = 149
+
+
+@final
+class Movement:
+    """Two random points of one field, with the same parameters.
+
+    Parameters
+    ----------
+    anywhere
+        Parameters have random values; else the graph's own, but for those in intervals.
+    zeros
+        Labels of parameters that are zero.
+    """
+
+    def __init__(self, claim: Claim, numbers: Numbers, seed: int, *, anywhere: bool, zeros: frozenset[str]) -> None:
+        self._claim, self._numbers, self._free, self._zeros = claim, numbers, anywhere, zeros
+        self._symbols = symbols_of(claim, numbers.uncertain)
+        rng = random.Random(seed + 3)
+        self.shift: Final = Shift(random_prime(rng, BITS), rng)
+        self._points: list[dict[str, list[int]]] = [{}, {}]
+        self.tapes = list[tuple[Sequence[Group], Tape]]()
+        self.read, self._tapes = list[SX](), dict[tuple[Any, ...], Tape]()
+        self._extend()
+
+    def _extend(self) -> None:
+        """Values for symbols that have none yet; a derivative may have brought a trajectory's next one."""
+        first, second = self._points
+        own = exact_values(self._claim.diagram)
+        for group in self._symbols.groups:
+            if group.label not in first:
+                size = group.symbol.numel()
+                if group.label in self._zeros:
+                    first[group.label] = [0] * size
+                elif group.kind == "parameter" and not self._varies(group):
+                    first[group.label] = [self.shift.residue(value) for value in own[group.label]]
+                else:
+                    first[group.label] = [self.shift.random() for _ in range(size)]
+                shared = group.kind in ("parameter", "weight")
+                second[group.label] = first[group.label] if shared else [self.shift.random() for _ in range(size)]
+
+    def _varies(self, group: Group) -> bool:
+        """True for a parameter without a fixed number: one in an interval; the robot's rotations are orthogonal."""
+        if group.label in self._numbers.uncertain:
+            return True
+        return self._free and group.values is None
+
+    def _moved(self, point: Mapping[str, Sequence[int]], u: Sequence[int]) -> list[list[int]]:
+        """A point with its states and its time moved along u."""
+        steps, start = {"t": u[-1:]}, 0
+        for variable in self._claim.loop.variables:
+            size = variable.symbol.numel()
+            steps[variable.label] = u[start : start + size]
+            start += size
+        return [
+            [(a + b) % self.shift.prime for a, b in zip(point[group.label], steps[group.label], strict=True)]
+            if group.kind in ("state", "time")
+            else list(point[group.label])
+            for group in self._symbols.groups
+        ]
+
+    def _at(self, place: int) -> list[list[int]]:
+        return [self._points[place][group.label] for group in self._symbols.groups]
+
+    def tape(self, expressions: Sequence[SX]) -> Tape:
+        """The expressions as operations of the field."""
+        if sum(group.kind == "trajectory" for group in self._symbols.groups) < len(
+            self._claim.diagram.resolver.trajectories
+        ):
+            self._symbols = symbols_of(self._claim, self._numbers.uncertain)
+            self._extend()
+            self._tapes.clear()
+        key = tuple(map(nodes, expressions))
+        if key not in self._tapes:
+            self.read += expressions  # which keeps the nodes, by whose identity they are found
+            self._tapes[key] = Tape.from_function(self._symbols.function("closure", expressions))
+            self.tapes.append((self._symbols.groups, self._tapes[key]))
+        return self._tapes[key]
+
+    def values(self, tape: Tape, place: int) -> list[int]:
+        """At one of the two points."""
+        return self.shift.values(tape, self._at(place))
+
+    def along(self, expressions: Sequence[SX], direction: Sequence[int]) -> list[list[int]]:
+        """By how much each element moves along a direction, at the first point."""
+        (flat,) = self.differences(self.tape(expressions), 0, [direction])
+        found, start = [], 0
+        for expression in expressions:
+            found.append(flat[start : start + expression.numel()])
+            start += expression.numel()
+        return found
+
+    def differences(self, tape: Tape, place: int, directions: Sequence[Sequence[int]]) -> list[list[int]]:
+        """By how much each element moves along each direction, at one of the two points."""
+        point = self._points[place]
+        for _ in range(ATTEMPTS):
+            try:
+                return self.shift.difference(tape, self._at(place), [self._moved(point, u) for u in directions])
+            except ZeroDivision:
+                directions = [[2 * x % self.shift.prime for x in u] for u in directions]
+        raise ValueFault("a denominator vanishes at every random point")
