@@ -173,7 +173,7 @@ def _verified(
             controls, units, *others = finished()
     except ValueFault as error:
         return undefined(error)
-    test = together([test, *others])
+    test = replace(together([test, *others]), seed=own)
     if not test.zero:
         return refuted(test)
     if found.fault:
