@@ -151,8 +151,8 @@ def _tuning(found: Finished) -> Iterator[Paragraph | Table]:
     yield Paragraph(
         f"Each law has {candidates} at each sampling period: the graph's own values, then a Halton sequence, "
         "log-uniform over the ranges of the race file. A candidate is rejected if it diverges on a training cell as it "
-        f"is, or with {margins}. Of the others, that with the least median of log error over the training cells is chosen. "
-        "No held-out cell has its plant or its path in training."
+        f"is, or with {margins}. Of the others, that with the least median of log error over the training cells is "
+        "chosen. No held-out cell has its plant or its path in training."
     )
     training = file.training
     rows: list[list[Cell]] = []
