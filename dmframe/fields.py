@@ -19,9 +19,8 @@ EXPRESSIONS: Final = (ca.SX, ca.MX, ca.DM, int, float, np.number)
 def check_fields(stated: Any) -> None:
     """Raise `TypeError` if a field of a dataclass does not match its annotation."""
     for name, kind in _kinds(stated.__class__).items():
-        fault = fault_of(name, kind, getattr(stated, name))
-        if fault:
-            raise TypeError(f"{type(stated).__name__}: {fault}")
+        if not _fits(kind, value := getattr(stated, name)):
+            raise TypeError(f"{type(stated).__name__}: {fault_of(name, kind, value)}")
 
 
 class Expressions:
@@ -84,7 +83,7 @@ def _kinds(of: Any) -> dict[str, Any]:
 
 def fault_of(name: str, kind: Any, value: Any) -> str:
     """Type error of a value, for its innermost part; empty if there is none."""
-    origin, parts = get_origin(kind), get_args(kind)
+    origin, parts = _parts(kind)
     if origin is tuple and type(value) is tuple:
         found = (fault_of(f"{name}[{place}]", parts[0], item) for place, item in enumerate(value))
     elif origin is Mapping and isinstance(value, Mapping):
@@ -102,13 +101,28 @@ def _values(name: str, kind: Any, value: Mapping[Any, Any]) -> Any:
     return (fault_of(f"{name}[{key!r}]", kind, item) for key, item in value.items())
 
 
+@cache
+def _parts(kind: Any) -> tuple[Any, tuple[Any, ...]]:
+    return get_origin(kind), get_args(kind)
+
+
+def _fits(kind: Any, value: Any) -> bool:
+    """True for a value without a `fault_of` it, whose text takes most of the time."""
+    origin, parts = _parts(kind)
+    if origin is tuple and type(value) is tuple:
+        return all(_fits(parts[0], item) for item in value)
+    if origin is Mapping and isinstance(value, Mapping):
+        return all(_fits(parts[0], key) and _fits(parts[1], item) for key, item in value.items())
+    return _is(kind, value)
+
+
 def _is(kind: Any, value: Any) -> bool:
     """True for a value of exactly that type, not of an author's subclass, which could mean something else."""
     if kind is Any:
         numbers = isinstance(value, np.ndarray) and value.ndim <= 2 and value.dtype.kind in "iuf"
         return numbers or (isinstance(value, EXPRESSIONS) and not isinstance(value, bool))
     if isinstance(kind, UnionType):
-        return any(_is(part, value) for part in get_args(kind))
+        return any(_is(part, value) for part in _parts(kind)[1])
     if not isinstance(kind, type):
         return False
     sealed = getattr(kind, "__final__", False) or kind in (str, int)

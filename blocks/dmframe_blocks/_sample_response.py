@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 import casadi as ca
 
@@ -12,6 +12,19 @@ from dmframe_blocks._averaged_servo import AveragedServo, Start
 
 _NEWTON: Final = 4
 """Newton steps for predicting the average velocity of a sample with a known command."""
+
+
+class Ahead(NamedTuple):
+    """The samples until a new command acts.
+
+    Columns of known commands and of planned velocities, the first of the sample that is over; the delay, None if it is
+    the number of the other columns; and the period.
+    """
+
+    commands: SX
+    plans: SX
+    delay: SX | None
+    T: SX
 
 
 @final
@@ -60,3 +73,19 @@ class Response:
         z = named(f"z_{k}", start.z + T * (middle - start.target - T * command / 2))
         target = named(f"target_{k}", start.target + T * command)
         return Start(named(f"q_{k}", start.q + T * v), target, z, middle, v), left(v)
+
+    def when_acting(self, ahead: Ahead, start: Start, slow: SX, share: SX, theta: SX, margin: SX) -> tuple[Start, SX]:
+        """The start of the sample in which a new command acts, and the low-pass filtered residual there.
+
+        `share` is T/tau of that filter, zero without one.
+        """
+        for k in range(1, ahead.commands.shape[1]):
+            end, left = self.after(k, start, theta, slow, ahead.commands[:, k], ahead.plans[:, k], ahead.T, margin)
+            next_slow = named(f"slow_{k}", slow + share * (left + self.averaged.offset(theta) - slow))
+            if ahead.delay is not None:
+                over = named(f"over_{k}", ahead.delay < k)
+                both = zip((*start, slow), (*end, next_slow), strict=True)
+                *parts, next_slow = (named(f"start_{k}_{i}", ca.if_else(over, *pair)) for i, pair in enumerate(both))
+                end = Start(*parts)
+            start, slow = end, next_slow
+        return start, slow

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Literal, Self, final
 
 import casadi as ca
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from dmframe.block import (
     PERIOD,
@@ -26,6 +26,16 @@ from dmframe.block import (
     clip,
     named,
     operation,
+)
+from dmframe_blocks._identified_delay import (
+    DELAY_HAT,
+    IDENTIFIED,
+    MOST_DELAY,
+    acting,
+    check_delay,
+    chosen,
+    longest,
+    needs_delay,
 )
 from dmframe_blocks._residual_observers import PERIODIC, SIMPLE, Forecasts, Observer, Waves, size_of, split
 
@@ -79,8 +89,11 @@ class ExpertAggregation(AbstractBlock):
         Angular frequency with which the motion repeats, with `periodic`.
     periodic : true or false
         Also observe with Fourier series of 4 and of 20 multiples of the rate, each fast and slow.
-    delay : 0, 1 or 2
+    delay : 0, 1, ..., 8
         Whole samples from a command to its effect, as in the blocks that compute dq_r and dq_model.
+    delay_up_to : 1, 2, ..., 8
+        Instead of `delay`: the input delay_hat of a `delay_probe` is the delay, up to this number of samples. Until it
+        is identified the silent expert alone has weight, and nothing is observed.
     weighting : exponential or projection
         See above.
     memory : scalar, s, > 0
@@ -114,6 +127,8 @@ class ExpertAggregation(AbstractBlock):
         Input("q_model", "n", "rad"),
         Input("epsilon", "n", "rad/s"),
         Input("slope", "n"),
+        DELAY_HAT,
+        IDENTIFIED,
         PERIOD,
     )
     outputs = (
@@ -134,7 +149,8 @@ class ExpertAggregation(AbstractBlock):
 
     rate: Scalar | None = Positive("", "rad/s", default=None)
     periodic: bool = False
-    delay: Literal[0, 1, 2] = 0
+    delay: int = Field(0, ge=0, le=MOST_DELAY)
+    delay_up_to: int | None = Field(None, ge=1, le=MOST_DELAY)
     weighting: Literal["exponential", "projection"] = "exponential"
     memory: Scalar = Positive("", "s", default=6.0)
     weight_gain: Scalar = Positive(default=0.2)
@@ -148,7 +164,12 @@ class ExpertAggregation(AbstractBlock):
     def _has_a_rate(self) -> Self:
         if self.periodic != (self.rate is not None):
             raise ValueError("expected periodic: true together with the rate of the motion; give both or neither")
+        check_delay(self)
         return self
+
+    def needs(self, port: str) -> bool:
+        """The delay, if it is identified."""
+        return needs_delay(self, port)
 
     @property
     def _observers(self) -> tuple[Observer, ...]:
@@ -159,30 +180,31 @@ class ExpertAggregation(AbstractBlock):
         """E: experts; w: weights of all but the first, of all joints; H: numbers of observers; F: stored forecasts."""
         observers = self._observers
         E = 2 * (1 + len(observers))
-        own = {"E": E, "H": 2 * size_of(observers), "F": E * (self.delay + 1), "d": self.delay + 1}
+        own = {"E": E, "H": 2 * size_of(observers), "F": E * (longest(self) + 1), "d": longest(self) + 1}
         return {**super().sizes(robot), **own, "w": robot.n * (E - 1)}
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """At rest, with the silent expert alone."""
-        return {"q_before": u.q, "forecasts": ca.repmat(u.q, 1, 2 * (1 + len(self._observers)) * (self.delay + 1))}
+        return {"q_before": u.q, "forecasts": ca.repmat(u.q, 1, 2 * (1 + len(self._observers)) * (longest(self) + 1))}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """The observers, the weights, the command, and the forecasts of what it does."""
-        lag = named("lag_now", x.queue[:, 0] - (u.q - x.q_before) / u.T)
+        queue = named("acting", acting(self, u, x.queue))
+        lag = named("lag_now", queue[:, 0] - (u.q - x.q_before) / u.T)
         waves = Waves(x.phase, p.rate * u.T) if self.periodic else Waves(0 * u.T, 0 * u.T)
         observers = 2 * self._observers
         seen = [signal for signal in (lag, u.epsilon) for _ in self._observers]
         before = split(observers, x.observed)
         updated = [each.updated(old, new, waves) for each, old, new in zip(observers, before, seen, strict=True)]
         held = [named(f"o_{k}", new) for k, new in enumerate(updated, start=1)]
-        moved = {"observed": ca.horzcat(*held)} | ({"phase": x.phase + p.rate * u.T} if self.periodic else {})
+        phase = {"phase": x.phase + p.rate * u.T} if self.periodic else {}
 
         def ahead(k: int) -> SX:
             found = [each.forecast(item, k, waves) for each, item in zip(observers, held, strict=True)]
             half = len(found) // 2
             return named(f"missed_{k}", ca.horzcat(0 * lag, *found[:half], 0 * lag, *found[half:]))
 
-        experts = self._forecasts(u, x, ahead)
+        experts = self._forecasts(u, queue, ahead)
         weights, losses = self._weighed(u, x, p)
         w = named("w_all", with_first(weights, lag))
         q_start = named("q_mean", along(w, experts.q_start))
@@ -195,32 +217,40 @@ class ExpertAggregation(AbstractBlock):
         return Equations(
             outputs={"dq_sent": dq_sent, "q_start": q_start, "model_share": ca.sum2(w[:, E // 2 :])},
             next={
-                **moved,
+                **self._begun(u, {"observed": ca.horzcat(*held), "count": x.count + 1}),
+                **phase,
                 **losses,
                 "weights": weights,
                 "forecasts": ca.horzcat(x.forecasts[:, E:], ends),
                 "q_before": u.q,
                 "queue": ca.horzcat(x.queue[:, 1:], dq_sent),
-                "count": x.count + 1,
             },
         )
 
-    def _forecasts(self, u: Signals, x: Signals, ahead: Callable[[int], SX]) -> Forecasts:
+    def _begun(self, u: Signals, moved: Mapping[str, SX]) -> Mapping[str, SX]:
+        """What begins when the delay is identified."""
+        return moved if self.delay_up_to is None else {name: u.identified * new for name, new in moved.items()}
+
+    def _forecasts(self, u: Signals, queue: SX, ahead: Callable[[int], SX]) -> Forecasts:
         """Of the experts without a model, then of those with it."""
-        coming = ahead(self.delay + 1)
+        missed = [ahead(k) for k in range(1, longest(self) + 2)]
+        coming = missed[-1] if self.delay_up_to is None else named("missed", chosen(missed, u.delay_hat))
         slopes = named("G", halves(0 * u.slope + 1, u.slope, coming))
         starts = halves(u.q, u.q_model, coming)
-        for k in range(1, self.delay + 1):
-            known = halves(x.queue[:, k], 0 * u.q, coming)  # q_model holds the known commands
-            starts = starts + u.T * (known - elementwise(slopes, ahead(k)))
+        for k in range(1, longest(self) + 1):
+            known = halves(queue[:, k], 0 * u.q, coming)  # q_model holds the known commands
+            moved = u.T * (known - elementwise(slopes, missed[k - 1]))
+            starts = starts + (moved if self.delay_up_to is None else ca.if_else(u.delay_hat < k, 0 * moved, moved))
         command = named("u_i", halves(u.dq_r, u.dq_model, coming) + coming)
         return Forecasts(named("q_i", starts), command, slopes)
 
     def _row(self, u: Signals, x: Signals) -> tuple[SX, SX, SX]:
         """Rows h and outputs y of the projection, zero before the first forecast ends; and all errors."""
-        E = x.forecasts.shape[1] // (self.delay + 1)
-        arrived = x.forecasts[:, :E]
-        errors = named("e", (x.count > self.delay + 1) * (arrived - halves(u.q, u.q, arrived)) / u.T)
+        D = longest(self)
+        E, delay = x.forecasts.shape[1] // (D + 1), D if self.delay_up_to is None else u.delay_hat
+        made = [x.forecasts[:, k * E : (k + 1) * E] for k in range(D, -1, -1)]  # the last one first
+        arrived = made[D] if self.delay_up_to is None else named("arrived", chosen(made, delay))
+        errors = named("e", (x.count > delay + 1) * (arrived - halves(u.q, u.q, arrived)) / u.T)
         return named("h_w", differences(errors)), named("y_w", -errors[:, 0]), errors
 
     def _weighed(self, u: Signals, x: Signals, p: Signals) -> tuple[SX, dict[str, SX]]:

@@ -26,7 +26,6 @@ from dmframe.block import (
     Interval,
     NonNegative,
     Output,
-    PlantIdentity,
     Positive,
     Scalar,
     Signals,
@@ -37,9 +36,20 @@ from dmframe.block import (
 from dmframe.robot.parameters import Friction
 from dmframe_blocks._averaged_servo import AveragedServo, Start, averaged_servo
 from dmframe_blocks._friction import columns_for
-from dmframe_blocks._loads import with_held
+from dmframe_blocks._identified_delay import (
+    DELAY_HAT,
+    IDENTIFIED,
+    MOST_DELAY,
+    Aimed,
+    acting,
+    check_delay,
+    longest,
+    needs_delay,
+    sooner,
+)
 from dmframe_blocks._sample_estimators import Estimator, Learning, Projection, least_squares, triangle
-from dmframe_blocks._sample_response import Response
+from dmframe_blocks._sample_response import Ahead, Response
+from dmframe_blocks._servo_truth import true_servo
 
 
 @final
@@ -102,8 +112,11 @@ class SampledInverse(AbstractBlock):
         joints, the parameters of the rows are not those of a rigid robot: the certificate is about any constant ones.
     friction : list of viscous, coulomb
         Friction with a column for each joint.
-    delay : 0, 1 or 2
+    delay : 0, 1, ..., 8
         Whole samples from a command to its effect. It must be correct.
+    delay_up_to : 1, 2, ..., 8
+        Instead of `delay`: the input delay_hat of a `delay_probe` is the delay, up to this number of samples. Until it
+        is identified the estimate keeps its initial value, and no sample is stored.
     estimator : projection or least_squares
         Estimator of :math:`\theta`. With a quantising encoder least squares needs `average` 2 or more, otherwise it
         drifts; it is then less noisy than projections. After a change of load its errors are larger for some seconds.
@@ -140,6 +153,9 @@ class SampledInverse(AbstractBlock):
         Largest command.
     margin : scalar, >= 0
         Margin of the slope above 1/2 in the condition on :math:`w M/T`.
+    settling : scalar, s, >= 0
+        Time after the start, or after the delay was identified, from which nothing is learned: large corrections of the
+        first error can reach limits of the channel, which the rows do not describe.
     supervised : true or false
         Another block, such as `sampled_supervisor`, determines the command that is sent, `dq_sent`, which is then used
         as the applied command.
@@ -168,6 +184,8 @@ class SampledInverse(AbstractBlock):
         Input("dq_sent", "n", "rad/s", optional=True),
         Input("q_echo", "n", "rad", optional=True),
         Input("t", "", "s", optional=True),
+        DELAY_HAT,
+        IDENTIFIED,
         PERIOD,
     )
     outputs = (
@@ -222,7 +240,8 @@ class SampledInverse(AbstractBlock):
     servo: Literal["pid", "pi", "p_pi"] = "pid"
     dynamics: Literal["robot", "joints"] = "robot"
     friction: tuple[Friction, ...] = ("viscous", "coulomb")
-    delay: Literal[0, 1, 2] = 0
+    delay: int = Field(0, ge=0, le=MOST_DELAY)
+    delay_up_to: int | None = Field(None, ge=1, le=MOST_DELAY)
     estimator: Literal["projection", "least_squares"] = "projection"
     retention: Scalar = Positive(default=0.98)
     replay: int = Field(20, ge=1)
@@ -250,6 +269,7 @@ class SampledInverse(AbstractBlock):
     friction_box: Box = Interval("", "N m s/rad", default=(0.0, 50.0), several=True)
     u_max: Diagonal = Positive("n", "rad/s", default=3.0)
     margin: Scalar = NonNegative(default=0.05)
+    settling: Scalar = NonNegative("", "s", default=0.0)
     supervised: bool = False
     echoed: bool = False
     time_stamps: bool = False
@@ -265,6 +285,7 @@ class SampledInverse(AbstractBlock):
         for name in other:
             if getattr(self, name) != type(self).model_fields[name].default:
                 raise ValueError(f"expected no {name} with estimator {self.estimator}, which has none; leave it out")
+        check_delay(self)
         return self
 
     def elements(self, robot: Any) -> Mapping[str, Sequence[Element]]:
@@ -274,12 +295,12 @@ class SampledInverse(AbstractBlock):
     def sizes(self, robot: Any) -> Mapping[str, int]:
         """W: stored rows; G: elements of the information matrices; A: rows averaged with a new one; d: queue length."""
         gathered = sum(map(triangle, averaged_servo(robot, self.servo, frozenset(self.friction), self.dynamics).parts))
-        own = {"W": self.replay, "G": gathered, "A": self.average - 1, "d": self.delay + 1}
+        own = {"W": self.replay, "G": gathered, "A": self.average - 1, "d": longest(self) + 1}
         return {**super().sizes(robot), **own}
 
     def needs(self, port: str) -> bool:
         """The sent command if another block determines it; the target if the robot reports it."""
-        return {"dq_sent": self.supervised, "q_echo": self.echoed}.get(port, False)
+        return {"dq_sent": self.supervised, "q_echo": self.echoed}.get(port, needs_delay(self, port))
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """At rest, with a zero command in the previous sample."""
@@ -295,21 +316,25 @@ class SampledInverse(AbstractBlock):
         """The last sample, the update of the estimate, the predicted start of the command, and the command."""
         averaged, T = self._averaged(p), self._over(u, x)
         u_applied, v, psi, y, h, g = self._sample(u, x, p)
-        row, goal, kept = self._meant(x, p, *self._lesson(x, p, u_applied, h, g))
+        row, goal, kept = self._meant(x, p, *self._lesson(u, x, p, u_applied, h, g))
         if self.time_stamps:
             kept["t_before"] = u.t
         theta, learnt = self._estimator(p).learnt(x, row, goal, self._learning(p))
         theta_new = named("theta_new", theta)
 
         middle = x.q_before + T * v / 2
-        target, z = x.q_aim + T * u_applied, x.z + T * (middle - x.q_aim - T * u_applied / 2)
+        aimed, late = self._aimed(u, x, T), u_applied if self.echoed else x.queue[:, 0]
+        target, z = aimed.after(u_applied, middle, T)
+        q_aim, z_aim = Aimed(x.q_aim, x.z).after(late, middle, T)
         start, slow, next_slow = Start(u.q, target, z, middle, v), 0 * y, dict[str, SX]()
         if self.filtered:
-            psi_slow = named("psi_next", averaged.changing(x.psi_slow + T / p.tau * (psi - x.psi_slow)))
-            y_slow = named("y_next", x.y_slow + T / p.tau * (y - x.y_slow))
+            psi_slow, y_slow = self._slow(averaged, x, psi, y)
+            psi_slow = named("psi_next", averaged.changing(psi_slow + T / p.tau * (psi - psi_slow)))
+            y_slow = named("y_next", y_slow + T / p.tau * (y - y_slow))
             slow, next_slow = y_slow - averaged.answer(psi_slow, theta_new), {"psi_slow": psi_slow, "y_slow": y_slow}
-        for k in range(1, self.delay + 1):
-            start, slow = self._predicted(k, x, p, theta_new, start, slow, u.T)
+        ahead = Ahead(acting(self, u, x.queue), acting(self, u, x.plans), self._delay(u), u.T)
+        slow_share = u.T / p.tau if self.filtered else 0
+        start, slow = self._response(p).when_acting(ahead, start, slow, slow_share, theta_new, p.margin)
         S = self._response(p).slope(theta_new, start.q, u.T)
         safe = averaged.safe(S, p.margin)
         dq_c = self._command(u, x, p, theta_new, start, slow, safe)
@@ -328,24 +353,42 @@ class SampledInverse(AbstractBlock):
                 "theta": theta_new,
                 **learnt,
                 **kept,
-                **next_slow,
                 "q_before": u.q,
-                "q_aim": target,
-                "z": z,
                 "m_before": middle,
                 "v_before": v,
                 "m_planned": start.q + u.T * u.dq_r / 2,
                 "plans": ca.horzcat(x.plans[:, 1:], u.dq_r),
                 "queue": ca.horzcat(x.queue[:, 1:], u.dq_sent if self.supervised else dq_c),
-                "count": x.count + 1,
+                "q_aim": q_aim,
+                "z": z_aim,
+                "count": x.count + 1 if self.delay_up_to is None else u.identified * (x.count + 1),
+                **next_slow,
             },
         )
+
+    def _delay(self, u: Signals) -> SX | None:
+        """The identified delay."""
+        return None if self.delay_up_to is None else u.delay_hat
+
+    def _aimed(self, u: Signals, x: Signals, T: SX) -> Aimed:
+        """The target at the beginning of the sample that is over, and the sum of the errors before it."""
+        if self.delay_up_to is None or self.echoed:
+            return Aimed(x.q_aim, x.z)
+        return sooner(Aimed(x.q_aim, x.z), x.queue, u.delay_hat, T)
+
+    def _slow(self, averaged: AveragedServo, x: Signals, psi: SX, y: SX) -> tuple[SX, SX]:
+        """The low-pass filtered row and output, which begin with the first ones of an identified delay."""
+        if self.delay_up_to is None:
+            return x.psi_slow, x.y_slow
+        begins = x.count < 1
+        psi_slow = named("psi_slow_now", ca.if_else(begins, averaged.changing(psi), x.psi_slow))
+        return psi_slow, named("y_slow_now", ca.if_else(begins, y, x.y_slow))
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """Steps of the estimate from sample to sample, and the identity of servo and robot between samples."""
         averaged, robot = self._averaged(p), p.robot
         u_applied, _, _, _, h, g = self._sample(u, x, p)
-        new, aim = self._lesson(x, p, u_applied, h, g)
+        new, aim = self._lesson(u, x, p, u_applied, h, g)
         row, goal, kept = self._meant(x, p, new, aim)
         estimator, learning = self._estimator(p), self._learning(p)
         lines = self._lines(estimator, x, row, goal, kept, new, aim)
@@ -354,38 +397,14 @@ class SampledInverse(AbstractBlock):
             steps = estimator.steps(x, true, row, goal, learning)
             return Certificate(steps=(steps,), delay_lines=lines, unknown={"theta_true": true})
         offset = type(x.theta).sym("offset", robot.n)
-        w, k_P, k_I, further, e, z = self._servo(truth, offset)
-        B, D = (truth.B if "viscous" in self.friction else 0 * w), (truth.D if "coulomb" in self.friction else 0 * w)
-        links = with_held(robot.inertia, truth.a_held) if "a_held" in truth else robot.inertia
-        true = averaged.row(k_P, k_I, offset, w @ links.T, w * B, w * D, *further)
-        Y = robot.gravity_regressor(truth.q) - robot.kinetic_regressor(truth.q, truth.dq)
-        one, phi, still = ca.DM.ones(robot.n), robot.coulomb(truth.dq), 0 * truth.dq
-        acting = averaged.of_p_pi(truth.dq_s, truth.q_c) if self.servo == "p_pi" else ()
-        rest = averaged.row(e, z, one, Y, truth.dq, phi, *acting)
-        momentum = robot.momentum_regressor(truth.q, truth.dq)
-        moving = averaged.row(still, still, still, momentum, still, still, *averaged.of_p_pi(still, still))
+        true, identity = true_servo(averaged, self.servo, self.friction, robot, truth, offset)
         return Certificate(
             steps=(estimator.steps(x, true, row, goal, learning),),
             delay_lines=lines,
-            plant=(PlantIdentity(averaged.answer(moving, true), averaged.answer(rest, true) + truth.dq - truth.dq_s),),
+            plant=(identity,),
             acted=() if self.echoed else (Acted(u_applied, truth.dq_s, u.q, truth.q),),
             unknown={"offset": offset},
         )
-
-    def _servo(self, truth: Signals, offset: SX) -> tuple[SX, SX, SX, tuple[SX, ...], SX, SX]:
-        """w, the true k_P, k_I and further elements of theta; and e and z of the servo itself."""
-        if self.servo == "pi":
-            k_I = truth.K_I / truth.K_P
-            i = truth.i - offset / k_I
-            return 1 / (truth.K * truth.K_P), k_I, k_I, (), i, i
-        e = truth.q - truth.q_c
-        if "K_v" not in truth:  # a PID servo, for which the further elements are zero
-            k_I, none = truth.K_I / truth.K_D, (0 * offset, 0 * offset) if self.servo == "p_pi" else ()
-            return 1 / (truth.K * truth.K_D), truth.K_P / truth.K_D, k_I, none, e, truth.i - offset / k_I
-        k_i = truth.K_i / truth.K_v
-        k_q = k_i * (1 - truth.f)
-        z = -(k_i * (truth.xi + e) + k_q * truth.q_c + offset) / (truth.k_p * k_i)
-        return 1 / (truth.K * truth.K_v), truth.k_p + k_i, truth.k_p * k_i, (1 - truth.f, k_q), e, z
 
     @staticmethod
     def _lines(
@@ -402,20 +421,24 @@ class SampledInverse(AbstractBlock):
     def _sample(self, u: Signals, x: Signals, p: Signals) -> tuple[SX, SX, SX, SX, SX, SX]:
         """The previous sample: command and average velocity, psi and y, and h and g, high-pass filtered."""
         T = self._over(u, x)
-        u_applied = named("u_applied", (u.q_echo - x.q_aim) / T if self.echoed else x.queue[:, 0])
+        u_applied = named("u_applied", (u.q_echo - x.q_aim) / T if self.echoed else acting(self, u, x.queue)[:, 0])
         v = named("v", (u.q - x.q_before) / T)
-        psi = named("psi", self._psi(p, Start(x.q_before, x.q_aim, x.z, x.m_before, x.v_before), v, u_applied, T))
+        aimed = self._aimed(u, x, T)
+        psi = named("psi", self._psi(p, Start(x.q_before, *aimed, x.m_before, x.v_before), v, u_applied, T))
         y = named("y_row", u_applied - v)
-        h, g = (named("h_row", psi - x.psi_slow), named("g_row", y - x.y_slow)) if self.filtered else (psi, y)
+        h, g = psi, y
+        if self.filtered:
+            psi_slow, y_slow = self._slow(self._averaged(p), x, psi, y)
+            h, g = named("h_row", psi - psi_slow), named("g_row", y - y_slow)
         return u_applied, v, psi, y, h, g
 
     def _over(self, u: Signals, x: Signals) -> SX:
         """Length of the previous sample."""
         return named("T_over", u.t - x.t_before) if self.time_stamps else u.T
 
-    def _lesson(self, x: Signals, p: Signals, u_applied: SX, h: SX, g: SX) -> tuple[SX, SX]:
+    def _lesson(self, u: Signals, x: Signals, p: Signals, u_applied: SX, h: SX, g: SX) -> tuple[SX, SX]:
         """The row and output for the estimator: zero for joints whose command was clipped."""
-        learns = named("learns", (x.count > 0) * (ca.fabs(u_applied) < p.u_max))
+        learns = named("learns", (x.count * u.T > p.settling) * (ca.fabs(u_applied) < p.u_max))
         return self._averaged(p).of_joint(learns) * h, learns * g
 
     def _averaged(self, p: Signals) -> AveragedServo:
@@ -459,14 +482,6 @@ class SampledInverse(AbstractBlock):
         averaged, w = self._averaged(p), p.w_0
         boxes = p.k_P_box, p.k_I_box, p.offset_box, w @ p.inertia_box, w @ p.friction_box
         return averaged.kinds(*boxes, *averaged.of_p_pi(p.k_u_box, p.k_q_box))
-
-    def _predicted(self, k: int, x: Signals, p: Signals, theta: SX, start: Start, slow: SX, T: SX) -> tuple[Start, SX]:
-        """Predicted start and low-pass state of sample k from now, after a sample with a known command."""
-        response, command = self._response(p), x.queue[:, k]
-        end, left = response.after(k, start, theta, slow, command, x.plans[:, k], T, p.margin)
-        if self.filtered:
-            slow = named(f"slow_{k}", slow + T / p.tau * (left + response.averaged.offset(theta) - slow))
-        return end, slow
 
     def _command(self, u: Signals, x: Signals, p: Signals, theta: SX, start: Start, slow: SX, safe: SX) -> SX:
         """The command for which theta predicts dq_r, with the momentum of planned velocities, clipped to its bounds."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import pi, sin
-from typing import Literal, Self, final
+from typing import Self, final
 
 import casadi as ca
 from pydantic import Field, model_validator
@@ -21,6 +21,15 @@ from dmframe.block import (
     Signals,
     named,
     solve_spd,
+)
+from dmframe_blocks._identified_delay import (
+    DELAY_HAT,
+    IDENTIFIED,
+    MOST_DELAY,
+    check_delay,
+    chosen,
+    longest,
+    needs_delay,
 )
 
 
@@ -60,7 +69,10 @@ class SampledTracking(AbstractBlock):
     so that this loop is stable with any g below `gain_margin` and any m up to `delay_margin`.
 
     A command that acts `delay` samples later is computed for the sample that starts then: set the same `delay` in the
-    block that predicts q_start. dq_null moves a redundant robot in the null space of its Jacobian.
+    block that predicts q_start. With `delay_up_to` the input delay_hat is this delay, and the margin of the gain is
+    taken for delay_margin + delay_hat samples, so that it does not rely on the prediction; until the delay is
+    identified it is taken for delay_margin + delay_up_to. dq_null moves a redundant robot in the null space of its
+    Jacobian.
 
     Parameters
     ----------
@@ -76,8 +88,10 @@ class SampledTracking(AbstractBlock):
         Margin of the delay from a command to the motion, in samples. The lag of the servo counts.
     damping : scalar, m/rad, >= 0
         Damping of the inverse: near a singular pose it limits the joint velocities, and the tool leaves its path.
-    delay : 0, 1 or 2
+    delay : 0, 1, ..., 8
         Whole samples from a command to its effect.
+    delay_up_to : 1, 2, ..., 8
+        Instead of `delay`: the input delay_hat of a `delay_probe` is the delay, up to this number of samples.
 
     Notes
     -----
@@ -92,10 +106,10 @@ class SampledTracking(AbstractBlock):
     inputs = (
         Input("q_start", "n", "rad"),
         Input("x_d", "m", "m"),
-        Input("x_d_1", "m", "m", ahead_of="x_d"),
-        Input("x_d_2", "m", "m", ahead_of="x_d", ahead=2),
-        Input("x_d_3", "m", "m", ahead_of="x_d", ahead=3),
+        *(Input(f"x_d_{k}", "m", "m", ahead_of="x_d", ahead=k) for k in range(1, MOST_DELAY + 2)),
         Input("dq_null", "n", "rad/s", optional=True),
+        DELAY_HAT,
+        IDENTIFIED,
         PERIOD,
     )
     outputs = (Output("dq_r", "n", "rad/s"),)
@@ -105,7 +119,8 @@ class SampledTracking(AbstractBlock):
     gain_margin: Scalar | None = Positive(default=None)
     delay_margin: int = Field(1, ge=0)
     damping: Scalar = NonNegative("", "m/rad", default=0.01)
-    delay: Literal[0, 1, 2] = 0
+    delay: int = Field(0, ge=0, le=MOST_DELAY)
+    delay_up_to: int | None = Field(None, ge=1, le=MOST_DELAY)
 
     @model_validator(mode="after")
     def _has_one_gain(self) -> Self:
@@ -119,7 +134,12 @@ class SampledTracking(AbstractBlock):
             raise ValueError(f"expected a gain_margin of 1 or more, found {self.gain_margin}")
         if self.gain_margin is None and self.delay_margin != type(self).model_fields["delay_margin"].default:
             raise ValueError("expected no delay_margin without gain_margin, which computes the gain; leave it out")
+        check_delay(self)
         return self
+
+    def needs(self, port: str) -> bool:
+        """The delay, if it is identified."""
+        return needs_delay(self, port)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) to (4)."""
@@ -136,12 +156,21 @@ class SampledTracking(AbstractBlock):
 
     def _goal(self, u: Signals, p: Signals) -> SX:
         """(1) or (2), for the sample in which the command acts."""
-        path = (u.x_d, u.x_d_1, u.x_d_2, u.x_d_3)
-        x_err = p.robot.position(u.q_start) - path[self.delay]
+        path = [getattr(u, name) for name in ("x_d", *(f"x_d_{k}" for k in range(1, longest(self) + 2)))]
+        now, goal = path[self.delay], path[self.delay + 1]
+        if self.delay_up_to is not None:
+            now, goal = named("x_at", chosen(path[:-1], u.delay_hat)), named("x_to", chosen(path[1:], u.delay_hat))
+        x_err = p.robot.position(u.q_start) - now
         if "Lambda" in p:
-            return path[self.delay + 1] + (1 - u.T * p.Lambda) * x_err
+            return goal + (1 - u.T * p.Lambda) * x_err
         if "gain_margin" in p:
-            T_Lambda = 2 * sin(pi / (4 * self.delay_margin + 2)) / p.gain_margin
-            return path[self.delay + 1] + (1 - T_Lambda) * x_err
+            return goal + (1 - self._bound(u) / p.gain_margin) * x_err
         J = p.robot.jacobian(u.q_start)
-        return path[self.delay + 1] + x_err - u.T * p.gamma * (J @ (J.T @ x_err))
+        return goal + x_err - u.T * p.gamma * (J @ (J.T @ x_err))
+
+    def _bound(self, u: Signals) -> SX:
+        """T Lambda of a loop at the limit of stability, with the delay of the margin."""
+        bounds = [2 * sin(pi / (4 * (self.delay_margin + d) + 2)) for d in range(longest(self) + 1)]
+        if self.delay_up_to is None:
+            return bounds[0]
+        return named("bound", ca.if_else(u.identified, chosen(bounds, u.delay_hat), bounds[-1]))

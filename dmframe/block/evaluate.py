@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, final
+from weakref import WeakKeyDictionary
 
 import casadi as ca
 import numpy as np
 
 from dmframe.block.base import AbstractBlock
-from dmframe.block.model import BlockModel, model_block
+from dmframe.block.model import model_block
 from dmframe.block.names import type_name
 from dmframe.block.sizes import Sizes, bind_sizes, parameter_arrays
 from dmframe.block.symmetric import unique
@@ -59,12 +60,7 @@ def evaluate(block: AbstractBlock, inputs: Mapping[str, Any], states: Mapping[st
     raise_all(wrong)
     values, wrong = parameter_arrays(name, block, sizes, {name: block}, chain)
     raise_all(wrong)
-    symbolic = None
-    if chain is not None:
-        from dmframe.robot.symbolic import SymbolicRobot
-
-        symbolic = SymbolicRobot(chain)
-    return _evaluated(model_block(name, block, values, sizes, symbolic), given, values, sizes)
+    return _functions(block, sizes, chain, values).values(given, sizes)
 
 
 def _chain(robot: Any) -> Any:
@@ -108,27 +104,65 @@ def _bound(sizes: Sizes, label: str, item: Signal | State, array: np.ndarray) ->
     return None
 
 
-def _evaluated(
-    model: BlockModel, given: Mapping[tuple[str, str], np.ndarray], values: Mapping[str, np.ndarray], sizes: Sizes
-) -> Values:
-    pairs = [(symbol, given.get(("input", key), 0.0)) for key, symbol in model.inputs.items()]
-    pairs += [(symbol, given.get(("state", key), values.get(key, 0.0))) for key, symbol in model.states.items()]
-    spec = specs(type(model.block))
-    pairs += [unique(spec.get(key), symbol, model.values[key]) for key, symbol in model.parameters.items()]
+@final
+@dataclass(frozen=True)
+class _Functions:
+    """Equations as functions of the block's inputs and states, with the numbers that are not given."""
+
+    given: Mapping[tuple[str, str], Any]
+    fixed: Sequence[ca.DM]
+    functions: Mapping[str, tuple[Mapping[str, str], ca.Function]]
+
+    def values(self, given: Mapping[tuple[str, str], np.ndarray], sizes: Sizes) -> Values:
+        numbers = [*(ca.DM(given.get(key, other)) for key, other in self.given.items()), *self.fixed]
+
+        def valued(part: str) -> dict[str, np.ndarray]:
+            shapes, function = self.functions[part]
+            found = (value.full() for value in function.call(numbers))
+            return {key: a.reshape(sizes.of(of), order="F") for (key, of), a in zip(shapes.items(), found, strict=True)}
+
+        return Values(valued("outputs"), valued("rates"), valued("next"))
+
+
+_KEPT: WeakKeyDictionary[AbstractBlock, dict[Any, _Functions]] = WeakKeyDictionary()
+"""Functions of blocks that are evaluated, since a loop over samples evaluates one again and again."""
+
+
+def _functions(block: AbstractBlock, sizes: Sizes, chain: Any, values: Mapping[str, np.ndarray]) -> _Functions:
+    """The functions of a block for a robot and sizes; a block's numbers never change."""
+    key = type(block).equations, chain, tuple((letter, size) for letter, (size, _) in sizes.bound.items())
+    kept = _KEPT.setdefault(block, {})
+    if key not in kept:
+        kept[key] = _written(block, sizes, chain, values)
+    return kept[key]
+
+
+def _written(block: AbstractBlock, sizes: Sizes, chain: Any, values: Mapping[str, np.ndarray]) -> _Functions:
+    symbolic = None
+    if chain is not None:
+        from dmframe.robot.symbolic import SymbolicRobot
+
+        symbolic = SymbolicRobot(chain)
+    model = model_block(type_name(type(block)), block, values, sizes, symbolic)
+    given: dict[tuple[str, str], Any] = {("input", key): 0.0 for key in model.inputs}
+    given |= {("state", key): values.get(key, 0.0) for key in model.states}
+    spec = specs(type(block))
+    pairs = [unique(spec.get(key), symbol, model.values[key]) for key, symbol in model.parameters.items()]
     if model.robot is not None:
         robot = model.robot.values()
         pairs += [(constant.symbol, robot[constant.name]) for constant in model.robot.constants]
-    symbols, numbers = [symbol for symbol, _ in pairs], [ca.DM(value) for _, value in pairs]
-    states = {state.name: state.shape for state in model.block.states}
+    symbols = [*model.inputs.values(), *model.states.values(), *(symbol for symbol, _ in pairs)]
+    states = {state.name: state.shape for state in block.states}
+    outputs = {port.name: port.shape for port in block.outputs}
 
-    def valued(stated: Mapping[str, SX], shapes: Mapping[str, str]) -> dict[str, np.ndarray]:
-        found = ca.Function("evaluate", symbols, [ca.densify(item) for item in stated.values()]).call(numbers)
-        arrays = (value.full() for value in found)
-        return {key: a.reshape(sizes.of(shapes[key]), order="F") for key, a in zip(stated, arrays, strict=True)}
+    def function(stated: Mapping[str, SX], shapes: Mapping[str, str]) -> tuple[Mapping[str, str], ca.Function]:
+        parts = [ca.densify(item) for item in stated.values()]
+        return {key: shapes[key] for key in stated}, ca.Function("evaluate", symbols, parts)
 
     equations = model.equations
-    return Values(
-        valued(equations.outputs, {port.name: port.shape for port in model.block.outputs}),
-        valued(equations.rates, states),
-        valued(equations.next, states),
-    )
+    functions = {
+        "outputs": function(equations.outputs, outputs),
+        "rates": function(equations.rates, states),
+        "next": function(equations.next, states),
+    }
+    return _Functions(given, [ca.DM(value) for _, value in pairs], functions)

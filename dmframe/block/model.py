@@ -102,6 +102,15 @@ def symbols_in(expressions: Iterable[SX]) -> set[int]:
     return {symbol.element_hash() for symbol in ca.symvar(column)}
 
 
+def depending(expressions: Sequence[SX], on: Collection[int]) -> list[bool]:
+    """Whether each scalar depends on a symbol with one of these identities, in one pass over what they share."""
+    column = ca.veccat(ca.SX(0, 1), *expressions)
+    symbols = [symbol for symbol in ca.symvar(column) if symbol.element_hash() in on]
+    if not symbols:
+        return [False] * len(expressions)
+    return list(map(bool, ca.which_depends(column, ca.vertcat(*symbols), 1, True)))
+
+
 def with_starts(values: Mapping[str, np.ndarray], states: Collection[str]) -> dict[str, np.ndarray]:
     """A block's numbers; those that are initial values of states appear again under the names that equations read."""
     return {**values, **{f"{key}_0": value for key, value in values.items() if key in states}}

@@ -7,7 +7,7 @@ from typing import Any, Final, final
 
 import casadi as ca
 
-from dmframe.block.model import symbols_in
+from dmframe.block.model import depending, symbols_in
 from dmframe.certificate import SX, Assumption, LeastSquaresSteps, NormalisedSteps, Square, Steps
 from dmframe.certify.checked import Checked, Finding, Numbers
 from dmframe.certify.claim import Claim, Part
@@ -231,18 +231,18 @@ class _Dividing:
         return self._trial.inverse(value)
 
 
-def _needed(claim: Claim, part: Part, symbols: Symbols) -> Iterator[SX]:
+def _needed(claim: Claim, of: Part, symbols: Symbols) -> Iterator[SX]:
     """All that what V and the memories hold at the next sample needs, and that moves."""
-    own = symbols_in([part.storage])
-    kept = {f"{part.block}.{item.state}" for item in part.certificate.delay_lines}
+    own = symbols_in([of.storage])
+    kept = {f"{of.block}.{item.state}" for item in of.certificate.delay_lines}
     becomes = [
         claim.sample.next[label] for label, x in claim.sample.symbols.items() if label in kept or own & symbols_in([x])
     ]
     still = symbols_in(group.symbol for group in symbols.groups if group.kind == "parameter")
-    period = claim.loop.period.element_hash()
-    for _, needed in risky(becomes):
-        if needed.element_hash() != period and symbols_in([needed]) - still:
-            yield needed
+    period, needed = claim.loop.period.element_hash(), [part for _, part in risky(becomes)]
+    for part, moves in zip(needed, depending(needed, symbols_in(needed) - still), strict=True):
+        if moves and part.element_hash() != period:
+            yield part
 
 
 __all__ = ["discrete_assumptions", "discrete_conditions", "discrete_statements"]

@@ -8,7 +8,7 @@ from typing import Final
 
 import casadi as ca
 
-from dmframe.block.model import symbols_in
+from dmframe.block.model import depending, symbols_in
 from dmframe.certificate import SX
 from dmframe.certify.checked import Checked
 from dmframe.certify.claim import Claim
@@ -44,8 +44,10 @@ def domains(name: str, risks: Iterable[tuple[int, SX]], moving: set[int]) -> Ite
 
     Of an interval a divisor has to be of one sign, which its square does not forget.
     """
-    for code, part in risks:
-        if symbols_in([part]) & moving or not symbols_in([part]) or code == ca.OP_TAN:
+    risks = list(risks)
+    moves = depending([part for _, part in risks], moving)
+    for (code, part), moved in zip(risks, moves, strict=True):
+        if moved or code == ca.OP_TAN or not symbols_in([part]):
             continue
         text, margin = Text(f"{name}: {OPERATIONS[code].name} of ", written(part), " is defined"), part
         if code in (*DIVISIONS, ca.OP_FMOD, ca.OP_REMAINDER):

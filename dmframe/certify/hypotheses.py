@@ -7,7 +7,7 @@ from typing import Final
 
 import casadi as ca
 
-from dmframe.block.model import BlockModel, symbols_in
+from dmframe.block.model import BlockModel, depending, symbols_in
 from dmframe.certificate import SX, Assumption
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
@@ -78,8 +78,9 @@ def _divisors(claim: Claim, name: str) -> Iterator[Assumption]:
             yield Assumption(Text(f"{name}: ", text), "its equations invert it")
     known = {pivot.element_hash() for inverted in model.inverted for pivot in inverted.pivots}
     seen = dict[Text, None]()
-    for code, divisor in claim.risks[name]:
-        if divisor.element_hash() in known or not symbols_in([divisor]) & model.moving:
+    moves = depending([divisor for _, divisor in claim.risks[name]], model.moving)
+    for (code, divisor), moved in zip(claim.risks[name], moves, strict=True):
+        if divisor.element_hash() in known or not moved:
             continue
         if code in DIVISIONS:
             seen[Text(written(divisor), " stays away from zero")] = None

@@ -84,16 +84,14 @@ def wire_blocks(
                 sources[end] = chosen[end]
                 continue
             optional = port.optional and not without_numbers(block, name).needs(port.name)
-            found = _by_name(name, port, outputs, blocks, optional=optional)
+            commanded = _as_the_plant(block, port, blocks, chosen)
+            found = commanded or _by_name(name, port, outputs, blocks, optional=optional)
             if isinstance(found, DmframeError):
-                commanded = _as_the_plant(block, port, blocks, chosen)
-                if commanded is None:
-                    faults.append(found)
-                    continue
-                found = commanded
-            sources[end] = found
+                faults.append(found)
+            else:
+                sources[end] = found
     _lead_through(blocks, outputs, sources)
-    return sources, [*faults, *_unforeseen(blocks, outputs, sources)]
+    return sources, [*faults, *_unforeseen(blocks, outputs, sources), *_bypassed(blocks, outputs, sources)]
 
 
 def _as_the_plant(
@@ -139,6 +137,29 @@ def _unforeseen(
             f"found {found}; only the future of a function of time is known",
             path=("blocks", name),
         )
+
+
+def _bypassed(
+    blocks: Mapping[str, AbstractBlock], outputs: Outputs, sources: Mapping[End, Source]
+) -> Iterator[WiringError]:
+    """Faults of channel models of a command that the plant does not read, so that they would have no effect."""
+    for way in ways(blocks, outputs, sources):
+        last = way.through[-1]
+        replaced = outputs[last.block][last.port].instead_of
+        commands = {
+            f"{source.block}.{source.port}"
+            for (reader, port), source in sources.items()
+            if port == replaced and isinstance(source, Wire) and blocks[reader].side is Side.PLANT
+            if blocks[source.block].side is Side.CONTROLLER and source != way.origin
+        }
+        if commands and not any(blocks[reader].side is Side.PLANT for reader, _ in way.readers):
+            first = way.through[0].block
+            yield WiringError(
+                f"{first}.{replaced}: expected a command that the plant reads, found {way.origin.block}."
+                f"{way.origin.port}, which it does not read, so that {first} would have no effect; write under wires "
+                f"{first}.{replaced}: {min(commands)}",
+                path=("wires", f"{first}.{replaced}"),
+            )
 
 
 @final

@@ -44,10 +44,12 @@ def _is_prime(number: int) -> bool:
 
 
 def _strong_probable_prime(number: int, base: int) -> bool:
+    from flint import fmpz  # a run that proves nothing does not load it
+
     odd, twos = number - 1, 0
     while odd % 2 == 0:
         odd, twos = odd // 2, twos + 1
-    power = pow(base, odd, number)
+    power = int(pow(fmpz(base), odd, fmpz(number)))  # a ninth of the time of Python's
     if power in (1, number - 1):
         return True
     for _ in range(twos - 1):

@@ -67,7 +67,7 @@ def model(held: str = "nothing") -> Any:
 
 @cache
 def ran(until: float = 90.0) -> dm.Run:
-    return dm.load("ur10_payload").run(until=until)
+    return dm.load("ur10_payload").run(until=until, judge=False)
 
 
 def signals(run: dm.Run, *names: str) -> list[Array]:

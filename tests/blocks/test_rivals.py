@@ -14,14 +14,16 @@ import dmframe as dm
 from dmframe.catalogue import block_types
 from dmframe.certify import verify
 from dmframe.errors import DmframeError
+from dmframe.robot.library import load
 
 BLOCKS = block_types()
+PENDULUM = load("pendulum")
 T = 0.02
 
 
 def stepped(block: Any, states: dict[str, Any], q: float, dq_r: float) -> tuple[dict[str, Any], dict[str, Any]]:
     """The outputs of a sample and the states after it, for one joint."""
-    found = block.evaluate({"q": [q], "dq_r": [dq_r], "T": T}, states, robot="pendulum")
+    found = block.evaluate({"q": [q], "dq_r": [dq_r], "T": T}, states, robot=PENDULUM)
     return found.outputs, dict(found.next)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import pinocchio as pin
 import pytest
 
 import dmframe as dm
+from dmframe.block.model import model_block
 from dmframe.errors import DmframeError
 from dmframe.robot.library import load
 
@@ -75,3 +77,41 @@ def test_a_value_of_the_wrong_shape_or_name_is_refused(inputs: Any, states: Any,
 def test_a_missing_robot_is_reported() -> None:
     with pytest.raises(DmframeError, match="this block needs a robot"):
         block("kinematics").evaluate({"q": [0], "dq": [0], "x": [0]})
+
+
+def test_a_loop_over_samples_writes_the_equations_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    written = []
+
+    def counted(*given: Any) -> Any:
+        written.append(given[0])
+        return model_block(*given)
+
+    monkeypatch.setattr("dmframe.block.evaluate.model_block", counted)
+    kind, sigma = dm.blocks()["dynamic_compensator"], [1.0, -2.0]
+    made = kind(Gamma=3.5)
+    for k in range(4):
+        Y = np.array([[k, 1.0], [2.0, k]])
+        found = made.evaluate({"Y_d": Y, "sigma": sigma}, {"a_d_hat": [k, 1.0]})
+        assert np.allclose(found.rates["a_d_hat"], -3.5 * Y.T @ sigma)
+        assert np.allclose(found.outputs["tau_dc"], Y @ [k, 1.0])
+    assert len(written) == 1
+    assert np.allclose(kind(Gamma=7).evaluate({"Y_d": np.eye(2), "sigma": sigma}).rates["a_d_hat"], [-7, 14])
+    assert len(made.evaluate({"Y_d": np.ones((2, 3)), "sigma": sigma}).rates["a_d_hat"]) == 3
+    assert len(written) == 3  # other numbers, another size
+
+    def reversed_torque(self: Any, u: Any, x: Any, p: Any) -> Any:
+        stated = before(self, u, x, p)
+        return replace(stated, outputs={**stated.outputs, "tau_dc": -stated.outputs["tau_dc"]})
+
+    before = type(made).equations
+    monkeypatch.setattr(type(made), "equations", reversed_torque)
+    found = made.evaluate({"Y_d": np.eye(2), "sigma": sigma}, {"a_d_hat": [5.0, 6.0]})
+    assert np.allclose(found.outputs["tau_dc"], [-5, -6])
+
+
+def test_a_block_is_of_the_robot_that_is_given() -> None:
+    made = block("kinematics")
+    one, other = (
+        made.evaluate({"q": np.zeros(6), "dq": np.zeros(6), "x": [0, 0, 0]}, robot=r) for r in ("ur5", "ur10")
+    )
+    assert not np.allclose(one.outputs["J_hat"], other.outputs["J_hat"])

@@ -148,3 +148,41 @@ def test_what_a_block_declares_of_it_has_to_fit(members: dict[str, Any], text: s
     with pytest.raises(DmframeError) as caught:
         Diagram.build({"law": Law(), "cart": Cart(), "own": broken(**members)()})
     assert text in str(caught.value)
+
+
+class Late(AbstractBlock):
+    """v_late = v, of one sample before."""
+
+    side = PLANT
+    inputs = (Input("v"),)
+    outputs = (Output("v_late", instead_of="v"),)
+    states = (State("line", sampled=True),)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations({"v_late": x.line}, next={"line": u.v})
+
+
+class Mean(AbstractBlock):
+    """sent = v / 2: another command than the one with the plant's name for it."""
+
+    inputs = (Input("v"),)
+    outputs = (Output("sent", access=Access.COMMANDED),)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations({"sent": u.v / 2})
+
+
+def test_a_channel_acts_on_the_command_that_the_wires_give_the_plant() -> None:
+    blocks = {"law": Law(), "mean": Mean(), "cart": Cart(), "late": Late()}
+    found = Diagram.build(blocks, {"cart.v": "mean.sent"})
+    assert found.sources["late", "v"] == Wire("mean", "sent")
+    assert found.sources["cart", "v"] == Wire("late", "v_late")
+    assert found.sources["mean", "v"] == Wire("law", "v")
+
+
+def test_a_channel_that_the_plant_bypasses_is_refused() -> None:
+    blocks = {"law": Law(), "mean": Mean(), "cart": Cart(), "late": Late()}
+    with pytest.raises(
+        DmframeError, match=r"late\.v: expected a command that the plant reads, found law\.v.*late\.v: mean\.sent"
+    ):
+        Diagram.build(blocks, {"cart.v": "mean.sent", "late.v": "law.v"})

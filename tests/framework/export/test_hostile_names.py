@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import shutil
 import subprocess
 from dataclasses import replace
@@ -77,9 +78,13 @@ HEADERS = "cmath vector string limits.h float.h math.h signal.h sys/stat.h iso64
 
 
 @cache
+def loaded() -> dm.Graph:
+    return dm.load(GRAPH)
+
+
+@cache
 def program() -> Program:
-    graph = dm.load(GRAPH)
-    return program_of(graph)
+    return program_of(loaded())
 
 
 def checked(words: list[str], cwd: Path) -> None:
@@ -148,11 +153,11 @@ def test_labels_of_signals_states_and_parameters(tmp_path: Path) -> None:
 
 def package(found: Program, joints: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Write a package of a program, for joints of these names, without its C; check its XML and YAML."""
-    graph = dm.load(GRAPH)
+    graph = copy.copy(loaded())
     monkeypatch.setattr(ros2, "program_of", lambda *_: found)
     texts = {**dict.fromkeys((f"{found.name}.c", "replay.c", "samples.h"), ""), f"{found.name}.h": c.header(found)}
     monkeypatch.setattr(ros2, "files_of", lambda *_: texts)
-    diagram: Any = graph.diagram
+    diagram: Any = loaded().diagram
     if joints:
         robot = SimpleNamespace(joint_names=tuple(joints))
         diagram = SimpleNamespace(
@@ -211,8 +216,7 @@ def test_fmus(tmp_path: Path) -> None:
 
 
 def test_an_fmu_of_a_robot(tmp_path: Path) -> None:
-    graph = dm.load(GRAPH)
-    robot = replace(robot_of(graph), title="*/ DM_FILE")
+    robot = replace(robot_of(loaded()), title="*/ DM_FILE")
     for fmi in fmu._TEXTS:
         unit = fmu._of_robot(robot, "model")
         (tmp_path / "unit.c").write_text(fmu.code(unit, fmi, "token"), encoding="utf-8")  # type: ignore[arg-type]

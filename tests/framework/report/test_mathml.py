@@ -4,38 +4,12 @@ import re
 import xml.etree.ElementTree as ET
 
 import pytest
-from latex2mathml.converter import convert
 
-from dmframe.block.prose import about
-from dmframe.catalogue import block_types
-from dmframe.formula.alone import options_of, plainest
 from dmframe.report.mathml import breakable, mathml, terms
-
-MARKED = re.compile(r"\$([^$]+)\$")
-
-
-def formulas(kind):
-    law, found = about(kind), plainest(kind)
-    options = (line for _, lines in options_of(kind) for line in lines)
-    for line in (*(found[1].lines if found else ()), *options):
-        yield from (line.left.latex, f"= {line.right.latex}")
-    for text in (law.summary, law.notes, law.source, *law.parameters.values()):
-        yield from MARKED.findall(text)
 
 
 def text_of(math):
     return "".join(ET.fromstring(f"<x>{math}</x>").itertext())
-
-
-@pytest.mark.parametrize("name", block_types())
-def test_every_formula_of_every_block_becomes_mathml(name):
-    found = list(formulas(block_types()[name]))
-    assert found or name in ("setpoint", "waypoints")
-    for latex in found:
-        made = breakable(latex)
-        assert "<code>" not in made
-        assert "\\" not in text_of(made), latex
-        assert "xmlns" not in made
 
 
 def test_a_formula_is_cut_before_the_signs_between_its_terms_alone():
@@ -68,23 +42,6 @@ def test_bars_are_fences_and_words_in_indices_are_upright():
     assert made.count('<mo fence="true" form="prefix" stretchy="true">|</mo>') == 1
     assert "<mtext>ref</mtext>" in made
     assert mathml("p(a | b)").count("<mo>|</mo>") == 1
-
-
-LOOKS = str.maketrans(
-    {"⊤": "T", "^": "ˆ", "~": "˜", "·": "⋅", "¯": "ˉ", "′": "'", "ℱ": "F", "\u2061": None, "\u00a0": None, " ": None}
-)
-"""Signs that differ in look alone, and blanks."""
-
-
-def signs(math):
-    return "".join(text_of(math).split()).translate(LOOKS).replace("\\_", "_")
-
-
-@pytest.mark.parametrize("name", block_types())
-def test_a_formula_has_the_signs_of_another_converter_in_its_order(name):
-    for latex in formulas(block_types()[name]):
-        words = re.sub(r"(?<=_)\{([A-Za-z]{2,})\}", r"{\\text{\1}}", latex)
-        assert signs(mathml(latex)) == signs(convert(re.sub(r"\\operatorname\{([^}]*)\}", r"\\text{\1}", words))), latex
 
 
 @pytest.mark.parametrize(

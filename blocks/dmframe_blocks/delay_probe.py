@@ -1,0 +1,145 @@
+"""Identification of the delay from a command to the motion, by a short excitation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, final
+
+import casadi as ca
+from pydantic import Field
+
+from dmframe.block import (
+    PERIOD,
+    SX,
+    AbstractBlock,
+    Diagonal,
+    Equations,
+    Input,
+    Output,
+    Positive,
+    Scalar,
+    Signals,
+    State,
+    named,
+    operation,
+    solve_spd,
+)
+from dmframe_blocks._identified_delay import DELAY_HAT, IDENTIFIED, MOST_DELAY
+
+
+@final
+class DelayProbe(AbstractBlock):
+    r"""Excites the joints for some seconds, and identifies the delay from a command to the motion in samples.
+
+    Until the delay is identified, a velocity with a random sign for each joint and sample is added:
+
+        dq_probe = dq_r + probe sign(toss)
+
+    The change of the average velocity v over a sample is regressed on the changes of the last `taps` commands u that
+    were sent, with coefficients b common to all joints:
+
+        v(k) - v(k-1) = b_0 (u(k-1) - u(k-2)) + ... + b_(taps-1) (u(k-taps) - u(k-taps-1))
+
+    Smooth motion does not distinguish a delay from inertia; the excitation does. The sums b_0 + ... + b_j are the
+    response of the velocity to a step of the command. The delay is the number of these sums below `threshold`, at most
+    `delay_up_to`: an effective delay, which contains a part of the lag of the servo. It is identified once, after
+    `lasting`, if the last sum has reached the threshold. Otherwise the excitation goes on.
+
+    Blocks with `delay_up_to` use the outputs delay_hat and identified.
+
+    Parameters
+    ----------
+    delay_up_to : 1, 2, ..., 8
+        Largest delay that can be identified, as in the other blocks.
+    taps : number, > 1
+        Commands in the regression: they should cover the delay and most of the response, about 0.1 s.
+    probe : diagonal (n,), rad/s, > 0
+        Amplitude. Behind a ramp that limits accelerations to a_max it should be below a_max T / 2.
+    lasting : scalar, s, > 0
+        Duration of the excitation.
+    threshold : scalar, > 0
+        Share of a step of the command that counts as its effect.
+    nu : scalar, rad^2/s^2, > 0
+        Regularisation of the least squares problem.
+
+    Notes
+    -----
+    Not for: a robot whose servo does not respond to a command of this size, for example due to stiction, or a delay
+    that varies.
+
+    References
+    ----------
+    [Ljung1999]_, on exciting signals and on finite impulse responses.
+    """
+
+    inputs = (
+        Input("q", "n", "rad"),
+        Input("dq_r", "n", "rad/s"),
+        Input("dq_sent", "n", "rad/s"),
+        Input("toss", "n", drawn="uniform"),
+        PERIOD,
+    )
+    outputs = (Output("dq_probe", "n", "rad/s"), Output(DELAY_HAT.name), Output(IDENTIFIED.name))
+    states = (
+        State("since", "", "s", sampled=True),
+        State("q_before", "n", "rad", sampled=True),
+        State("v_before", "n", "rad/s", sampled=True),
+        State("u_before", "n", "rad/s", sampled=True),
+        State("changes", "n r", "rad/s", sampled=True, recorded=False),
+        State("gathered", "r r", "rad^2/s^2", sampled=True, recorded=False),
+        State("correlated", "r", "rad^2/s^2", sampled=True, recorded=False),
+        State(DELAY_HAT.name, sampled=True),
+        State(IDENTIFIED.name, sampled=True),
+    )
+
+    delay_up_to: int = Field(3, ge=1, le=MOST_DELAY)
+    taps: int = Field(8, ge=2)
+    probe: Diagonal = Positive("n", "rad/s", default=0.03)
+    lasting: Scalar = Positive("", "s", default=3.0)
+    threshold: Scalar = Positive(default=0.35)
+    nu: Scalar = Positive("", "rad^2/s^2", default=1e-9)
+
+    def sizes(self, robot: Any) -> Mapping[str, int]:
+        """R: number of taps."""
+        return {**super().sizes(robot), "r": self.taps}
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
+        """At rest."""
+        return {"q_before": u.q}
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """The excitation, the regression, and the delay when the excitation ends."""
+        v = named("v", (u.q - x.q_before) / u.T)
+        gathered = named("G", x.gathered + x.changes.T @ x.changes)
+        correlated = named("c", x.correlated + x.changes.T @ (v - x.v_before))
+        b = named("b", solve_spd(gathered + p.nu * ca.DM.eye(self.taps), correlated))
+        below = named("below", under(b, p.threshold))
+        ends = named("ends", (x.since >= p.lasting) * (below < self.taps))
+        known = {
+            DELAY_HAT.name: ca.if_else(x.identified, x.delay_hat, ends * ca.fmin(below, self.delay_up_to)),
+            IDENTIFIED.name: ca.fmax(x.identified, ends),
+        }
+        excitation = (1 - x.identified) * p.probe * (2 * (u.toss > 0) - 1)
+        return Equations(
+            outputs={"dq_probe": u.dq_r + excitation, DELAY_HAT.name: x.delay_hat, IDENTIFIED.name: x.identified},
+            next={
+                **known,
+                "since": x.since + u.T,
+                "q_before": u.q,
+                "v_before": v,
+                "u_before": u.dq_sent,
+                "changes": ca.horzcat(u.dq_sent - x.u_before, x.changes[:, :-1]),
+                "gathered": gathered,
+                "correlated": correlated,
+            },
+        )
+
+
+@operation
+def under(b: Any, threshold: Any) -> Any:
+    """How many of the sums of the first elements are below the threshold."""
+    total, found = 0, 0
+    for k in range(b.shape[0]):
+        total = total + b[k]
+        found = found + (total < threshold)
+    return found

@@ -1,0 +1,89 @@
+"""The probe of the delay: response against NumPy, delays that it finds, and the blocks that use it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dmframe as dm
+from dmframe.catalogue import block_types
+from dmframe.errors import DmframeError
+
+KIND = block_types()["delay_probe"]
+T = 0.05
+
+
+def played(
+    block: Any, delay: int, lag: float, seed: int, samples: int = 44
+) -> tuple[list[Any], np.ndarray, np.ndarray]:
+    """A joint whose velocity follows the command after a delay and a first-order lag; outputs, q and commands."""
+    rng = np.random.default_rng(seed)
+    q, v, states = 0.0, 0.0, {"q_before": [0.0]}
+    found, poses, sent = list[Any](), list[float](), list[float]()
+    for k in range(samples):
+        toss = rng.uniform(-1, 1)
+        command = 0.2 + (0.0 if float(states.get("identified", 0.0)) else 0.03 * np.sign(toss))
+        u = {"q": [q], "dq_r": [0.2], "dq_sent": [command], "toss": [toss], "T": T}
+        item = block.evaluate(u, states, robot="pendulum")
+        assert float(item.outputs["dq_probe"][0]) == pytest.approx(command)
+        states = dict(item.next)
+        found.append(item)
+        poses.append(q)
+        sent.append(command)
+        acting = sent[k - delay] if k >= delay else 0.0
+        v = lag * v + (1 - lag) * acting
+        q += T * v
+    return found, np.array(poses), np.array(sent)
+
+
+@pytest.mark.parametrize(("delay", "lag"), [(0, 0.0), (0, 0.4), (1, 0.0), (2, 0.3), (4, 0.5)])
+def test_it_finds_the_delay_behind_a_lag(delay: int, lag: float) -> None:
+    for seed in range(2):
+        found, _, sent = played(KIND(delay_up_to=6, taps=8, lasting=2.0), delay, lag, seed)
+        assert [float(item.outputs["identified"]) for item in found] == [0.0] * 41 + [1.0] * 3
+        assert {float(item.outputs["delay_hat"]) for item in found[41:]} == {float(delay)}
+        assert np.all(np.abs(sent[:41] - 0.2) == pytest.approx(0.03))
+        np.testing.assert_array_equal(sent[41:], 0.2)  # the excitation has ended
+
+
+def test_a_slow_response_counts_as_delay() -> None:
+    found, _, _ = played(KIND(delay_up_to=6, taps=8, lasting=2.0), 1, 0.85, 0)  # 0, 0.15, 0.28, 0.39
+    assert float(found[-1].outputs["delay_hat"]) == 3
+    limited, _, _ = played(KIND(delay_up_to=2, taps=8, lasting=2.0), 1, 0.85, 0)
+    assert float(limited[-1].outputs["delay_hat"]) == 2
+
+
+def test_its_regression_is_that_of_numpy() -> None:
+    found, q, u = played(KIND(delay_up_to=3, taps=4, lasting=100.0), 1, 0.3, 1)
+    dv = np.diff(np.concatenate([[0.0], np.diff(q) / T]))
+    du = np.diff(np.concatenate([[0.0] * 4, u]))
+    rows = np.array([du[k + 3 - np.arange(4)] for k in range(len(dv))])
+    np.testing.assert_allclose(found[-1].next["gathered"], rows.T @ rows, atol=1e-9)
+    wanted = np.linalg.lstsq(rows, dv, rcond=None)[0]
+    G, c = np.asarray(found[-1].next["gathered"]), np.ravel(found[-1].next["correlated"])
+    np.testing.assert_allclose(np.linalg.solve(G, c), wanted, atol=1e-6)
+    np.testing.assert_allclose(np.cumsum(wanted), [0.0, 0.7, 0.91, 0.973], atol=0.02)
+
+
+def test_without_a_response_it_goes_on() -> None:
+    block, states = KIND(lasting=0.5), {"q_before": [0.0]}
+    for _ in range(14):
+        u = {"q": [0.0], "dq_r": [0.0], "dq_sent": [0.0], "toss": [0.5], "T": T}
+        item = block.evaluate(u, states, robot="pendulum")
+        states = dict(item.next)
+    assert float(item.outputs["identified"]) == 0
+    assert float(item.outputs["dq_probe"][0]) == pytest.approx(0.03)
+
+
+def test_configured_and_identified_delays_exclude_each_other() -> None:
+    for kind, other in (
+        ("sampled_tracking", {"Lambda": 1.0}),
+        ("sampled_inverse", {"w_0": 1.0}),
+        ("expert_aggregation", {}),
+    ):
+        with pytest.raises(DmframeError, match="expected delay: 0 with delay_up_to"):
+            block_types()[kind](delay=1, delay_up_to=3, **other)
+    with pytest.raises(DmframeError, match="delay_hat"):
+        dm.graph("ur10_slow_inverse_tuned").with_values({"task.delay_up_to": 2}).diagram  # noqa: B018
