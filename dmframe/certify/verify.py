@@ -167,11 +167,11 @@ def _verified(
         first = points.at(0)
         if not first.zero:
             return refuted(first)
-        jobs: list[Callable[[], Any]] = [partial(inject_faults, exact, seed=seed), partial(_unit_faults, diagram)]
-        jobs += (partial(points.at, k) for k in range(1, trials))
+        jobs: list[Callable[[], Any]] = [partial(inject_faults, exact, seed=seed)]
+        jobs += [*(partial(points.at, k) for k in range(1, trials)), partial(_unit_faults, diagram)]
         with shared(jobs, busy=True, small=alone) as finished:
             found = find(claim, symbols, numbers, start, seed)
-            controls, units, *others = finished()
+            controls, *others, units = finished()
     except ValueFault as error:
         return undefined(error)
     test = replace(together([first, *others]), seed=own)
