@@ -53,7 +53,7 @@ def shared(
     (numbers,) = pipe
 
     def finished() -> list[T]:
-        done = _taken(jobs, numbers, lambda: True)
+        done = dict(_taken(jobs, numbers))
         for copy in copies:
             done |= copy.results()
         return [done[number] if number in done else job() for number, job in enumerate(jobs)]
@@ -97,16 +97,14 @@ class _Copy:
         return cls(process, memory)
 
     def results(self) -> dict[int, Any]:
-        """Wait for the process, and return its results by the jobs' numbers; none if it failed."""
-        status, self.ended = os.waitpid(self.process, 0)[1], True
-        if status:
-            return {}
-        try:
-            os.lseek(self.memory, 0, os.SEEK_SET)
-            with open(self.memory, "rb", closefd=False) as file:
-                found: dict[int, Any] = pickle.load(file)
-        except (OSError, EOFError, pickle.UnpicklingError):  # repeated in this process
-            return {}
+        """Wait for the process, and return its results by the jobs' numbers, up to a job with which it ended."""
+        os.waitpid(self.process, 0)
+        self.ended, found = True, dict[int, Any]()
+        with suppress(OSError, EOFError, pickle.UnpicklingError), open(self.memory, "rb", closefd=False) as file:
+            file.seek(0)
+            while True:
+                number, result = pickle.load(file)
+                found[number] = result
         return found
 
     def end(self) -> None:
@@ -118,12 +116,12 @@ class _Copy:
         os.close(self.memory)
 
 
-def _taken(jobs: Sequence[Callable[[], T]], numbers: int, going: Callable[[], bool]) -> dict[int, T]:
-    """Take job numbers from the pipe, and return the results."""
-    done = dict[int, T]()
+def _taken(
+    jobs: Sequence[Callable[[], T]], numbers: int, going: Callable[[], bool] = lambda: True
+) -> Iterator[tuple[int, T]]:
+    """Take job numbers from the pipe; yields each with its job's result."""
     while going() and (number := _number(numbers)):
-        done[number[0]] = jobs[number[0]]()
-    return done
+        yield number[0], jobs[number[0]]()
 
 
 def _number(numbers: int) -> bytes:
@@ -138,9 +136,9 @@ def _work(jobs: Sequence[Callable[[], Any]], numbers: int, memory: int, parent: 
     """In the fork: take jobs while there are some and the parent lives; exit without cleanup handlers."""
     status = 1
     try:
-        done = _taken(jobs, numbers, lambda: os.getppid() == parent)
-        with open(memory, "wb", closefd=False) as file:
-            pickle.dump(done, file)
+        with open(memory, "wb", buffering=0, closefd=False) as file:
+            for done in _taken(jobs, numbers, lambda: os.getppid() == parent):
+                file.write(pickle.dumps(done))
         status = 0
     finally:
         os._exit(status)

@@ -35,6 +35,17 @@ def listed(names: Sequence[str]) -> str:
     return f"{', '.join(most)} and {last}" if most else last
 
 
+MOST_LISTED = 6
+"""Names of a list that `summarised` gives in full."""
+
+
+def summarised(names: Sequence[str], last: str = " and") -> str:
+    """A list of any length in a sentence: "a, b and c", or "a, b, c, d, e and 120 others"."""
+    most = len(names) if len(names) <= MOST_LISTED else MOST_LISTED - 1
+    *first, end = [*names[:most], *([f"{len(names) - most} others"] if most < len(names) else [])] or [""]
+    return f"{', '.join(first)}{last or ','} {end}" if first else end
+
+
 class DmframeError(Exception):
     """Base class of all errors of dmframe."""
 

@@ -75,6 +75,8 @@ def hits(paths: list[Path]) -> Iterator[str]:
             continue
         text = file.read_text()
         for number, line in enumerate((prose(text) if file.suffix == ".md" else text).splitlines(), 1):
+            if not PATTERN.search(line):  # most lines
+                continue
             for match in PATTERN.finditer(KEYWORD.sub("", TARGET.sub("](", line))):
                 yield f"{name}:{number}: {match[0]}: {line.strip()[:100]}"
 

@@ -108,7 +108,8 @@ def fault_context(name: str, what: str) -> Iterator[None]:
     except (DmframeError, KeyboardInterrupt):
         raise
     except BaseException as error:  # a user's block may raise anything, SystemExit too
-        frames = traceback.extract_tb(error.__traceback__)
+        # without the text of the lines, for which their files would be read
+        frames = traceback.StackSummary.extract(traceback.walk_tb(error.__traceback__), lookup_lines=False)
         frame = [frames[-1], *(frame for frame in frames if not _foreign(Path(frame.filename)))][-1]
         reason = str(error).strip().splitlines()[-1] if str(error).strip() else "no reason given"
         raise BlockError(

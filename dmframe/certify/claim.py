@@ -143,6 +143,11 @@ class Claim:
         """What `dmframe.certify.symbols.symbols_of` has found, by uncertain parameters and number of trajectories."""
         return {}
 
+    @cached_property
+    def matched(self) -> dict[Any, tuple[SX, str | None]]:
+        """What `dmframe.certify.definite` has found of weights, by their nodes."""
+        return {}
+
     @property
     def over_samples(self) -> bool:
         """True where D is the difference over a sample."""

@@ -169,11 +169,18 @@ class Closure:
         for projection in self._claim.loop.projections:
             if projection.name in seen or not used & symbols_in([projection.correction]):
                 continue
-            (nominal,) = self._claim.loop.joined([projection.nominal])
+            nominal = self._nominal[projection.name]
             (moves,) = self._moves([ca.vec(ca.densify(nominal))])
             if any(moves) or not self._corrected(nominal, seen | {projection.name}):
                 return False
         return True
+
+    @cached_property
+    def _nominal(self) -> Mapping[str, SX]:
+        """The nominal rates of projections, by name."""
+        loop = self._claim.loop
+        rates = loop.joined([item.nominal for item in loop.projections])
+        return {item.name: rate for item, rate in zip(loop.projections, rates, strict=True)}
 
     def turning(self) -> bool:
         """No rate moves with what is open: it turns, or drifts, without being felt."""

@@ -15,7 +15,7 @@ from dmframe.certify.claim import Claim
 from dmframe.certify.symbols import symbols_of
 from dmframe.diagram import Diagram
 from dmframe.diagram.projection import Bodies
-from dmframe.linalg import ldl
+from dmframe.linalg import ldl, nodes
 from dmframe.parameter import specs
 from dmframe.prove.definite import pivots
 from dmframe.robot.parameters import INERTIAL
@@ -55,6 +55,14 @@ def is_matrix(claim: Claim, weight: SX) -> bool:
 
 
 def _matched(claim: Claim, weight: SX) -> str | None:
+    """The label of the load in a mass matrix, empty where it holds none; None for another weight."""
+    key = nodes(weight)
+    if key not in claim.matched:
+        claim.matched[key] = weight, _match(claim, weight)  # with the weight, which keeps its identity
+    return claim.matched[key][1]
+
+
+def _match(claim: Claim, weight: SX) -> str | None:
     symbols = symbols_of(claim)
     for q, robot in _poses(claim, weight):
         used, size = symbols_in([weight]), len(INERTIAL)

@@ -9,7 +9,7 @@ import casadi as ca
 
 from dmframe.certificate import SX
 from dmframe.certify.sign import SIGNED, Sign, sign_after
-from dmframe.program import DIVISIONS, OPERATIONS, POWERS, read
+from dmframe.program import DIVISIONS, OPERATIONS, POWERS, TO_READ, read
 
 
 def instructions(expressions: Iterable[SX]) -> Iterator[tuple[SX, list[SX]]]:
@@ -28,7 +28,7 @@ def instructions(expressions: Iterable[SX]) -> Iterator[tuple[SX, list[SX]]]:
 def risky(outputs: Sequence[SX]) -> Iterator[tuple[int, SX]]:
     """Instructions that divide or are not defined everywhere, with what must keep away from a bad value."""
     column = ca.veccat(ca.SX(0, 1), *map(ca.densify, outputs))
-    function = ca.Function("risky", [], [column], {"allow_free": True})
+    function = ca.Function("risky", [], [column], {"allow_free": True, **TO_READ})
     program, expressions = read(function), function.instructions_sx()  # SX.dep takes ten times as long
     todo, seen = [*program.sources[0]], set[int]()
     while todo:

@@ -31,7 +31,7 @@ from dmframe.diagram.wiring import Derived
 from dmframe.exact import Tape
 from dmframe.exact.balls import UndecidedError
 from dmframe.exact.pieces import Course, NotFollowed, follow, moving_operations
-from dmframe.program import CONST, DIVISIONS, EDGES, JUMPS, KINKS, codes, sign_of
+from dmframe.program import CONST, DIVISIONS, EDGES, JUMPS, KINKS, TO_READ, codes, sign_of
 from dmframe.text import Label, Text, sentence
 
 SMOOTH_ABOVE: Final = frozenset((ca.OP_SQRT, ca.OP_LOG, ca.OP_LOG1P, ca.OP_POW, ca.OP_CONSTPOW, ca.OP_HYPOT))
@@ -146,7 +146,7 @@ def _operations(claim: Claim, entry: Differentiated) -> Findings:
     moving |= symbols_in(leaf.symbol for leaf in claim.diagram.resolver.trajectories.values())
     symbols, where = ca.symvar(entry.expression), entry.of
     (value,) = ca.cse([entry.expression])
-    tape = Tape.from_function(ca.Function("differentiated", [stack(symbols)], [value]))
+    tape = Tape.from_function(ca.Function("differentiated", [stack(symbols)], [value], TO_READ))
     for k, code in moving_operations(tape, [[symbol.element_hash() in moving for symbol in symbols]]):
         if code in JUMPS:
             yield "fault", Text(where, f" holds {sign_of(code)}, which jumps; the derivative of a jump is not zero")

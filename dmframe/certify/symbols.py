@@ -17,6 +17,7 @@ from dmframe.diagram import ClosedLoop, Diagram, Parameter
 from dmframe.diagram.closed_loop import stack
 from dmframe.exact import zero_test
 from dmframe.port import Side
+from dmframe.program import TO_READ
 from dmframe.robot.rational import decimal
 
 
@@ -44,7 +45,7 @@ class Symbols:
         Raises `NotApplicableError` where they hold any other symbol.
         """
         inputs = [*self._inputs, *map(ca.vec, more)]
-        function = ca.Function(name, inputs, [ca.vec(x) for x in expressions], {"allow_free": True})
+        function = ca.Function(name, inputs, [ca.vec(x) for x in expressions], {"allow_free": True, **TO_READ})
         if function.has_free():
             free = ", ".join(str(symbol) for symbol in function.get_free())
             raise NotApplicableError(f"a certificate holds {free}, which is no signal and no parameter of this diagram")

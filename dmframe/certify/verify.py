@@ -152,6 +152,7 @@ def _verified(
         return ends("not_applicable", joined([*lacking, Text(error.text)], "; "))
 
     def refuted(test: ZeroTest) -> Verdict:
+        test = replace(test, seed=own)
         of = "what a sample does" if claim.over_samples else DV
         if reason := doubt(exact, seed, of):
             return ends("not_applicable", reason, test=test)
@@ -163,17 +164,17 @@ def _verified(
     try:
         hold_sound(exact)
         points = Points.of(exact, seed=seed)
-        test = replace(points.at(0), seed=own)
-        if not test.zero:
-            return refuted(test)
-        jobs: list[Callable[[], Any]] = [partial(inject_faults, exact, seed=seed), partial(_unit_faults, diagram)]
-        jobs += (partial(points.at, k) for k in range(1, trials))
+        first = points.at(0)
+        if not first.zero:
+            return refuted(first)
+        jobs: list[Callable[[], Any]] = [partial(inject_faults, exact, seed=seed)]
+        jobs += [*(partial(points.at, k) for k in range(1, trials)), partial(_unit_faults, diagram)]
         with shared(jobs, busy=True, small=alone) as finished:
             found = find(claim, symbols, numbers, start, seed)
-            controls, units, *others = finished()
+            controls, *others, units = finished()
     except ValueFault as error:
         return undefined(error)
-    test = together([test, *others])
+    test = replace(together([first, *others]), seed=own)
     if not test.zero:
         return refuted(test)
     if found.fault:

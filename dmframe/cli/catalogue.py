@@ -113,7 +113,7 @@ def schema(
     study: Annotated[bool, typer.Option("--study", help="Schema of study files instead.")] = False,
     race: Annotated[bool, typer.Option("--race", help="Schema of race files instead.")] = False,
 ) -> None:
-    """Print the JSON Schema of graph files, for an editor."""
+    """Print the JSON Schema of graph files, or of others, for an editor."""
     from dmframe.certify.schema import verdict_schema
     from dmframe.cli.options import refuse
     from dmframe.config.schema import json_schema

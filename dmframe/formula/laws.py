@@ -253,7 +253,7 @@ class ReadBlock:
         for columns, signals in zip(self.scalar_signs.columns.values(), given, strict=True):
             for name, symbol in columns.items():
                 if symbol.nnz() and symbol.is_valid_input() and name in signals:  # else a number
-                    pairs.setdefault(str(symbol), (symbol, ca.densify(getattr(signals, name))))
+                    pairs.setdefault(str(symbol), (symbol, ca.project(getattr(signals, name), symbol.sparsity())))
         labels, mine = self._labelled(self.scalars, proved)
         symbols, meanings = zip(*pairs.values(), strict=True) if pairs else ((), ())
         expected = ca.substitute(

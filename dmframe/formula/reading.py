@@ -95,9 +95,9 @@ class Reading:
         """New symbols, `kind` being ca.MX or ca.SX."""
         model, names = self.model, dict[str, Expression]()
 
-        def sign(name: str, shape: tuple[int, int]) -> Expression:
+        def sign(name: str, shape: tuple[int, int] | ca.Sparsity) -> Expression:
             if name not in names:
-                names[name] = kind.sym(name, *shape)
+                names[name] = kind.sym(name, shape if isinstance(shape, ca.Sparsity) else ca.Sparsity.dense(*shape))
             return kind(names[name])  # a copy, so that assignments to elements do not change the symbol
 
         inputs = {
@@ -106,7 +106,8 @@ class Reading:
         }
         states = {key: sign(key, symbol.shape) for key, symbol in model.states.items()}
         given = {key: s for key, s in model.parameters.items() if key not in model.starts}
-        parameters = {key: sign(self.called(key), symbol.shape) for key, symbol in given.items()}
+        # a large gain with zeros, such as that of a prior, is inverted in a fraction of the time
+        parameters = {key: sign(self.called(key), symbol.sparsity()) for key, symbol in given.items()}
         for key, symbol in model.starts.items():
             parameters[key] = sign(key.removesuffix("_0") + START, symbol.shape)
         truths = {

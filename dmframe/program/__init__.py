@@ -66,7 +66,7 @@ from dmframe.program.operations import (
     by_code,
     sign_of,
 )
-from dmframe.program.program import CONST, INPUT, Node, Pattern, Program, codes, instructions, read, run
+from dmframe.program.program import CONST, INPUT, TO_READ, Node, Pattern, Program, codes, instructions, read, run
 
 __all__ = [
     "BY_NAME",
@@ -79,6 +79,7 @@ __all__ = [
     "KINKS",
     "OPERATIONS",
     "POWERS",
+    "TO_READ",
     "Node",
     "Operation",
     "Pattern",

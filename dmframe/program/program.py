@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
+from itertools import count
 from operator import itemgetter
 from typing import Any, Final, NamedTuple, TypeVar, final
 
 from dmframe.program.operations import OPERATIONS
 
 V = TypeVar("V")
+
+TO_READ: Final = {"live_variables": False}
+"""Options of a function that is made to be read: no register is used twice, which takes a call less an instruction."""
 
 INPUT: Final = 45
 CONST: Final = 44
@@ -139,14 +143,17 @@ def codes(f: Any) -> set[int]:
 
 
 def instructions(f: Any) -> Iterator[tuple[int, list[int], list[int], float]]:
-    """CasADi's instructions, (code, read, written, constant), with reused registers."""
+    """CasADi's instructions, (code, read, written, constant), with reused registers but for a function `TO_READ`."""
     code_of, arguments_of, targets_of = f.instruction_id, f.instruction_input, f.instruction_output
+    outputs = sum(map(f.nnz_out, range(f.n_out())))
+    values = count() if f.is_a("SXFunction") and f.sz_w() == f.n_instructions() - outputs else None
     for k in range(f.n_instructions()):
         code = code_of(k)
+        targets = targets_of(k) if values is None or code == _OUTPUT else [next(values)]
         if code == CONST:
-            yield code, [], targets_of(k), f.instruction_constant(k)
+            yield code, [], targets, f.instruction_constant(k)
         else:
-            yield code, arguments_of(k), targets_of(k), 0.0
+            yield code, arguments_of(k), targets, 0.0
 
 
 def run(

@@ -37,11 +37,11 @@ def lead(found: Finished) -> Lead:
     median = spread(ratios, race.file.seed)
     best, near = (sum(ratio <= most for ratio in ratios) for most in (1, NEAR))
     lost = sum(math.isinf(row.error) for row in rows)
-    headline = f"{race.file.entrant}: median ratio {_number(median.median)}"
+    headline = f"{race.file.entrant}: median ratio {_ratio(median.median)}"
     text = (
         f"On {len(rows)} held-out cells the error of `{race.file.entrant}` over that of the best rival is "
         f"{_interval(median)} in the median; it is at most 1 in {_share(best, len(rows))} and at most {NEAR} in "
-        f"{_share(near, len(rows))} of the cells. It diverged in {lost}."
+        f"{_share(near, len(rows))} of the cells. It diverged in {lost or 'none'}."
     )
     return Lead("refuted" if lost else "proved" if median.median <= 1 else "not_applicable", headline, Marked(text))
 
@@ -75,16 +75,15 @@ def _laws(found: Finished) -> Table:
         wins = sum(row.errors[law] == min(row.errors.values()) for row in found.rows)
         lost = sum(map(math.isinf, errors))
         quantiles = [_number(of.quantiles[p]) for p in QUANTILES]
-        rows.append((of.median, [Word(law, "code"), *quantiles, _range(of), str(wins), str(lost)]))
+        rows.append((of.median, [Word(law, "code"), *quantiles, _range(of, _number), str(wins), str(lost)]))
     heads: list[Cell] = ["law", *(f"{100 * p:g} %" for p in QUANTILES), "interval of the median", "best in", "diverged"]
     caption = "Error in mm over the held-out cells: quantiles, cells in which the law is the best, and divergences."
     ordered = [cells for _, cells in sorted(rows, key=lambda row: row[0])]
-    return Table(ordered, heads, caption, keys=True, numbers=range(1, len(heads)))
+    return Table(ordered, heads, caption, kind="study", keys=True, numbers=range(1, len(heads)))
 
 
 def _ratios(found: Finished) -> Iterator[Table | Subsection]:
-    whole = [("all cells", list(found.rows))]
-    yield _groups(whole, "cells", found.race.file.seed)
+    yield _groups([("all", list(found.rows))], "", found.race.file.seed)
     keys: dict[str, Callable[[Row], str]] = {
         "clock": lambda row: plain(row.cell.clock, "s"),
         "path": lambda row: row.cell.path,
@@ -95,7 +94,8 @@ def _ratios(found: Finished) -> Iterator[Table | Subsection]:
         groups = defaultdict[str, list[Row]](list)
         for row in found.rows:
             groups[key(row)].append(row)
-        yield Subsection(f"By {name}", [_groups(list(groups.items()), name, found.race.file.seed)])
+        if len(groups) > 1:
+            yield Subsection(f"By {name}", [_groups(list(groups.items()), name, found.race.file.seed)])
 
 
 def _groups(groups: Sequence[tuple[str, Sequence[Row]]], name: str, seed: int) -> Table:
@@ -103,11 +103,12 @@ def _groups(groups: Sequence[tuple[str, Sequence[Row]]], name: str, seed: int) -
     for group, some in groups:
         of, ratios = spread([row.ratio for row in some], seed), [row.ratio for row in some]
         shares = [_share(sum(ratio <= most for ratio in ratios), len(some)) for most in (1, NEAR)]
-        quantiles = [_number(of.quantiles[p]) for p in QUANTILES]
-        rows.append([group, str(len(some)), *quantiles, _range(of), *shares])
+        quantiles = [_ratio(of.quantiles[p]) for p in QUANTILES]
+        rows.append([group, str(len(some)), *quantiles, _range(of, _ratio), *shares])
     heads: list[Cell] = [name, "cells", *(f"{100 * p:g} %" for p in QUANTILES), "interval of the median"]
     heads += ["at most 1", f"at most {NEAR}"]
-    return Table(rows, heads, "Error of the entrant over that of the best rival.", numbers=range(1, len(heads)))
+    caption = "Error of the entrant over that of the best rival, infinite where the entrant diverged."
+    return Table(rows, heads, caption, kind="study", numbers=range(1, len(heads)))
 
 
 def _cells(found: Finished) -> Table:
@@ -120,31 +121,38 @@ def _cells(found: Finished) -> Table:
             Word(_number(row.errors[law]), "strong") if row.errors[law] == least else _number(row.errors[law])
             for law in laws
         ]
-        rows.append([row.cell.name, *errors, row.best_rival, _number(row.ratio)])
+        rows.append([row.cell.name, *errors, row.best_rival, _ratio(row.ratio)])
         if row.ratio > NEAR:
             failing.append(place)
     heads: list[Cell] = ["cell", *laws, "best rival", "ratio"]
     caption = f"Errors in mm, the least of a cell in bold; cells with a ratio above {NEAR} are marked."
-    return Table(rows, heads, caption, numbers=[*range(1, len(laws) + 1), len(heads) - 1], failing=failing)
+    return Table(
+        rows, heads, caption, kind="study wide", numbers=[*range(1, len(laws) + 1), len(heads) - 1], failing=failing
+    )
 
 
 def _worst(found: Finished) -> Table:
     rows = list[list[Cell]]()
     for row, files in found.worst:
-        commands = [Word(f"dmframe run {file}", "command") for file in files.values()]
-        rows.append([row.cell.name, _number(row.error), row.best_rival, _number(row.rival_error), tuple(commands)])
-    heads = ["cell", "error", "best rival", "its error", "runs again"]
-    return Table(rows, heads, "Errors in mm; the graphs are in the folder of this page.", numbers=(1, 3))
+        again = [
+            Word(f"dmframe run {files[law]}", "command") if law in files else "" for law in (row.law, row.best_rival)
+        ]
+        errors: list[Cell] = [_number(row.error), row.best_rival, _number(row.rival_error)]
+        rows.append([row.cell.name, *errors, *again])
+    heads = ["cell", "error", "best rival", "its error", "run of the entrant", "run of the rival"]
+    caption = "Errors in mm; the graphs are in the folder of this page."
+    return Table(rows, heads, caption, kind="study", numbers=(1, 3))
 
 
 def _tuning(found: Finished) -> Iterator[Paragraph | Table]:
     file = found.race.file
+    candidates = f"{file.budget} {'candidate' if file.budget == 1 else 'candidates'}"
+    margins = f"{file.margins.gain:g} times its command and {_samples(file.margins.delay)} of transport delay"
     yield Paragraph(
-        f"Each law has {file.budget} candidates at each sampling period: the graph's own values, then a Halton "
-        "sequence, log-uniform over the ranges of the race file. A candidate is rejected if it diverges on a training "
-        f"cell as it is, or with {file.margins.gain:g} times its command and {file.margins.delay} further samples of "
-        "transport delay. Of the others, that with the least median of log error over the training cells is taken. No "
-        "held-out cell has its plant or its path in training."
+        f"Each law has {candidates} at each sampling period: the graph's own values, then a Halton sequence, "
+        "log-uniform over the ranges of the race file. A candidate is rejected if it diverges on a training cell as it "
+        f"is, or with {margins}. Of the others, that with the least median of log error over the training cells is "
+        "chosen. No held-out cell has its plant or its path in training."
     )
     training = file.training
     rows: list[list[Cell]] = []
@@ -160,19 +168,27 @@ def _tuning(found: Finished) -> Iterator[Paragraph | Table]:
         "Training error in mm: the exponential of the median of log error over the training cells "
         f"({', '.join(training.plants)}; {', '.join(training.paths)}; {', '.join(training.realities)})."
     )
-    yield Table(rows, heads, caption, numbers=(3, 4, 5))
+    yield Table(rows, heads, caption, kind="study", numbers=(3, 4, 5))
+
+
+def _ratio(value: float) -> str:
+    return "infinite" if math.isinf(value) else f"{value:.3g}"
 
 
 def _number(value: float) -> str:
     return "diverged" if math.isinf(value) else f"{value:.3g}"
 
 
-def _range(of: Spread) -> str:
-    return f"{_number(of.low)} to {_number(of.high)}"
+def _samples(count: int) -> str:
+    return f"{count} further {'sample' if count == 1 else 'samples'}"
+
+
+def _range(of: Spread, shown: Callable[[float], str]) -> str:
+    return f"{shown(of.low)} to {shown(of.high)}"
 
 
 def _interval(of: Spread) -> str:
-    return f"{_number(of.median)} ({_range(of)})"
+    return f"{_ratio(of.median)} ({_range(of, _ratio)})"
 
 
 def _share(count: int, whole: int) -> str:

@@ -56,7 +56,7 @@ def claimed_along(
                 f"V is not computed along the run of a loop of that size, {size} numbers in one column or gain; "
                 f"expected at most {MOST}; `verify --report` computes it"
             )
-        claim = claim_of(diagram)
+        claim = claim_of(diagram, held=False)  # V is that of these numbers
         numbers = Numbers(claim, uncertain)
         kappa = small_gain(claim, numbers) if claim.cascaded else None
         for reason in _faults(claim, numbers, start):

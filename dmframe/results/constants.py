@@ -22,7 +22,7 @@ from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
 from dmframe.certify.claim import Claim, NotApplicableError, total
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import listed
+from dmframe.errors import listed, summarised
 from dmframe.results.at_instants import AtInstants
 
 SINGULAR: Final = 1e-9
@@ -64,7 +64,7 @@ class Constants:
     @property
     def text(self) -> str:
         """Which constants V was evaluated with."""
-        shown = [f"{label} = [{', '.join(f'{x:.6g}' for x in found)}]" for label, found in self.by_label.items()]
+        shown = [f"{label} = [{summarised([f'{x:.6g}' for x in found], '')}]" for label, found in self.by_label.items()]
         return f"with {listed(shown)}, the unknown constants that leave least of its data unexplained" if shown else ""
 
 
@@ -120,7 +120,8 @@ def _least(slope: np.ndarray, bend: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 def notes_on(claim: Claim, constants: Constants, samples: AtInstants) -> Iterator[str]:
     """Constants that the run does not determine, and those outside the box of the estimate that has them."""
     if constants.loose:
-        yield f"no sample of the run determines {listed(list(constants.loose))}: V is evaluated with 0 for it"
+        those = "it" if len(constants.loose) == 1 else "them"
+        yield f"no sample of the run determines {summarised(constants.loose)}: V is evaluated with 0 for {those}"
     own = symbols_in(constants.symbols.values())
     for part in claim.parts:
         for item in part.certificate.steps:

@@ -13,7 +13,7 @@ from dmframe import notebook
 from dmframe.copies import shared
 from dmframe.errors import OutputError
 from dmframe.files import expanded, write_bytes, writing
-from dmframe.plotting import FORMATS, checked_formats, files_of
+from dmframe.plotting import FORMATS, checked_formats, files_of, loaded
 from dmframe.results.command_figure import command_figure
 from dmframe.results.drawn_runs import Runs
 from dmframe.results.effort_figure import effort_figure
@@ -102,6 +102,7 @@ def drawing(runs: Mapping[str, Run], formats: Sequence[str]) -> Iterator[Drawn]:
     if not runs:
         yield lambda _: {}
         return
+    loaded()
     early = jobs(runs, stored=False)
     with shared(early[::-1]) as finished:  # the first ones are the fastest, so the processes end together
 

@@ -156,6 +156,13 @@ def test_the_steps_of_the_series_are_proved_and_nothing_more(delay: int) -> None
     assert "that its rows follow from the plant is assumed" in str(found.headline)
 
 
+def test_a_run_that_determines_few_of_many_constants_names_some_of_them(tmp_path: Any) -> None:
+    run = dm.load({**repetitive(harmonics=20), "duration": "1 s"}).run(progress=False)
+    (notice,) = [text for text in run.notices if "no sample of the run determines" in text]
+    first = ", ".join(f"inverse.theta_true[{k}]" for k in range(1, 6))
+    assert f"determines {first} and 77 others: V is evaluated with 0 for them" in notice
+
+
 @pytest.mark.parametrize(("delay", "line"), [(0, 1), (1, 0), (1, 2)])
 def test_a_delay_that_is_not_the_plants_fails(delay: int, line: int) -> None:
     graph = repetitive(delay=delay)

@@ -123,3 +123,18 @@ def test_where_the_system_fails_all_jobs_are_done_here(call: str, monkeypatch: p
     jobs = [partial(pow, number, 2) for number in range(20)]
     with shared(jobs) as finished:
         assert finished() == [number**2 for number in range(20)]
+
+
+@LINUX
+def test_what_a_copy_did_before_it_ended_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    def end() -> int:
+        if os.getpid() != here:
+            os._exit(7)
+        return here
+
+    here = os.getpid()
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
+    with shared([os.getpid, end, os.getpid], busy=True) as finished:
+        os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOWAIT)  # the copy has ended
+        first, second, third = finished()
+    assert first != second == third == here

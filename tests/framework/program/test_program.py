@@ -17,7 +17,20 @@ import dmframe.program
 import dmframe.program.program as module
 from dmframe.errors import EngineError
 from dmframe.exact.arithmetic import ARITHMETIC
-from dmframe.program import CONST, INPUT, OPERATIONS, Node, Program, by_code, codes, instructions, read, run, sign_of
+from dmframe.program import (
+    CONST,
+    INPUT,
+    OPERATIONS,
+    TO_READ,
+    Node,
+    Program,
+    by_code,
+    codes,
+    instructions,
+    read,
+    run,
+    sign_of,
+)
 
 
 def number(program: Program, inputs: Sequence[Sequence[float]]) -> list[list[float]]:
@@ -252,3 +265,18 @@ def test_a_rational_number_goes_through_the_same_rules() -> None:
     program = read(ca.Function("f", [x], [(x - 0.25) / (1 + x * x)]))
     found = run(program, ARITHMETIC, given=lambda *_: Fraction(1, 3), constant=Fraction, refuse=refused)
     assert program.stored(found) == [[Fraction(3, 40)]]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_function_made_to_be_read_gives_the_same_program_with_fewer_calls(seed: int) -> None:
+    rng, x = np.random.default_rng(seed), ca.SX.sym("x", 5)
+    values = [*ca.vertsplit(x), ca.SX(0), ca.SX(2.5)]
+    for _ in range(200):
+        a, b = (values[k] for k in rng.integers(len(values), size=2))
+        values.append([a * b, a + ca.sin(b), ca.fmin(a, b) / 3, -a, ca.if_else(a < b, a, b)][rng.integers(5)])
+    given = [x, ca.SX.sym("unused", 2)], [ca.vertcat(*values[-20:]), x[1], ca.SX(0, 1), ca.SX(3, 3), values[-1]]
+    plain, made = ca.Function("f", *given), ca.Function("f", *given, TO_READ)
+    assert made.sz_w() > plain.sz_w()
+    one, other = read(plain), read(made)
+    assert one.nodes == other.nodes
+    assert [list(item) for item in one.sources] == [list(item) for item in other.sources]

@@ -102,6 +102,8 @@ def test_the_worst_cells_are_graphs_that_run_again_with_the_error_of_the_table(d
     again = f"dmframe race {done.race.document.name} --out {done.folder}"
     for text in ("20 ms, other, second, ideal", f"{row.ratio:.3g}", "dmframe run worst_1.yaml", "Halton", again):
         assert text in page
+    assert "dmframe run worst_1.yaml</code></td>" in page  # each command in a cell of its own
+    assert "By clock" not in page  # one clock: a table by clock would repeat the first one
 
 
 def test_a_plant_without_an_arm_and_an_error_in_radians_are_reported_with_law_and_cell(
