@@ -37,6 +37,7 @@ RADIANS: Final[Mapping[str, str]] = {
     "consistent_compensator": "c",
     "direct_adaptation": "leak error_leak",
     "dynamic_compensator": "leak error_leak",
+    "delay_probe": "probe threshold",
     "elastic_joints": "inertia",
     "epicycles": "radius",
     "encoder": "step noise window time_constant",
