@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import partial
 from typing import Any, final
 
 import casadi as ca
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from dmframe.robot.bodies import Link, acceleration_field, bodies_of, carry, joint_torques, matrix, skew
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.rational import Vector, decimal
+from dmframe.robot.recursion import placed, repeated
 
 NO_LIMIT = 1e9
 """Value of a limit that a robot does not have: finite, for compiled code."""
@@ -86,6 +88,7 @@ class SymbolicRobot:
         self.a_k = ca.vertcat(*(ca.SX(0) if value == 0 else symbol for symbol, value in pairs))
         self.inertia = self._inertia.symbol
         self._stated: dict[str, tuple[list[Any], Any]] = {}
+        self._placed = placed(chain, (*_turns(chain), *kinematic, *chain.gravity))
 
     def with_numbers(self, chain: SerialChain) -> SymbolicRobot:
         """The same symbols with the values of another chain, which has the same joints.
@@ -109,7 +112,7 @@ class SymbolicRobot:
     def with_free_axes(self) -> tuple[SymbolicRobot, Any, Any]:
         """The same robot with all axes and rotations as symbols; and columns of these symbols, joints and tool."""
         other = copy.copy(self)
-        other._stated = {}
+        other._stated, other._placed = {}, ()
         other._placements = [(ca.SX.sym("rotation", 3, 3), ca.SX.sym("axis", 3)) for _ in self._placements]
         other._tool_rotation = ca.SX.sym("tool_rotation", 3, 3)
         axes = ca.vertcat(*(ca.vertcat(ca.vec(R), a) for R, a in other._placements))
@@ -203,10 +206,19 @@ class SymbolicRobot:
         ----------
         [SlotineLi1987]_; [NiemeyerSlotine1991]_ for the recursion.
         """
+        inertia, share, plain = self.inertia if inertia is None else inertia, ca.SX(gravity_share), dq_ref is dq
+        given = (q, dq, ddq_ref, inertia, share, *(() if plain else (dq_ref,)))
+        constants = [constant.symbol for constant in self.constants]
+        return repeated(partial(self._torque, plain), self._placed, given, constants)
+
+    def _torque(
+        self, plain: bool, q: Any, dq: Any, ddq_ref: Any, inertia: Any, gravity_share: Any, dq_ref: Any = None
+    ) -> Any:
+        """`inverse_dynamics`; if `plain`, of `dq` for `dq_ref`."""
         links = self.links(q)
-        h = bodies_of(self.inertia if inertia is None else inertia)
+        h = bodies_of(inertia)
         omega = nu = dnu = ca.SX(3, 1)
-        plain = dq_ref is dq
+        dq_ref = dq if plain else dq_ref
         acceleration = -self.gravity * gravity_share
         A = ca.SX(3, 3)
         forces = []
@@ -333,8 +345,8 @@ class SymbolicRobot:
     def links(self, q: Any, a_k: Any = None) -> list[Link]:
         """Each joint's transform at q: rotation about the exact axis a, R = a a' + cos q (I - a a') + sin q [a]."""
         links = []
-        placed = zip(self.chain.joints, self._placements, self._offsets(a_k)[:-1], ca.vertsplit(q), strict=True)
-        for joint, (R, a), offset, angle in placed:
+        joints = zip(self.chain.joints, self._placements, self._offsets(a_k)[:-1], ca.vertsplit(q), strict=True)
+        for joint, (R, a), offset, angle in joints:
             if joint.kind == "prismatic":
                 links.append(Link(False, a, R, offset + R @ a * angle))
                 continue

@@ -28,6 +28,7 @@ from dmframe.port import Side
 from dmframe.prove.export import digest
 from dmframe.prove.identity import identity
 from dmframe.prove.reals import doubt
+from dmframe.robot import recursion
 from dmframe.robot.bodies import Body
 from dmframe.robot.symbolic import SymbolicRobot
 from dmframe.text import Text
@@ -67,8 +68,10 @@ def patched(mutant: Mutant) -> Iterator[None]:
     try:
         for holder in found:
             setattr(holder, name, mutant.function)
+        recursion.forget()
         yield
     finally:
+        recursion.forget()
         for holder in holders(mutant.function):  # a module that was imported meanwhile has it too
             setattr(holder, name, mutant.original)
 
