@@ -230,9 +230,9 @@ def real(graph: dm.Graph, reality: str) -> dm.Graph:
         return graph
     made = graph.reality(reality)
     delayed = [label for label, block in graph.blocks.items() if "delay" in type(block).model_fields]
-    if not delayed or delayed == [
-        "task"
-    ]:  # whose goal is that of a later sample: right where a predictor says from where
+    identified = any(getattr(graph.blocks[label], "delay_up_to", None) is not None for label in delayed)
+    # the goal of the task is that of a later sample: right where a predictor says from where
+    if not delayed or identified or delayed == ["task"]:
         return made
     samples = made.data["blocks"]["transport_delay"]["samples"]
     return made.set({f"{label}.delay": samples for label in delayed})

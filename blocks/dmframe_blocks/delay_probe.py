@@ -111,12 +111,12 @@ class DelayProbe(AbstractBlock):
         """The excitation, the regression, and the delay when the excitation ends."""
         v = named("v", (u.q - x.q_before) / u.T)
         gathered = named("G", x.gathered + x.changes.T @ x.changes)
-        correlated = named("c", x.correlated + x.changes.T @ (v - x.v_before))
+        correlated = named("g_v", x.correlated + x.changes.T @ (v - x.v_before))
         b = named("b", solve_spd(gathered + p.nu * ca.DM.eye(self.taps), correlated))
         below = named("below", under(b, p.threshold))
-        ends = named("ends", (x.since >= p.lasting) * (below < self.taps))
+        ends = named("ends", (x.since >= p.lasting) * (below <= self.taps - 1))
         known = {
-            DELAY_HAT.name: ca.if_else(x.identified, x.delay_hat, ends * ca.fmin(below, self.delay_up_to)),
+            DELAY_HAT.name: ca.if_else(x.identified > 0.5, x.delay_hat, ends * ca.fmin(below, self.delay_up_to)),
             IDENTIFIED.name: ca.fmax(x.identified, ends),
         }
         excitation = (1 - x.identified) * p.probe * (2 * (u.toss > 0) - 1)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal, final
+from typing import Any, final
 
 import casadi as ca
+from pydantic import Field
 
 from dmframe.block import (
     PERIOD,
@@ -21,6 +22,7 @@ from dmframe.block import (
     named,
     operation,
 )
+from dmframe_blocks._identified_delay import MOST_DELAY
 
 
 @final
@@ -34,12 +36,12 @@ class PathPace(AbstractBlock):
 
     A command is approximately proportional to the rate, so the first case returns it to its share of the limit in one
     sample. If commands act `delay` samples later, rates are fixed the same number of samples in advance, so that the
-    outputs t_path_1, t_path_2 and t_path_3, the future values of t_path, are known.
+    outputs t_path_1, ..., t_path_9, the future values of t_path, are known up to the sample after the delay.
 
     Parameters
     ----------
-    delay : 0, 1 or 2
-        Whole samples from a command to its effect, as in the task law.
+    delay : 0, 1, ..., 8
+        Whole samples from a command to its effect, as in the task law; for an identified delay its `delay_up_to`.
     u_max : diagonal (n,), rad/s, > 0
         Largest command.
     share : scalar, > 0
@@ -61,9 +63,7 @@ class PathPace(AbstractBlock):
     inputs = (Input("dq_c", "n", "rad/s"), PERIOD)
     outputs = (
         Output("t_path", "", "s"),
-        Output("t_path_1", "", "s"),
-        Output("t_path_2", "", "s"),
-        Output("t_path_3", "", "s"),
+        *(Output(f"t_path_{k}", "", "s") for k in range(1, MOST_DELAY + 2)),
         Output("pace"),
     )
     states = (
@@ -71,7 +71,7 @@ class PathPace(AbstractBlock):
         State("rates", "d", sampled=True),
     )
 
-    delay: Literal[0, 1, 2] = 0
+    delay: int = Field(0, ge=0, le=MOST_DELAY)
     u_max: Diagonal = Positive("n", "rad/s", default=3.0)
     share: Scalar = Positive(default=0.9)
     recovery: Scalar = Positive("", "s", default=2.0)
@@ -87,7 +87,7 @@ class PathPace(AbstractBlock):
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """The present and future path times, and the next rate."""
         rates, times = ca.vertsplit(x.rates), [x.path_time]
-        for k in range(3):
+        for k in range(MOST_DELAY + 1):
             times.append(times[-1] + u.T * rates[min(k, self.delay)])
         newest = rates[-1]
         near = named("near", largest(ca.fabs(u.dq_c) / (p.share * p.u_max)))
@@ -95,9 +95,7 @@ class PathPace(AbstractBlock):
         return Equations(
             outputs={
                 "t_path": times[0],
-                "t_path_1": times[1],
-                "t_path_2": times[2],
-                "t_path_3": times[3],
+                **{f"t_path_{k}": times[k] for k in range(1, MOST_DELAY + 2)},
                 "pace": rates[0],
             },
             next={

@@ -86,4 +86,4 @@ def test_configured_and_identified_delays_exclude_each_other() -> None:
         with pytest.raises(DmframeError, match="expected delay: 0 with delay_up_to"):
             block_types()[kind](delay=1, delay_up_to=3, **other)
     with pytest.raises(DmframeError, match="delay_hat"):
-        dm.graph("ur10_slow_inverse_tuned").with_values({"task.delay_up_to": 2}).diagram  # noqa: B018
+        dm.load("ur10_slow_inverse_tuned").set({"task.delay_up_to": 2}).diagram  # noqa: B018

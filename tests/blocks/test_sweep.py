@@ -103,6 +103,7 @@ EXAMPLES["path_pace"] = EXAMPLES["setpoint"] + "  pace:     {type: path_pace}\n"
 UNPROVED = {
     "kinematic_command",
     "velocity_probe",
+    "delay_probe",
     "sampled_supervisor",
     "sampled_tracking",
     "disturbance_observer",

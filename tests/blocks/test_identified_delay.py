@@ -1,0 +1,63 @@
+"""Probe, identified servo model and aggregation in one loop, behind delays that no block is configured for."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from sampled_arm2 import sampled_arm2
+
+import dmframe as dm
+
+WIDE = {
+    "k_P_box": [-100, 100],
+    "k_I_box": [-1000, 1000],
+    "k_u_box": [-5, 5],
+    "k_q_box": [-200, 200],
+    "inertia_box": [-1000, 1000],
+    "friction_box": [-1000, 1000],
+    "offset_box": [-10, 10],
+}
+
+
+def started(made: dict[str, Any], samples: int) -> dict[str, Any]:
+    """On its path, with the task and the probe that both laws share, behind a delay of so many samples."""
+    blocks = made["blocks"]
+    blocks["task"] = {"type": "sampled_tracking", "gain_margin": 1.67, "delay_up_to": 3}
+    blocks["probe"] = {"type": "delay_probe", "delay_up_to": 3, "taps": 5, "lasting": "2 s"}
+    if samples:
+        blocks["way"] = {"type": "transport_delay", "samples": samples}
+    return made | {"duration": "20 s", "start": {"q": [-0.15312, 1.32528]}}
+
+
+def aggregated(samples: int) -> dm.Graph:
+    """All blocks that use the identified delay."""
+    model = {"servo": "p_pi", "estimator": "least_squares", "average": 1, "retention": 0.998, "settling": "1 s"}
+    model |= {"supervised": True, "aggregated": True, "delay_up_to": 3, "k_P_size": 5, "k_I_size": 20}
+    made = started(sampled_arm2(**model, **WIDE), samples)
+    made["blocks"]["mix"] = {"type": "expert_aggregation", "delay_up_to": 3, "a_max": 4, "memory": "2 s"}
+    made["wires"] = {"mix.dq_r": "probe.dq_probe", "inverse.dq_r": "probe.dq_probe", "mix.dq_model": "inverse.dq_c"}
+    made["wires"] |= {"mix.q_model": "inverse.q_start", "task.q_start": "mix.q_start", "servo.dq_c": "mix.dq_sent"}
+    return dm.load(made)
+
+
+def inverse_of_j(samples: int) -> dm.Graph:
+    """The same task and probe, and the prediction over the delay, which is configured; nothing adapts."""
+    made = started(sampled_arm2(), samples)
+    made["blocks"]["inverse"] = {"type": "disturbance_observer", "alpha": 0, "delay": samples}
+    made["wires"] = {"inverse.dq_r": "probe.dq_probe", "probe.dq_sent": "inverse.dq_c"}
+    return dm.load(made)
+
+
+@pytest.mark.parametrize("samples", [0, 1, 2])
+def test_with_the_delay_that_the_probe_identifies_the_error_is_far_below_that_of_the_inverse_of_j(samples: int) -> None:
+    ends = []
+    for graph in (aggregated(samples), inverse_of_j(samples)):
+        run = graph.run(progress=False, judge=False)
+        identified = run["probe.identified"].values
+        assert not identified[:50].any()  # 2 s
+        assert identified[51:].all()
+        assert set(run["probe.delay_hat"].values[51:]) == {samples}
+        assert run.error is not None
+        ends.append(run.error.rms_final)
+    assert ends[0] < 0.02 * ends[1]
