@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -248,7 +249,7 @@ def test_rows_without_coupling_know_the_plants_delay_and_take_its_rotors() -> No
     assert dm.load(graph).verify().outcome == "proved"
     graph["blocks"]["line"] = {"type": "transport_delay", "samples": 1}
     found = dm.load(graph).verify()
-    assert found.outcome == "not applicable"
+    assert found.outcome == "not_applicable"
     assert "its rows take a delay of 0 samples, and the plant delays commands by 1" in found.reason
 
 
