@@ -36,7 +36,7 @@ def _gains(servo: str, truth: Signals, offset: SX) -> tuple[SX, SX, SX, tuple[SX
         i = truth.i - offset / k_I
         return 1 / (truth.K * truth.K_P), k_I, k_I, (), i, i
     e = truth.q - truth.q_c
-    if "K_v" not in truth:  # a PID servo, for which the further elements are zero
+    if servo == "pid" or "K_v" not in truth:  # a PID servo, for which the further elements are zero
         k_I, none = truth.K_I / truth.K_D, (0 * offset, 0 * offset) if servo == "p_pi" else ()
         return 1 / (truth.K * truth.K_D), truth.K_P / truth.K_D, k_I, none, e, truth.i - offset / k_I
     k_i = truth.K_i / truth.K_v

@@ -13,6 +13,7 @@ from dmframe.block import (
     SX,
     AbstractBlock,
     Access,
+    Acted,
     Certificate,
     Diagonal,
     Equations,
@@ -79,7 +80,8 @@ class ExpertAggregation(AbstractBlock):
     so that the sum of :math:`\nu \varepsilon^2 / n^2` exceeds that of :math:`\eta^2 / n` by at most the initial
     :math:`|w - w^\ast|^2 / \Gamma`, on the motion that happened. Where :math:`\Gamma h^\top h \ll \nu` the errors
     are then, in the sum of squares, at most those of the best expert but for a constant; with larger steps up to four
-    times as much. That the loop is stable does not follow.
+    times as much. That the loop is stable does not follow. That h and y are forecast errors of the experts is how they
+    are computed, and not a part of what is proved.
 
     *Rate.* With `a_max` a command changes by at most a_max T per sample, as behind a ramp that limits accelerations.
 
@@ -131,6 +133,7 @@ class ExpertAggregation(AbstractBlock):
         IDENTIFIED,
         PERIOD,
     )
+    truth = (Input("dq_s", "n", "rad/s"), Input("q", "n", "rad"))
     outputs = (
         Output("dq_sent", "n", "rad/s", Access.COMMANDED),
         Output("q_start", "n", "rad"),
@@ -273,7 +276,9 @@ class ExpertAggregation(AbstractBlock):
         steps = NormalisedSteps(
             "weights", x.weights, true, p.Gamma * ones, (E - 1,) * n, p.nu, ((h, y),), (0 * ones, ones)
         )
-        return Certificate(steps=(steps,), unknown={"w_true": true})
+        configured = self.delay_up_to is None and "dq_s" in truth and "q" in truth
+        acted = (Acted(x.queue[:, 0], truth.dq_s, u.q, truth.q),) if configured else ()
+        return Certificate(steps=(steps,), acted=acted, unknown={"w_true": true})
 
 
 @operation

@@ -392,17 +392,19 @@ class SampledInverse(AbstractBlock):
         row, goal, kept = self._meant(x, p, new, aim)
         estimator, learning = self._estimator(p), self._learning(p)
         lines = self._lines(estimator, x, row, goal, kept, new, aim)
+        known = not self.echoed and "dq_s" in truth and "q" in truth
+        acted = (Acted(u_applied, truth.dq_s, u.q, truth.q),) if known else ()
         if not averaged.coupled:
             true = type(x.theta).sym("theta_true", averaged.size)
             steps = estimator.steps(x, true, row, goal, learning)
-            return Certificate(steps=(steps,), delay_lines=lines, unknown={"theta_true": true})
+            return Certificate(steps=(steps,), delay_lines=lines, acted=acted, unknown={"theta_true": true})
         offset = type(x.theta).sym("offset", robot.n)
         true, identity = true_servo(averaged, self.servo, self.friction, robot, truth, offset)
         return Certificate(
             steps=(estimator.steps(x, true, row, goal, learning),),
             delay_lines=lines,
             plant=(identity,),
-            acted=() if self.echoed else (Acted(u_applied, truth.dq_s, u.q, truth.q),),
+            acted=acted,
             unknown={"offset": offset},
         )
 
@@ -415,8 +417,8 @@ class SampledInverse(AbstractBlock):
         return (*estimator.kept(x, row, goal), *(DelayLine(name, item.T) for name, item in late if name in kept))
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
-        """The rows have a column for each kind of friction of the plant."""
-        return columns_for(self.friction, truth)
+        """The rows have a column for each kind of friction of the plant; without coupling they hold any constants."""
+        return columns_for(self.friction, truth) if self.dynamics == "robot" else ()
 
     def _sample(self, u: Signals, x: Signals, p: Signals) -> tuple[SX, SX, SX, SX, SX, SX]:
         """The previous sample: command and average velocity, psi and y, and h and g, high-pass filtered."""

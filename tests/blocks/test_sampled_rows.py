@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -240,3 +241,19 @@ def test_a_lie_of_rows_and_certificate_is_not_proved(lie: str, monkeypatch: pyte
     assert found.reason.startswith(f"{says} motion does not fall with the period: ")
     assert "row of joint2, " in found.reason
     assert found.reason.endswith(" of the data at T = 5, 2.5, 1.25, 0.625, 0.312 ms")
+
+
+def test_rows_without_coupling_know_the_plants_delay_and_take_its_rotors() -> None:
+    graph = copy.deepcopy(sampled_arm2(dynamics="joints", replay=2))
+    graph["blocks"]["arm"]["rotor"] = [0.3, 0.2]
+    assert dm.load(graph).verify().outcome == "proved"
+    graph["blocks"]["line"] = {"type": "transport_delay", "samples": 1}
+    found = dm.load(graph).verify()
+    assert found.outcome == "not_applicable"
+    assert "its rows take a delay of 0 samples, and the plant delays commands by 1" in found.reason
+
+
+def test_rows_of_a_pid_servo_do_not_fit_a_cascade() -> None:
+    graph = copy.deepcopy(sampled_arm2())
+    graph["blocks"]["servo"] = {"type": "p_pi_servo", "k_p": 20, "K_v": [60, 30], "K_i": [240, 120]}
+    assert "inverse: its equations read K_I" in dm.load(graph).verify().reason
