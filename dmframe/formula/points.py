@@ -65,6 +65,11 @@ class Draw:
         self._mixed = seed >= ALL_SIZES
         self._zero = _VANISHING[seed % len(_VANISHING)] if self._mixed else 0.0
 
+    @property
+    def vanishes(self) -> bool:
+        """True if some or all numbers are zero that may be."""
+        return self._zero > 0.0
+
     def numbers(self, shape: Any, *, positive: bool) -> Any:
         """The next numbers, an array of this shape."""
         if self._near:
@@ -76,6 +81,17 @@ class Draw:
             return found
         there = self._rng.uniform() >= self._zero
         return self._turn * self._rng.choice((-1.0, 1.0), shape) * found * there
+
+
+def without_quotients_of_zeros(seed: int, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Both matrices; at a point where signals are zero, with 0 for elements that are NaN in one of them.
+
+    There 0/0 has no value: its product with 0 is NaN in one form, and 0 in another, simplified one.
+    """
+    if first.shape != second.shape or not Draw(seed).vanishes:
+        return first, second
+    known = ~(np.isnan(first) | np.isnan(second))
+    return np.where(known, first, 0.0), np.where(known, second, 0.0)
 
 
 def differs(first: np.ndarray, second: np.ndarray) -> bool:
@@ -90,7 +106,7 @@ def differs(first: np.ndarray, second: np.ndarray) -> bool:
         return True
     one, other = np.abs(first[finite]), np.abs(second[finite])
     allowed = _CLOSE * np.maximum(one, other) + _ROUNDED * np.max(np.maximum(one, other), initial=1.0)
-    return bool(np.any(np.abs(first - second)[finite] > allowed))
+    return bool(np.any(np.abs(first[finite] - second[finite]) > allowed))
 
 
 def differs_near(first: np.ndarray, second: np.ndarray) -> bool:
@@ -275,7 +291,8 @@ class Pair:
         for seed in range(MOST):
             values = self.point(seed)
             ones, others, turns = self.at(values)
-            for place, (one, two) in enumerate(zip(ones, others, strict=True)):
+            for place, pair in enumerate(zip(ones, others, strict=True)):
+                one, two = without_quotients_of_zeros(seed, *pair)
                 moved = ((first[place], second[place]) for first, second, _ in map(self.at, jittered(values)))
                 if differs(one, two) and not is_rounding(one, two, moved) and not agree(*self.in_balls(values, place)):
                     return place, False

@@ -19,7 +19,7 @@ from dmframe.diagram import Diagram
 from dmframe.errors import BlockError
 from dmframe.formula import laws_of, printed
 from dmframe.formula.alone import law_of_type, options_of, plainest, read_type, variants
-from dmframe.formula.points import agree, in_balls
+from dmframe.formula.points import Pair, agree, in_balls
 from dmframe.formula.tree import Applied, Name, Node, Unprinted
 from dmframe.formula.where import where
 from dmframe.graph.graph import Graph
@@ -335,3 +335,21 @@ def test_digits_are_as_many_as_the_expression_loses():
     assert in_balls(lost, [[3, 1]], 1) is None  # no inverse at all: no digits help
     assert in_balls(lost_less, [[3, 1]], 0) == pytest.approx(np.full((2, 1), 3), rel=1e-15)
     assert not agree(None, None)
+
+
+def test_a_quotient_of_zeros_is_compared_only_where_signals_are_not_zero():
+    assert law_of_type(KINDS["sampled_inverse"], time_stamps=True) is not None  # T is a difference of two signals
+
+    def found(good):
+        def at(values):
+            return (
+                [np.zeros((1, 1))],
+                [np.full((1, 1), 0.0 if round(float(values["seed"])) in good else np.nan)],
+                [np.zeros(1)],
+            )
+
+        return Pair(lambda seed: {"seed": seed}, at, lambda values, place: (None, None)).compared(near=False)
+
+    vanishing = {seed for seed in range(16, 100) if seed % 4 > 1}
+    assert found(set(range(100)) - vanishing) == (None, False)
+    assert found(set(range(100)) - vanishing - {17}) == (0, False)
