@@ -123,7 +123,7 @@ def test_a_command_changes_by_at_most_a_max() -> None:
     assert abs(sent[0]) <= 0.5 * T + 1e-12
 
 
-@pytest.mark.parametrize("options", [{"periodic": True}, {"rate": 1.0}, {"delay": 3}, {"memory": -1}])
+@pytest.mark.parametrize("options", [{"periodic": True}, {"rate": 1.0}, {"delay": 9}, {"memory": -1}])
 def test_options_that_do_not_fit_are_refused(options: dict[str, Any]) -> None:
     with pytest.raises(DmframeError):
         KIND(**options)
