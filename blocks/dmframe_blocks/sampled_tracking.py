@@ -106,7 +106,7 @@ class SampledTracking(AbstractBlock):
     inputs = (
         Input("q_start", "n", "rad"),
         Input("x_d", "m", "m"),
-        *(Input(f"x_d_{k}", "m", "m", ahead_of="x_d", ahead=k) for k in range(1, MOST_DELAY + 2)),
+        *(Input(f"x_d_{k}", "m", "m", ahead_of="x_d", ahead=k, optional=k > 3) for k in range(1, MOST_DELAY + 2)),
         Input("dq_null", "n", "rad/s", optional=True),
         DELAY_HAT,
         IDENTIFIED,
@@ -138,8 +138,8 @@ class SampledTracking(AbstractBlock):
         return self
 
     def needs(self, port: str) -> bool:
-        """The delay, if it is identified."""
-        return needs_delay(self, port)
+        """The delay, if it is identified; and the path as far ahead as the longest delay."""
+        return needs_delay(self, port) or port in [f"x_d_{k}" for k in range(4, longest(self) + 2)]
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) to (4)."""
