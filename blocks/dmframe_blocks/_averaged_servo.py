@@ -283,6 +283,18 @@ class AveragedServo:
 
         return damping
 
+    def gamma(self, p: Any) -> Any:
+        """Squares of the expected deviations of the elements, from the parameters `..._size` of `SampledInverse`."""
+        w, more = p.w_0, self.of_p_pi(p.k_u_size, p.k_q_size)
+        scaled = w * p.offset_size, w * p.inertia_size, w * p.friction_size
+        sizes = self.kinds(p.k_P_size, p.k_I_size, *scaled, *more)
+        return sizes * sizes
+
+    def box(self, p: Any) -> Any:
+        """Lower and upper bounds of the elements, from the parameters `..._box`."""
+        boxes = p.k_P_box, p.k_I_box, p.offset_box, p.w_0 @ p.inertia_box, p.w_0 @ p.friction_box
+        return self.kinds(*boxes, *self.of_p_pi(p.k_u_box, p.k_q_box))
+
     def of_p_pi(self, k_u: Any, k_q: Any) -> tuple[Any, ...]:
         """What belongs to the further columns of a P-PI servo; empty for the others."""
         return (k_u, k_q) if self._more else ()

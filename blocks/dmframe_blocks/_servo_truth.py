@@ -3,13 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Any
+from typing import Any, Final
 
 import casadi as ca
 
-from dmframe.block import SX, PlantIdentity, Signals
+from dmframe.block import ANY, SX, Input, PlantIdentity, Signals
 from dmframe_blocks._averaged_servo import AveragedServo
 from dmframe_blocks._loads import with_held
+
+SERVO_TRUTH: Final = (
+    Input("K", "n", "N m/V"),
+    Input("K_D", "n", "V s/rad"),
+    Input("K_P", "n", ANY),
+    Input("K_I", "n", ANY),
+    Input("k_p", "n", "1/s"),
+    Input("K_v", "n", "V s/rad"),
+    Input("K_i", "n", "V/rad"),
+    Input("f", "n"),
+    Input("xi", "n", "rad"),
+    Input("B", "n", "N m s/rad"),
+    Input("D", "n", "N m"),
+    Input("I_r", "n", "kg m^2"),
+    Input("i", "n", ANY),
+    Input("q", "n", "rad"),
+    Input("dq", "n", "rad/s"),
+    Input("q_c", "n", "rad"),
+    Input("dq_s", "n", "rad/s"),
+    Input("a_held", "10"),
+)
+"""The parameters and signals of servo and robot that a certificate of an averaged servo reads."""
 
 
 def true_servo(

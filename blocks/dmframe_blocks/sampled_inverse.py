@@ -18,7 +18,6 @@ from dmframe.block import (
     Box,
     Certificate,
     Condition,
-    DelayLine,
     Diagonal,
     Element,
     Equations,
@@ -26,6 +25,7 @@ from dmframe.block import (
     Interval,
     NonNegative,
     Output,
+    PlantIdentity,
     Positive,
     Scalar,
     Signals,
@@ -45,11 +45,12 @@ from dmframe_blocks._identified_delay import (
     check_delay,
     longest,
     needs_delay,
-    sooner,
 )
+from dmframe_blocks._last_sample import LastSample, last_sample
+from dmframe_blocks._row_means import RowMeans
 from dmframe_blocks._sample_estimators import Estimator, Learning, Projection, least_squares, triangle
 from dmframe_blocks._sample_response import Ahead, Response
-from dmframe_blocks._servo_truth import true_servo
+from dmframe_blocks._servo_truth import SERVO_TRUTH, true_servo
 
 
 @final
@@ -195,26 +196,7 @@ class SampledInverse(AbstractBlock):
         Output("guarded"),
         Output("slope", "n", optional=True),
     )
-    truth = (
-        Input("K", "n", "N m/V"),
-        Input("K_D", "n", "V s/rad"),
-        Input("K_P", "n", ANY),
-        Input("K_I", "n", ANY),
-        Input("k_p", "n", "1/s"),
-        Input("K_v", "n", "V s/rad"),
-        Input("K_i", "n", "V/rad"),
-        Input("f", "n"),
-        Input("xi", "n", "rad"),
-        Input("B", "n", "N m s/rad"),
-        Input("D", "n", "N m"),
-        Input("I_r", "n", "kg m^2"),
-        Input("i", "n", ANY),
-        Input("q", "n", "rad"),
-        Input("dq", "n", "rad/s"),
-        Input("q_c", "n", "rad"),
-        Input("dq_s", "n", "rad/s"),
-        Input("a_held", "10"),
-    )
+    truth = SERVO_TRUTH
     states = (
         State("theta", "c", sampled=True),
         State("gathered", "G", sampled=True, optional=True, recorded=False),
@@ -307,35 +289,36 @@ class SampledInverse(AbstractBlock):
         averaged, still = self._averaged(p), 0 * u.q
         begins = {"q_before": u.q, "q_aim": u.q_echo if self.echoed else u.q, "m_before": u.q, "m_planned": u.q}
         if self.filtered:
-            begins["psi_slow"] = averaged.changing(self._psi(p, Start(u.q, u.q, still, u.q, still), still, still, u.T))
+            row = self._response(p).row(Start(u.q, u.q, still, u.q, still), still, still, u.T)
+            begins["psi_slow"] = averaged.changing(row)
         if self.time_stamps:
             begins["t_before"] = u.t - u.T
         return {**begins, "theta": averaged.kinds(p.k_P, p.k_I, 0, 0, 0, *averaged.of_p_pi(0, 0))}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """The last sample, the update of the estimate, the predicted start of the command, and the command."""
-        averaged, T = self._averaged(p), self._over(u, x)
-        u_applied, v, psi, y, h, g = self._sample(u, x, p)
-        row, goal, kept = self._meant(x, p, *self._lesson(u, x, p, u_applied, h, g))
+        averaged, response, last = self._averaged(p), self._response(p), self._last(u, x, p)
+        lesson = last.lesson(response, u, x, p.settling, p.u_max)
+        row, goal, kept = RowMeans(averaged, self.average).after(x, *lesson)
         if self.time_stamps:
             kept["t_before"] = u.t
         theta, learnt = self._estimator(p).learnt(x, row, goal, self._learning(p))
         theta_new = named("theta_new", theta)
 
+        T, v = last.T, last.v
         middle = x.q_before + T * v / 2
-        aimed, late = self._aimed(u, x, T), u_applied if self.echoed else x.queue[:, 0]
-        target, z = aimed.after(u_applied, middle, T)
+        late = last.command if self.echoed else x.queue[:, 0]
+        target, z = last.aimed.after(last.command, middle, T)
         q_aim, z_aim = Aimed(x.q_aim, x.z).after(late, middle, T)
-        start, slow, next_slow = Start(u.q, target, z, middle, v), 0 * y, dict[str, SX]()
-        if self.filtered:
-            psi_slow, y_slow = self._slow(averaged, x, psi, y)
-            psi_slow = named("psi_next", averaged.changing(psi_slow + T / p.tau * (psi - psi_slow)))
-            y_slow = named("y_next", y_slow + T / p.tau * (y - y_slow))
+        start, slow, next_slow = Start(u.q, target, z, middle, v), 0 * v, dict[str, SX]()
+        if last.slow:
+            psi_slow, y_slow = last.filtered(averaged, *last.slow, T / p.tau)
             slow, next_slow = y_slow - averaged.answer(psi_slow, theta_new), {"psi_slow": psi_slow, "y_slow": y_slow}
-        ahead = Ahead(acting(self, u, x.queue), acting(self, u, x.plans), self._delay(u), u.T)
+        delay = None if self.delay_up_to is None else u.delay_hat
+        ahead = Ahead(acting(self, u, x.queue), acting(self, u, x.plans), delay, u.T)
         slow_share = u.T / p.tau if self.filtered else 0
-        start, slow = self._response(p).when_acting(ahead, start, slow, slow_share, theta_new, p.margin)
-        S = self._response(p).slope(theta_new, start.q, u.T)
+        start, slow = response.when_acting(ahead, start, slow, slow_share, theta_new, p.margin)
+        S = response.slope(theta_new, start.q, u.T)
         safe = averaged.safe(S, p.margin)
         dq_c = self._command(u, x, p, theta_new, start, slow, safe)
         rises = 1 + averaged.damping(theta_new, v, p.robot.friction_velocity, u.T) + safe * ca.diag(S)
@@ -346,7 +329,7 @@ class SampledInverse(AbstractBlock):
                 **moved,
                 "dq_c": dq_c,
                 "q_start": start.q,
-                "epsilon": g - averaged.answer(h, x.theta),
+                "epsilon": last.g - averaged.answer(last.h, x.theta),
                 "guarded": 1 - safe,
             },
             next={
@@ -366,101 +349,38 @@ class SampledInverse(AbstractBlock):
             },
         )
 
-    def _delay(self, u: Signals) -> SX | None:
-        """The identified delay."""
-        return None if self.delay_up_to is None else u.delay_hat
-
-    def _aimed(self, u: Signals, x: Signals, T: SX) -> Aimed:
-        """The target at the beginning of the sample that is over, and the sum of the errors before it."""
-        if self.delay_up_to is None or self.echoed:
-            return Aimed(x.q_aim, x.z)
-        return sooner(Aimed(x.q_aim, x.z), x.queue, u.delay_hat, T)
-
-    def _slow(self, averaged: AveragedServo, x: Signals, psi: SX, y: SX) -> tuple[SX, SX]:
-        """The low-pass filtered row and output, which begin with the first ones of an identified delay."""
-        if self.delay_up_to is None:
-            return x.psi_slow, x.y_slow
-        begins = x.count < 1
-        psi_slow = named("psi_slow_now", ca.if_else(begins, averaged.changing(psi), x.psi_slow))
-        return psi_slow, named("y_slow_now", ca.if_else(begins, y, x.y_slow))
-
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """Steps of the estimate from sample to sample, and the identity of servo and robot between samples."""
-        averaged, robot = self._averaged(p), p.robot
-        u_applied, _, _, _, h, g = self._sample(u, x, p)
-        new, aim = self._lesson(u, x, p, u_applied, h, g)
-        row, goal, kept = self._meant(x, p, new, aim)
+        averaged, robot, last = self._averaged(p), p.robot, self._last(u, x, p)
+        new, aim = last.lesson(self._response(p), u, x, p.settling, p.u_max)
+        row, goal, kept = RowMeans(averaged, self.average).after(x, new, aim)
         estimator, learning = self._estimator(p), self._learning(p)
-        lines = self._lines(estimator, x, row, goal, kept, new, aim)
+        lines = (*estimator.kept(x, row, goal), *RowMeans.lines(kept, new, aim))
         known = not self.echoed and "dq_s" in truth and "q" in truth
-        acted = (Acted(u_applied, truth.dq_s, u.q, truth.q),) if known else ()
-        if not averaged.coupled:
+        acted = (Acted(last.command, truth.dq_s, u.q, truth.q),) if known else ()
+        plant = tuple[PlantIdentity, ...]()
+        if averaged.coupled:
+            unknown = {"offset": type(x.theta).sym("offset", robot.n)}
+            true, identity = true_servo(averaged, self.servo, self.friction, robot, truth, unknown["offset"])
+            plant = (identity,)
+        else:  # any constants
             true = type(x.theta).sym("theta_true", averaged.size)
-            steps = estimator.steps(x, true, row, goal, learning)
-            return Certificate(steps=(steps,), delay_lines=lines, acted=acted, unknown={"theta_true": true})
-        offset = type(x.theta).sym("offset", robot.n)
-        true, identity = true_servo(averaged, self.servo, self.friction, robot, truth, offset)
-        return Certificate(
-            steps=(estimator.steps(x, true, row, goal, learning),),
-            delay_lines=lines,
-            plant=(identity,),
-            acted=acted,
-            unknown={"offset": offset},
-        )
-
-    @staticmethod
-    def _lines(
-        estimator: Estimator, x: Signals, row: SX, goal: SX, kept: Mapping[str, SX], new: SX, aim: SX
-    ) -> tuple[DelayLine, ...]:
-        """The stored rows, and those of which a row is the mean."""
-        late = (("late_rows", new), ("late_goals", aim))
-        return (*estimator.kept(x, row, goal), *(DelayLine(name, item.T) for name, item in late if name in kept))
+            unknown = {"theta_true": true}
+        steps = estimator.steps(x, true, row, goal, learning)
+        return Certificate(steps=(steps,), delay_lines=lines, plant=plant, acted=acted, unknown=unknown)
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
         """The rows have a column for each kind of friction of the plant; without coupling they hold any constants."""
         return columns_for(self.friction, truth) if self.dynamics == "robot" else ()
 
-    def _sample(self, u: Signals, x: Signals, p: Signals) -> tuple[SX, SX, SX, SX, SX, SX]:
-        """The previous sample: command and average velocity, psi and y, and h and g, high-pass filtered."""
-        T = self._over(u, x)
-        u_applied = named("u_applied", (u.q_echo - x.q_aim) / T if self.echoed else acting(self, u, x.queue)[:, 0])
-        v = named("v", (u.q - x.q_before) / T)
-        aimed = self._aimed(u, x, T)
-        psi = named("psi", self._psi(p, Start(x.q_before, *aimed, x.m_before, x.v_before), v, u_applied, T))
-        y = named("y_row", u_applied - v)
-        h, g = psi, y
-        if self.filtered:
-            psi_slow, y_slow = self._slow(self._averaged(p), x, psi, y)
-            h, g = named("h_row", psi - psi_slow), named("g_row", y - y_slow)
-        return u_applied, v, psi, y, h, g
-
-    def _over(self, u: Signals, x: Signals) -> SX:
-        """Length of the previous sample."""
-        return named("T_over", u.t - x.t_before) if self.time_stamps else u.T
-
-    def _lesson(self, u: Signals, x: Signals, p: Signals, u_applied: SX, h: SX, g: SX) -> tuple[SX, SX]:
-        """The row and output for the estimator: zero for joints whose command was clipped."""
-        learns = named("learns", (x.count * u.T > p.settling) * (ca.fabs(u_applied) < p.u_max))
-        return self._averaged(p).of_joint(learns) * h, learns * g
+    def _last(self, u: Signals, x: Signals, p: Signals) -> LastSample:
+        return last_sample(self, self._response(p), u, x)
 
     def _averaged(self, p: Signals) -> AveragedServo:
         return averaged_servo(p.robot.chain, self.servo, frozenset(self.friction), self.dynamics)
 
-    def _psi(self, p: Signals, start: Start, v: SX, command: SX, T: SX, *, momentum: SX = 1) -> SX:
-        """The row of a sample with average velocity v and a command; `momentum` 0 omits the change of momentum."""
-        return self._response(p).row(start, v, command, T, momentum)
-
     def _response(self, p: Signals) -> Response:
         return Response(self._averaged(p), p.robot)
-
-    def _meant(self, x: Signals, p: Signals, row: SX, goal: SX) -> tuple[SX, SX, dict[str, SX]]:
-        """The mean of a new row and the previous ones, of which there are fewer at first; and the stored rows."""
-        if self.average == 1:
-            return row, goal, {}
-        averaged, number = self._averaged(p), named("number", ca.fmax(1, ca.fmin(x.count, self.average)))
-        late = {"late_rows": averaged.pushed(x.late_rows, row), "late_goals": averaged.pushed(x.late_goals, goal)}
-        mean = named("mean_row", (row + averaged.total(x.late_rows)) / number)
-        return mean, named("mean_goal", (goal + averaged.total(x.late_goals)) / number), late
 
     def _estimator(self, p: Signals) -> Estimator:
         averaged = self._averaged(p)
@@ -468,26 +388,12 @@ class SampledInverse(AbstractBlock):
         return least_squares(averaged) if squares else Projection(averaged, self.replay, self.stride)
 
     def _learning(self, p: Signals) -> Learning:
-        return Learning(self._gamma(p), p.nu, self._box(p), p.retention)
-
-    def _gamma(self, p: Signals) -> SX:
-        """The squares of the expected deviations of the elements."""
-        averaged, w = self._averaged(p), p.w_0
-        more = averaged.of_p_pi(p.k_u_size, p.k_q_size)
-        sizes = averaged.kinds(
-            p.k_P_size, p.k_I_size, w * p.offset_size, w * p.inertia_size, w * p.friction_size, *more
-        )
-        return sizes * sizes
-
-    def _box(self, p: Signals) -> SX:
-        """Lower and upper bounds of the elements."""
-        averaged, w = self._averaged(p), p.w_0
-        boxes = p.k_P_box, p.k_I_box, p.offset_box, w @ p.inertia_box, w @ p.friction_box
-        return averaged.kinds(*boxes, *averaged.of_p_pi(p.k_u_box, p.k_q_box))
+        averaged = self._averaged(p)
+        return Learning(averaged.gamma(p), p.nu, averaged.box(p), p.retention)
 
     def _command(self, u: Signals, x: Signals, p: Signals, theta: SX, start: Start, slow: SX, safe: SX) -> SX:
         """The command for which theta predicts dq_r, with the momentum of planned velocities, clipped to its bounds."""
         averaged, planned = self._averaged(p), start._replace(m_before=x.m_planned, v_before=x.plans[:, -1])
-        psi_c = named("psi_c", self._psi(p, planned, u.dq_r, 0 * u.dq_r, u.T, momentum=safe))
+        psi_c = named("psi_c", self._response(p).row(planned, u.dq_r, 0 * u.dq_r, u.T, safe))
         wanted = u.dq_r + averaged.answer(psi_c, theta) + slow
         return clip(wanted / (1 + averaged.share(theta, u.T)), p.u_max)

@@ -16,7 +16,12 @@ from dmframe.certify import Verdict, verify
 from dmframe.certify.checked import Checked
 from dmframe.certify.claim import claim_of
 from dmframe.certify.explained import explained
+from dmframe.robot.library import load as load_robot
+from dmframe_blocks._averaged_servo import averaged_servo
+from dmframe_blocks._last_sample import LastSample
+from dmframe_blocks._row_means import RowMeans
 from dmframe_blocks._sample_estimators import Projection
+from dmframe_blocks._sample_response import Response
 from dmframe_blocks.sampled_inverse import SampledInverse
 
 PID = {"type": "pid_servo", "K_D": [60, 30], "K_P": [120, 60], "K_I": [40, 20]}
@@ -85,76 +90,77 @@ def test_a_command_that_the_plant_changes_is_not_what_acted() -> None:
     assert not checked(found).holds
 
 
-Honest = Callable[..., Any]
+def sampled(change: Callable[[SampledInverse, Any, LastSample], LastSample]) -> dict[str, Any]:
+    """The last sample with its command, v, psi and y changed; both sides are then filtered as they should be."""
+    honest = SampledInverse._last
 
+    def lying(self: SampledInverse, u: Any, x: Any, p: Any) -> LastSample:
+        last = change(self, x, honest(self, u, x, p))
+        h, g = (last.psi - x.psi_slow, last.y - x.y_slow) if self.filtered else (last.psi, last.y)
+        return replace(last, h=h, g=g)
 
-def sampled(change: Callable[[SampledInverse, Any, Any, Any, tuple[Any, ...]], tuple[Any, ...]]) -> dict[str, Any]:
-    """`_sample` with its command, v, psi and y changed; both sides are then filtered as they should be."""
-    honest: Honest = SampledInverse._sample
-
-    def lying(self: SampledInverse, u: Any, x: Any, p: Any) -> tuple[Any, ...]:
-        u_applied, v, psi, y = change(self, u, x, p, honest(self, u, x, p)[:4])
-        h, g = (psi - x.psi_slow, y - x.y_slow) if self.filtered else (psi, y)
-        return u_applied, v, psi, y, h, g
-
-    return {"_sample": lying}
+    return {"_last": lying}
 
 
 def column(k: int, value: Callable[[Any], Any]) -> dict[str, Any]:
     """Another column of that number in the rows of all joints."""
 
-    def change(self: SampledInverse, u: Any, x: Any, p: Any, found: tuple[Any, ...]) -> tuple[Any, ...]:
-        u_applied, v, psi, y = found
-        psi = ca.SX(psi)
-        for part in self._averaged(p).joints:
+    def change(self: SampledInverse, x: Any, last: LastSample) -> LastSample:
+        psi = ca.SX(last.psi)
+        for part in averaged_of(self).joints:
             place = part.start + k if k >= 0 else part.stop + k
             psi[place] = value(psi[place])
-        return u_applied, v, psi, y
+        return replace(last, psi=psi)
 
     return sampled(change)
 
 
-def crossed(self: SampledInverse, u: Any, x: Any, p: Any, found: tuple[Any, ...]) -> tuple[Any, ...]:
+def averaged_of(block: SampledInverse) -> Any:
+    """The averaged servo of the two links."""
+    return averaged_servo(load_robot("arm2"), block.servo, frozenset(block.friction), block.dynamics)
+
+
+def crossed(self: SampledInverse, x: Any, last: LastSample) -> LastSample:
     """The columns of K_I/K_D and of the viscous friction exchanged."""
-    u_applied, v, psi, y = found
-    psi = ca.SX(psi)
-    for part in self._averaged(p).joints:
+    psi = ca.SX(last.psi)
+    for part in averaged_of(self).joints:
         psi[part.start + 1], psi[part.stop - 2] = psi[part.stop - 2], psi[part.start + 1]
-    return u_applied, v, psi, y
+    return replace(last, psi=psi)
 
 
-def one_side(self: SampledInverse, u: Any, x: Any, p: Any) -> tuple[Any, ...]:
-    u_applied, v, psi, y, h, _ = SAMPLE(self, u, x, p)
-    return u_applied, v, psi, y, h, y
+def one_side(self: SampledInverse, u: Any, x: Any, p: Any) -> LastSample:
+    last = LAST(self, u, x, p)
+    return replace(last, g=last.y)
 
 
 def regressors(momentum: float, kinetic: float, gravity: float) -> dict[str, Any]:
-    """`_psi` with shares of its three regressors."""
+    """`Response.row` with shares of its three regressors."""
 
-    def psi(self: SampledInverse, p: Any, start: Any, v: Any, command: Any, T: Any, *, momentum_: Any = 1) -> Any:
-        robot, m = p.robot, start.q + T * v / 2
-        e = m - start.target - T * command / 2
+    def row(self: Response, start: Any, v: Any, command: Any, T: Any, used: Any = 1) -> Any:
+        robot, m = self.robot, start.q + T * v / 2
         change = (robot.momentum_regressor(m, v) - robot.momentum_regressor(start.m_before, start.v_before)) / T
-        Y = momentum * momentum_ * change - kinetic * robot.kinetic_regressor(m, v)
-        Y += gravity * robot.gravity_regressor(m)
-        return self._averaged(p).row(e, start.z + T * e / 2, ca.DM.ones(robot.n), Y, v, robot.coulomb(v))
+        Y = momentum * used * change - kinetic * robot.kinetic_regressor(m, v)
+        return pid_row(self, start, m, v, command, T, Y + gravity * robot.gravity_regressor(m))
 
-    return {"_psi": lambda self, p, start, v, c, T, *, momentum=1: psi(self, p, start, v, c, T, momentum_=momentum)}
+    return {"row": row}
 
 
-def instead_of_acceleration(
-    self: SampledInverse, p: Any, start: Any, v: Any, c: Any, T: Any, *, momentum: Any = 1
-) -> Any:
+def instead_of_acceleration(self: Response, start: Any, v: Any, command: Any, T: Any, used: Any = 1) -> Any:
     """The momentum regressor of the velocity, not of its change."""
-    robot, m = p.robot, start.q + T * v / 2
-    e = m - start.target - T * c / 2
-    Y = momentum * robot.momentum_regressor(m, v) - robot.kinetic_regressor(m, v) + robot.gravity_regressor(m)
-    return self._averaged(p).row(e, start.z + T * e / 2, ca.DM.ones(robot.n), Y, v, robot.coulomb(v))
+    robot, m = self.robot, start.q + T * v / 2
+    Y = used * robot.momentum_regressor(m, v) - robot.kinetic_regressor(m, v) + robot.gravity_regressor(m)
+    return pid_row(self, start, m, v, command, T, Y)
 
 
-def other_joint(self: SampledInverse, x: Any, p: Any, row: Any, goal: Any) -> tuple[Any, Any, dict[str, Any]]:
+def pid_row(self: Response, start: Any, m: Any, v: Any, command: Any, T: Any, Y: Any) -> Any:
+    """The row of a PID servo with these inertial columns."""
+    e, ones = m - start.target - T * command / 2, ca.DM.ones(self.robot.n)
+    return self.averaged.row(e, start.z + T * e / 2, ones, Y, v, self.robot.coulomb(v))
+
+
+def other_joint(self: RowMeans, x: Any, row: Any, goal: Any) -> tuple[Any, Any, dict[str, Any]]:
     """The rows of all joints with the answer of another joint."""
-    row, goal, kept = MEANT(self, x, p, row, goal)
+    row, goal, kept = MEANT(self, x, row, goal)
     return row, ca.vertcat(goal[1:], goal[0]), kept
 
 
@@ -169,30 +175,29 @@ def learnt_elsewhere(self: Projection, x: Any, h: Any, g: Any, by: Any) -> Any:
     return theta, {**kept, "goals": self._stored(x, x.goals, ca.vertcat(g[1:], g[0]))}
 
 
-def before(self: SampledInverse, u: Any, x: Any, p: Any, found: tuple[Any, ...]) -> tuple[Any, ...]:
-    u_applied, v, psi, _ = found
-    return u_applied, v, psi, u_applied - x.v_before
+def before(self: SampledInverse, x: Any, last: LastSample) -> LastSample:
+    return replace(last, y=last.command - x.v_before)
 
 
-SAMPLE, MEANT = SampledInverse._sample, SampledInverse._meant
+LAST, MEANT = SampledInverse._last, RowMeans.after
 KEPT, LEARNT = Projection.kept, Projection.learnt
 
 LIES: dict[str, dict[Any, dict[str, Any]]] = {
-    "y negated": {SampledInverse: sampled(lambda self, u, x, p, f: (*f[:3], -f[3]))},
-    "y doubled": {SampledInverse: sampled(lambda self, u, x, p, f: (*f[:3], 2 * f[3]))},
+    "y negated": {SampledInverse: sampled(lambda self, x, last: replace(last, y=-last.y))},
+    "y doubled": {SampledInverse: sampled(lambda self, x, last: replace(last, y=2 * last.y))},
     "y of the sample before": {SampledInverse: sampled(before)},
     "columns crossed": {SampledInverse: sampled(crossed)},
     "a column scaled by 2": {SampledInverse: column(0, lambda of: 2 * of)},
     "z omitted": {SampledInverse: column(1, lambda of: 0)},
-    "momentum of the other sign": {SampledInverse: regressors(-1, 1, 1)},
-    "kinetic of the other sign": {SampledInverse: regressors(1, -1, 1)},
-    "gravity dropped": {SampledInverse: regressors(1, 1, 0)},
-    "velocity for acceleration": {SampledInverse: {"_psi": instead_of_acceleration}},
+    "momentum of the other sign": {Response: regressors(-1, 1, 1)},
+    "kinetic of the other sign": {Response: regressors(1, -1, 1)},
+    "gravity dropped": {Response: regressors(1, 1, 0)},
+    "velocity for acceleration": {Response: {"row": instead_of_acceleration}},
     "friction of the other sign": {SampledInverse: column(-1, lambda of: -of)},
     "drag of the other sign": {SampledInverse: column(-2, lambda of: -of)},
-    "rows of another joint": {SampledInverse: {"_meant": other_joint}},
+    "rows of another joint": {RowMeans: {"after": other_joint}},
     "stored rows of another joint": {Projection: {"kept": stored_elsewhere, "learnt": learnt_elsewhere}},
-    "one side filtered": {SampledInverse: {"_sample": one_side}},
+    "one side filtered": {SampledInverse: {"_last": one_side}},
 }
 
 
