@@ -201,7 +201,6 @@ def linearise(
     diagram: Diagram,
     state: Array | None = None,
     *,
-    estimates: Mapping[str, Any] | None = None,
     start: Mapping[str, Any] | None = None,
     moving: bool = False,
     clock: float | None = None,
@@ -213,7 +212,7 @@ def linearise(
     Parameters
     ----------
     state
-        Where; by default the `equilibrium`, estimates at `estimates`.
+        Where; by default the `equilibrium`.
     moving
         Leave out the slope that smooth Coulomb friction has at rest: it acts within a few mrad/s, and would hide what
         the loop does when it moves.
@@ -227,7 +226,7 @@ def linearise(
     """
     still = unrounded(frozen(diagram))
     loop, T = still.loop, period_of(still.loop, clock)
-    point = equilibrium(still, estimates, start, clock) if state is None else np.array(state, dtype=float)
+    point = equilibrium(still, start=start, clock=clock) if state is None else np.array(state, dtype=float)
     if point.shape != (loop.state.numel(),):
         raise ShapeError(f"linearise: expected a state of {loop.state.numel()} numbers, found {point.size}")
     p = at_speed(loop) if moving else loop.p_values
@@ -248,7 +247,7 @@ def linearise(
         def again(period: float) -> Linear:
             moved = point
             if not at_rest(field(point, loop.p_values, period), point):
-                moved = equilibrium(still, estimates, _by_label(loop, point), period)
+                moved = equilibrium(still, start=_by_label(loop, point), clock=period)
             return at(moved, period)
 
         u = held(point, loop.p_values, T)
