@@ -29,6 +29,7 @@ from dmframe.analysis.set_point import (
 from dmframe.analysis.switches import turning
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.pieces import rows_of
 from dmframe.errors import EngineError, ShapeError, listed
 from dmframe.simulate import Solver
 from dmframe.simulate.instants import DRAWN
@@ -290,8 +291,7 @@ def _kinks(loop: ClosedLoop, point: Array, p: Array, T: float) -> tuple[str, ...
 
 
 def _by_label(loop: ClosedLoop, point: Array) -> dict[str, Array]:
-    ends = np.cumsum([0, *(variable.symbol.numel() for variable in loop.variables)])
-    parts = [(v, point[first:last]) for v, first, last in zip(loop.variables, ends, ends[1:], strict=False)]
+    parts = [(variable, point[rows]) for variable, rows in rows_of(loop.variables)]
     return {v.label: part if v.symbol.is_column() else part.reshape(v.symbol.shape, order="F") for v, part in parts}
 
 
