@@ -120,8 +120,8 @@ class DelayProbe(AbstractBlock):
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """The excitation, the regression, and the delay when the excitation ends."""
         v = named("v", (u.q - x.q_before) / u.T)
-        gathered = named("G", x.gathered + (x.since >= p.settling) * (x.changes.T @ x.changes))
         counts = named("counts", x.since >= p.settling)
+        gathered = named("G", x.gathered + counts * (x.changes.T @ x.changes))
         change = counts * (v - x.v_before)
         correlated = named("g_v", x.correlated + x.changes.T @ change)
         varied = named("varied_new", x.varied + ca.sumsqr(change))
