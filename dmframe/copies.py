@@ -83,22 +83,27 @@ class _Copy:
 
     @classmethod
     def of(cls, jobs: Sequence[Callable[[], Any]], numbers: int) -> _Copy:
-        """Fork a process that starts with the jobs."""
+        """Fork a process that starts with the jobs; an interrupt from the terminal is left to this process."""
         memory, here = os.memfd_create("results"), os.getpid()
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # of libraries' threads, which the fork does not use
-            try:
+        unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter(
+                    "ignore", DeprecationWarning
+                )  # of libraries' threads, which the fork does not use
                 process = os.fork()
-            except OSError:
-                os.close(memory)
-                raise
-        if process == 0:
-            _work(jobs, numbers, memory, here)
+            if process == 0:
+                _work(jobs, numbers, memory, here)
+        except OSError:
+            os.close(memory)
+            raise
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, unblocked)
         return cls(process, memory)
 
     def results(self) -> dict[int, Any]:
         """Wait for the process, and return its results by the jobs' numbers, up to a job with which it ended."""
-        os.waitpid(self.process, 0)
+        self._wait()
         self.ended, found = True, dict[int, Any]()
         with suppress(OSError, EOFError, pickle.UnpicklingError), open(self.memory, "rb", closefd=False) as file:
             file.seek(0)
@@ -112,8 +117,13 @@ class _Copy:
         if not self.ended:
             with suppress(ProcessLookupError):
                 os.kill(self.process, signal.SIGKILL)
-            os.waitpid(self.process, 0)
+            self._wait()
         os.close(self.memory)
+
+    def _wait(self) -> None:
+        """Wait for the end; a program that ignores SIGCHLD has no status of its children."""
+        with suppress(ChildProcessError):
+            os.waitpid(self.process, 0)
 
 
 def _taken(

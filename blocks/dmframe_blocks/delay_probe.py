@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, final
 
 import casadi as ca
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from dmframe.block import (
     PERIOD,
@@ -24,6 +24,7 @@ from dmframe.block import (
     named,
     solve_spd,
 )
+from dmframe_blocks._excitation import check_seed, following, seeded, sign
 from dmframe_blocks._identified_delay import DELAY_HAT, IDENTIFIED, MOST_DELAY
 
 
@@ -31,9 +32,10 @@ from dmframe_blocks._identified_delay import DELAY_HAT, IDENTIFIED, MOST_DELAY
 class DelayProbe(AbstractBlock):
     r"""Excites the joints for some seconds, and identifies the delay from a command to the motion in samples.
 
-    Until the delay is identified, a velocity with a random sign for each joint and sample is added:
+    Until the delay is identified, a velocity with a pseudo-random sign s for each joint and sample is added:
 
-        dq_probe = dq_r + probe sign(toss)
+        dq_probe = dq_r + probe s
+        s = 1 if draw > m/2, else -1,    draw(next) = 48271 draw mod m,    m = 2^31 - 1
 
     The change of the average velocity v over a sample is regressed on the changes of the last `taps` commands u that
     were sent, with coefficients b common to all joints:
@@ -68,6 +70,8 @@ class DelayProbe(AbstractBlock):
         Standard deviations by which a sum has to exceed the threshold.
     nu : scalar, rad^2/s^2, > 0
         Regularisation of the least squares problem.
+    seed : number, > 0
+        Whole number that determines the signs of the excitation.
 
     Notes
     -----
@@ -76,19 +80,19 @@ class DelayProbe(AbstractBlock):
 
     References
     ----------
-    [Ljung1999]_, on exciting signals and on finite impulse responses.
+    [Ljung1999]_, on exciting signals and on finite impulse responses; [ParkMiller1988]_, on the generator of the signs.
     """
 
     inputs = (
         Input("q", "n", "rad"),
         Input("dq_r", "n", "rad/s"),
         Input("dq_sent", "n", "rad/s"),
-        Input("toss", "n", drawn="uniform"),
         PERIOD,
     )
     outputs = (Output("dq_probe", "n", "rad/s"), Output(DELAY_HAT.name), Output(IDENTIFIED.name))
     states = (
         State("since", "", "s", sampled=True),
+        State("draw", "n", sampled=True, recorded=False),
         State("q_before", "n", "rad", sampled=True),
         State("v_before", "n", "rad/s", sampled=True),
         State("u_before", "n", "rad/s", sampled=True),
@@ -108,14 +112,20 @@ class DelayProbe(AbstractBlock):
     threshold: Scalar = Positive(default=0.35)
     confidence: Scalar = NonNegative(default=1.0)
     nu: Scalar = Positive("", "rad^2/s^2", default=1e-9)
+    seed: Scalar = Positive(default=1.0)
+
+    @model_validator(mode="after")
+    def _fits(self) -> DelayProbe:
+        check_seed(self.seed)
+        return self
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
         """R: number of taps."""
         return {**super().sizes(robot), "r": self.taps}
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
-        """At rest."""
-        return {"q_before": u.q}
+        """At rest, and the first values of the generators."""
+        return {"q_before": u.q, "draw": seeded(p.seed, u.q.shape[0])}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """The excitation, the regression, and the delay when the excitation ends."""
@@ -136,12 +146,13 @@ class DelayProbe(AbstractBlock):
             DELAY_HAT.name: ca.if_else(x.identified > 0.5, x.delay_hat, ends * ca.fmin(below, self.delay_up_to)),
             IDENTIFIED.name: ca.fmax(x.identified, ends),
         }
-        excitation = (1 - x.identified) * p.probe * (2 * (u.toss > 0) - 1)
+        excitation = (1 - x.identified) * p.probe * sign(x.draw)
         return Equations(
             outputs={"dq_probe": u.dq_r + excitation, DELAY_HAT.name: x.delay_hat, IDENTIFIED.name: x.identified},
             next={
                 **known,
                 "since": x.since + u.T,
+                "draw": following(x.draw),
                 "q_before": u.q,
                 "v_before": v,
                 "u_before": u.dq_sent,

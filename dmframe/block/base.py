@@ -250,6 +250,9 @@ class AbstractBlock(BaseModel):
     ) -> Values:
         """Evaluate the equations at numbers.
 
+        The equations are stated at the first call for a robot and sizes: a global function that is replaced later acts
+        on new blocks only.
+
         Parameters
         ----------
         inputs, states

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, final
-from weakref import WeakKeyDictionary
+from weakref import finalize
 
 import casadi as ca
 import numpy as np
@@ -124,17 +125,23 @@ class _Functions:
         return Values(valued("outputs"), valued("rates"), valued("next"))
 
 
-_KEPT: WeakKeyDictionary[AbstractBlock, dict[Any, _Functions]] = WeakKeyDictionary()
-"""Functions of blocks that are evaluated, since a loop over samples evaluates one again and again."""
+_KEPT: dict[int, tuple[Any, _Functions]] = {}
+"""The last functions of each living block, by its identity: a loop over samples evaluates the same ones again."""
 
 
 def _functions(block: AbstractBlock, sizes: Sizes, chain: Any, values: Mapping[str, np.ndarray]) -> _Functions:
-    """The functions of a block for a robot and sizes; a block's numbers never change."""
+    """The functions of a block for a robot and sizes; those of a block with a mutable value are not kept."""
     key = type(block).equations, chain, tuple((letter, size) for letter, (size, _) in sizes.bound.items())
-    kept = _KEPT.setdefault(block, {})
-    if key not in kept:
-        kept[key] = _written(block, sizes, chain, values)
-    return kept[key]
+    kept = _KEPT.get(id(block))
+    if kept is not None and kept[0] == key:
+        return kept[1]
+    written = _written(block, sizes, chain, values)
+    with suppress(TypeError):
+        hash(block)
+        if kept is None:
+            finalize(block, _KEPT.pop, id(block), None)
+        _KEPT[id(block)] = key, written
+    return written
 
 
 def _written(block: AbstractBlock, sizes: Sizes, chain: Any, values: Mapping[str, np.ndarray]) -> _Functions:

@@ -62,7 +62,7 @@ def expanded(document: Document) -> Document:
     entries: Entries = dict(root.value)
     _, requested = entries.pop(KEY)
     try:
-        wanted = _wanted(requested)
+        wanted = models_of(requested)
         key, blocks = entries.get("blocks", (Node(1, 1, "blocks"), Node(1, 1, {})))
         held = dict(blocks.value) if isinstance(blocks.value, dict) else {}
         work = _Work(held, kinds_of(mapping_of(blocks), Path(document.name).parent))
@@ -79,7 +79,7 @@ def expanded(document: Document) -> Document:
     return document.with_root(replace(root, value=entries))
 
 
-def _wanted(requested: Node) -> Entries:
+def models_of(requested: Node) -> Entries:
     """Block types with their parameters; those of a set first, in its order."""
     if requested.value is None or requested.value == NONE:
         return {}

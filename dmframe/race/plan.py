@@ -73,6 +73,8 @@ class Law:
         Name of the graph's file, in whose folder its blocks are searched.
     own
         The graph's own values of the searched parameters.
+    sources
+        Digest of the blocks' code.
     """
 
     section: LawSection
@@ -80,6 +82,7 @@ class Law:
     blocks: Entries
     wires: Entries
     own: Values
+    sources: str
 
 
 @final
@@ -98,7 +101,7 @@ class Race:
     sections
         Nodes of the sections ``robot``, ``start``, ``plants``, ``paths`` and ``realities``, which name their places.
     sources
-        Digest of the blocks' code.
+        Digests of the code of plants, paths and realities, by section and name; empty until they are read.
     delays
         Whole samples of transport delay, by reality; empty until they are read.
     """
@@ -110,7 +113,7 @@ class Race:
     file: RaceFile
     laws: Mapping[tuple[str, float], Law]
     sections: Mapping[str, Node]
-    sources: str
+    sources: Mapping[tuple[str, str], str]
     delays: Mapping[str, int]
 
     @property
@@ -180,7 +183,10 @@ class Race:
 
     def key(self, run: Run) -> str:
         """Digest of everything that decides the result of a run."""
-        return key_of({"graph": self.document_of(run).data, "sources": self.sources})
+        cell = run.cell
+        parts = (("plants", cell.plant), ("paths", cell.path), ("realities", cell.reality))
+        sources = [self.laws[run.law, cell.clock].sources, *(self.sources[part] for part in parts)]
+        return key_of({"graph": self.document_of(run).data, "sources": sources})
 
     def graph(self, run: Run, like: Graph | None = None) -> Graph:
         """A run as a graph of its own; `like` is one whose robot it may share."""

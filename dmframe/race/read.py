@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,11 +12,13 @@ from typing import Any, Final
 from pydantic import ValidationError
 
 from dmframe.block import AbstractBlock, type_name
-from dmframe.catalogue import find_graph, find_race, packages
+from dmframe.catalogue import find_graph, find_race, find_reality
 from dmframe.config.document import Document, Node, mapping_of, read_file
 from dmframe.config.grammar import KEYS as GRAPH_KEYS
 from dmframe.config.grammar import fault_of, shown
 from dmframe.config.overrides import put_at
+from dmframe.config.reality import KEY as REALITY
+from dmframe.config.reality import LIKE, NONE, models_of
 from dmframe.config.sections import kinds_of
 from dmframe.diagram.diagram import doubtful
 from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault
@@ -25,6 +26,7 @@ from dmframe.parameter import specs
 from dmframe.port import Side
 from dmframe.race.grammar import RACE, LawSection, RaceFile, keys_at, raise_placed
 from dmframe.race.plan import PATH, Law, Race, Run, listed
+from dmframe.race.sources import Sources
 from dmframe.units import to_unit
 
 SECTIONS: Final = ("robot", "start", "plants", "paths", "realities")
@@ -43,10 +45,10 @@ def load_race(source: str | Path) -> Race:
     file = _checked(document)
     faults = [*_unknown_names(file), *_misplaced(file, path.parent)]
     sections = {name: _absolute(_said(_node(document, name), document.name), path.parent) for name in SECTIONS}
-    laws = dict[tuple[str, float], Law]()
+    laws, sources = dict[tuple[str, float], Law](), Sources()
     for name, clock in itertools.product(file.laws, file.clocks):
         try:
-            laws[name, clock] = _law(name, clock, file.laws[name], document, path.parent)
+            laws[name, clock] = _law(name, clock, file.laws[name], document, path.parent, sources)
         except DmframeError as error:
             for fault in error.faults:
                 fault.path = fault.path if fault.location or fault.path[:1] == ("laws",) else ("laws", name)
@@ -55,14 +57,28 @@ def load_race(source: str | Path) -> Race:
     faults += _shared_names(file, laws)
     raise_placed(faults, document)
     text = path.read_text(encoding="utf-8")
-    files = [file for law in laws.values() for file in _files(_nodes(law.blocks), Path(law.document).parent)]
-    files += _files([node for node in sections.values() if node.value], path.parent)
-    race = Race(
-        path.stem, f"dmframe race {shlex.quote(str(source))}", text, document, file, laws, sections, _digest(files), {}
-    )
+    command = f"dmframe race {shlex.quote(str(source))}"
+    race = Race(path.stem, command, text, document, file, laws, sections, {}, {})
     race = replace(race, delays=race.transport_delays())
     _check_graphs(race)
-    return race
+    return replace(race, sources=_digests(race, sources, path.parent))
+
+
+def _digests(race: Race, sources: Sources, folder: Path) -> dict[tuple[str, str], str]:
+    """Digests of the code of plants, paths and realities, and of the packaged sets that realities name."""
+    found = dict[tuple[str, str], str]()
+    for name, plant in race.file.plants.items():
+        found["plants", name] = sources.digest(kinds_of(plant.blocks, folder).values())
+    for name, path in race.file.paths.items():
+        found["paths", name] = sources.digest(kinds_of({name: {"type": path.type}}, folder).values())
+    entrant, first = race.file.entrant, race.training[0]
+    for name in race.file.realities:
+        run = Run(entrant, replace(first, reality=name), race.laws[entrant, first.clock].own, 0)
+        node = race.document_of(run).node((REALITY,))
+        kinds = kinds_of({model: {"type": model} for model in models_of(node)}, folder)
+        like = mapping_of(node).get(LIKE, NONE)
+        found["realities", name] = sources.digest(kinds.values(), [] if like == NONE else [find_reality(like)])
+    return found
 
 
 def _checked(document: Document) -> RaceFile:
@@ -139,7 +155,7 @@ def _shared_names(file: RaceFile, laws: Mapping[tuple[str, float], Law]) -> Iter
             yield ValueFault(text, path=("laws", name))
 
 
-def _law(name: str, clock: float, section: LawSection, race: Document, folder: Path) -> Law:
+def _law(name: str, clock: float, section: LawSection, race: Document, folder: Path, sources: Sources) -> Law:
     """The controller's blocks of a law's graph at a sampling period, with the values that the race sets."""
     where = f"laws.{name}"
     document = _graph_of(where, section.graph_at(clock), folder, ("laws", name, "graph"))
@@ -172,7 +188,7 @@ def _law(name: str, clock: float, section: LawSection, race: Document, folder: P
         own.append((label, _own(f"{where}.tune.{label}", mine[block], parameter, values[block], at)))
     stamped = {block: (key, _said(node, document.name)) for block, (key, node) in blocks.items()}
     wires = {end: (key, _said(node, document.name)) for end, (key, node) in _entries(document, "wires").items()}
-    return Law(section, document.name, stamped, wires, tuple(own))
+    return Law(section, document.name, stamped, wires, tuple(own), sources.digest(mine.values()))
 
 
 def _graph_of(where: str, graph: str, folder: Path, at: tuple[str, ...]) -> Document:
@@ -283,27 +299,3 @@ def _absolute(node: Node, folder: Path) -> Node:
     if isinstance(value, str) and (folder / value.partition(":")[0]).suffix in (".py", ".urdf"):
         return replace(node, value=str((folder / value).absolute()))
     return node
-
-
-def _nodes(blocks: Mapping[str, tuple[Node, Node]]) -> list[Node]:
-    return [node for _, node in blocks.values()]
-
-
-def _files(nodes: Iterable[Node], folder: Path) -> list[Path]:
-    """Python files that are named in some nodes."""
-    found = list[Path]()
-    for node in nodes:
-        if isinstance(node.value, dict):
-            found += _files(_nodes(node.value), folder)
-        elif isinstance(node.value, str) and node.value.partition(":")[0].endswith(".py"):
-            found.append(folder / node.value.partition(":")[0])
-    return found
-
-
-def _digest(files: Iterable[Path]) -> str:
-    """Digest of the code of the registered block packages and of some files."""
-    packaged = [path for package in packages() for folder in package.__path__ for path in Path(folder).glob("*.py")]
-    digest = hashlib.sha256()
-    for path in sorted({*packaged, *(path for path in files if path.is_file())}):
-        digest.update(f"{path.name}\n".encode() + path.read_bytes())
-    return digest.hexdigest()

@@ -15,17 +15,23 @@ KIND = block_types()["delay_probe"]
 T = 0.05
 
 
+def drawn(seed: int, n: int) -> list[int]:
+    """The first values of the generators, in integers."""
+    values = [seed * (1 + 7919 * j) % (2**31 - 1) for j in range(n)]
+    return [value * pow(48271, 8, 2**31 - 1) % (2**31 - 1) for value in values]
+
+
 def played(
     block: Any, delay: int, lag: float, seed: int, samples: int = 44
 ) -> tuple[list[Any], np.ndarray, np.ndarray]:
     """A joint whose velocity follows the command after a delay and a first-order lag; outputs, q and commands."""
-    rng = np.random.default_rng(seed)
-    q, v, states = 0.0, 0.0, {"q_before": [0.0]}
+    draw = drawn(seed + 1, 1)
+    q, v, states = 0.0, 0.0, {"q_before": [0.0], "draw": draw}
     found, poses, sent = list[Any](), list[float](), list[float]()
     for k in range(samples):
-        toss = rng.uniform(-1, 1)
-        command = 0.2 + (0.0 if float(states.get("identified", 0.0)) else 0.03 * np.sign(toss))
-        u = {"q": [q], "dq_r": [0.2], "dq_sent": [command], "toss": [toss], "T": T}
+        command = 0.2 + (0.0 if float(states.get("identified", 0.0)) else 0.03 * (1 if draw[0] > 2**30 else -1))
+        draw = [48271 * draw[0] % (2**31 - 1)]
+        u = {"q": [q], "dq_r": [0.2], "dq_sent": [command], "T": T}
         item = block.evaluate(u, states, robot="pendulum")
         assert float(item.outputs["dq_probe"][0]) == pytest.approx(command)
         states = dict(item.next)
@@ -63,7 +69,7 @@ def test_its_regression_is_that_of_numpy(settling: float) -> None:
     dv = np.diff(np.concatenate([[0.0], np.diff(q) / T]))
     du = np.diff(np.concatenate([[0.0] * 4, u]))
     rows = np.array([du[k + 3 - np.arange(4)] for k in range(len(dv))])
-    counts = np.arange(len(dv)) * T >= settling
+    counts = np.arange(1, len(dv) + 1) * T >= settling
     rows, dv = rows[counts], dv[counts]
     np.testing.assert_allclose(found[-1].next["gathered"], rows.T @ rows, atol=1e-9)
     wanted = np.linalg.lstsq(rows, dv, rcond=None)[0]
@@ -80,7 +86,7 @@ def test_a_jump_at_the_start_does_not_hide_the_delay() -> None:
         rng, q, v, last, states = np.random.default_rng(0), 0.0, 0.0, 0.0, dict[str, Any](q_before=[0.0])
         for _ in range(84):
             toss = rng.uniform(-1, 1)
-            u = {"q": [q], "dq_r": [1.0], "dq_sent": [1.0 + 0.03 * np.sign(toss)], "toss": [toss], "T": T}
+            u = {"q": [q], "dq_r": [1.0], "dq_sent": [1.0 + 0.03 * np.sign(toss)], "T": T}
             item = block.evaluate(u, states, robot="pendulum")
             states = dict(item.next)
             v, last = v + float(np.clip(last - v, -0.07, 0.07)), u["dq_sent"][0]
@@ -100,7 +106,7 @@ def test_in_doubt_the_delay_is_the_longer_one() -> None:
             rng, q, v, last, states = np.random.default_rng(seed), 0.0, 0.0, 0.0, dict[str, Any](q_before=[0.0])
             for _ in range(44):
                 toss = rng.uniform(-1, 1)
-                u = {"q": [q], "dq_r": [0.2], "dq_sent": [0.2 + 0.03 * np.sign(toss)], "toss": [toss], "T": T}
+                u = {"q": [q], "dq_r": [0.2], "dq_sent": [0.2 + 0.03 * np.sign(toss)], "T": T}
                 item = block.evaluate(u, states, robot="pendulum")
                 states = dict(item.next)
                 v, last = last + 0.38 * (u["dq_sent"][0] - last) + 0.01 * rng.standard_normal(), u["dq_sent"][0]
@@ -111,13 +117,13 @@ def test_in_doubt_the_delay_is_the_longer_one() -> None:
 
 
 def test_without_a_response_it_goes_on() -> None:
-    block, states = KIND(lasting=0.5), {"q_before": [0.0]}
+    block, states = KIND(lasting=0.5), {"q_before": [0.0], "draw": [2**30 + 1]}
     for _ in range(14):
-        u = {"q": [0.0], "dq_r": [0.0], "dq_sent": [0.0], "toss": [0.5], "T": T}
+        u = {"q": [0.0], "dq_r": [0.0], "dq_sent": [0.0], "T": T}
         item = block.evaluate(u, states, robot="pendulum")
         states = dict(item.next)
     assert float(item.outputs["identified"]) == 0
-    assert float(item.outputs["dq_probe"][0]) == pytest.approx(0.03)
+    assert abs(float(item.outputs["dq_probe"][0])) == pytest.approx(0.03)
 
 
 def test_configured_and_identified_delays_exclude_each_other() -> None:
@@ -130,3 +136,34 @@ def test_configured_and_identified_delays_exclude_each_other() -> None:
             block_types()[kind](delay=1, delay_up_to=3, **other)
     with pytest.raises(DmframeError, match="delay_hat"):
         dm.load("ur10_slow_inverse_tuned").set({"task.delay_up_to": 2}).diagram  # noqa: B018
+
+
+def test_the_signs_of_a_run_are_those_of_the_generator_in_integers() -> None:
+    graph = dm.load("ur10_slow_probe").set({"inverse.seed": 999_983})
+    record = graph.run(4.0, progress=False).recording
+    added, draw = record["inverse.dq_c"] - record["task.dq_r"], drawn(999_983, 3)
+    for row in added[:30]:
+        np.testing.assert_array_equal(np.sign(row), [1 if value > 2**30 else -1 for value in draw])
+        draw = [48271 * value % (2**31 - 1) for value in draw]
+
+
+def test_the_signs_of_a_joint_are_balanced_and_white_and_independent_of_those_of_others() -> None:
+    draws, signs = drawn(1, 6), list[list[int]]()
+    for _ in range(4000):
+        signs.append([1 if value > 2**30 else -1 for value in draws])
+        draws = [48271 * value % (2**31 - 1) for value in draws]
+    S = np.array(signs)
+    bound = 4 / np.sqrt(len(S))
+    assert np.abs(S.mean(axis=0)).max() < bound
+    for lag in range(1, 9):
+        assert np.abs(np.mean(S[lag:] * S[:-lag], axis=0)).max() < bound
+    for lag in range(9):
+        crossed = S[lag:].T @ S[: len(S) - lag] / (len(S) - lag)
+        assert np.abs(crossed - np.diag(np.diag(crossed))).max() < bound
+
+
+@pytest.mark.parametrize("seed", [0.5, 0, -1, 2_000_000])
+def test_a_seed_is_a_whole_number(seed: float) -> None:
+    for kind in ("delay_probe", "velocity_probe"):
+        with pytest.raises(DmframeError, match=r"seed"):
+            block_types()[kind](seed=seed)

@@ -138,3 +138,38 @@ def test_what_a_copy_did_before_it_ended_is_kept(monkeypatch: pytest.MonkeyPatch
         os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOWAIT)  # the copy has ended
         first, second, third = finished()
     assert first != second == third == here
+
+
+@LINUX
+def test_a_program_that_ignores_the_end_of_its_children_has_their_results(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dmframe.copies._cores", lambda: 2)
+    before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    try:
+        with shared([partial(pow, number, 2) for number in range(20)], busy=True) as finished:
+            assert finished() == [number**2 for number in range(20)]
+    finally:
+        signal.signal(signal.SIGCHLD, before)
+
+
+@LINUX
+def test_a_copy_that_is_interrupted_does_not_return_from_shared(monkeypatch: pytest.MonkeyPatch) -> None:
+    here, fork, (reader, writer) = os.getpid(), os.fork, os.pipe()
+
+    def interrupted() -> int:
+        process = fork()
+        if process == 0:
+            os.kill(os.getpid(), signal.SIGINT)
+        return process
+
+    monkeypatch.setattr("dmframe.copies._cores", lambda: 2)
+    monkeypatch.setattr("dmframe.copies.os.fork", interrupted)
+    try:
+        with shared([os.getpid, os.getpid], busy=True) as finished:
+            assert len(finished()) == 2
+    finally:
+        if os.getpid() != here:
+            os.write(writer, b"returned")
+            os._exit(0)
+    os.close(writer)
+    assert os.read(reader, 8) == b""
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())

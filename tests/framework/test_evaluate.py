@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import gc
 from dataclasses import replace
-from typing import Any
+from typing import Any, final
 
+import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
 
 import dmframe as dm
+from dmframe.block import AbstractBlock, Equations, Signals, evaluate
 from dmframe.block.model import model_block
 from dmframe.errors import DmframeError
+from dmframe.port import Output
 from dmframe.robot.library import load
 
 
@@ -115,3 +119,44 @@ def test_a_block_is_of_the_robot_that_is_given() -> None:
         made.evaluate({"q": np.zeros(6), "dq": np.zeros(6), "x": [0, 0, 0]}, robot=r) for r in ("ur5", "ur10")
     )
     assert not np.allclose(one.outputs["J_hat"], other.outputs["J_hat"])
+
+
+factor = 2.0
+
+
+@final
+class Listed(AbstractBlock):
+    """A block with values that can change, and a global variable."""
+
+    outputs = (Output("y", "", ""),)
+    numbers: list[float] | tuple[float, ...]
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations(outputs={"y": ca.SX(factor * sum(self.numbers))})
+
+
+def test_a_value_that_can_change_is_read_at_each_call() -> None:
+    made = Listed(numbers=[1.0])
+    assert made.evaluate().outputs["y"] == 2.0
+    made.numbers.append(3.0)  # type: ignore[union-attr]
+    assert made.evaluate().outputs["y"] == 8.0
+
+
+def test_a_new_block_states_its_equations_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    one = Listed(numbers=(1.0,))
+    assert one.evaluate().outputs["y"] == 2.0
+    monkeypatch.setitem(globals(), "factor", 5.0)
+    other = Listed(numbers=(1.0,))
+    assert one == other
+    assert other.evaluate().outputs["y"] == 5.0
+
+
+def test_nothing_is_kept_of_a_block_that_is_gone() -> None:
+    kept = evaluate._KEPT
+    before, made = len(kept), block("kinematics")
+    for robot in ("ur5", "ur10", "ur5"):
+        made.evaluate({"q": np.zeros(6), "dq": np.zeros(6), "x": [0, 0, 0]}, robot=robot)
+    assert len(kept) == before + 1
+    del made
+    gc.collect()
+    assert len(kept) <= before
