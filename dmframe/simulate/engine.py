@@ -119,8 +119,8 @@ SCALES: Final = (1.0, 1e-3, 1e-6)
 """Scales of the test states of a new library; the first one with moderate results is used."""
 LAST_DIGITS: Final = 1e-11
 """Relative perturbation of states that measures the effect of rounding."""
-TAME: Final = 1e9
-"""Limit of moderate results."""
+TAME: Final = 1e6
+"""Limit of moderate results: the rounding of larger ones exceeds the absolute tolerance of `alike`."""
 
 
 @final

@@ -35,6 +35,7 @@ def test_a_library_is_tried_at_states_with_moderate_results(
     trial = Trial.of(step, 1 + 0.01 * np.arange(8), after=1)
     results = [np.abs(item.full()).max() for run in range(8) for item in trial.tick(trial.states[:, run], run)]
     assert len(trial.given) == 2
+    assert np.finfo(float).eps * TAME < 1e-9  # the absolute tolerance, also of elements that are zero but for rounding
     assert (max(results) < TAME) == (scales == SCALES)  # large random numbers are no positive definite matrix
 
 
