@@ -1,10 +1,11 @@
-"""Runs of least squares, several at once."""
+"""Runs of least squares, several at once; and the factors with which it computes."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from sampled_arm2 import sampled_arm2
@@ -13,6 +14,7 @@ import dmframe as dm
 import dmframe.simulate.engine
 from dmframe.batch.batch import Batch
 from dmframe.build.compiler import find_compiler
+from dmframe.linalg import inverse_factors, inverting
 from dmframe.simulate.engine import SCALES, TAME, Trial
 
 
@@ -40,3 +42,14 @@ def test_a_library_is_tried_at_states_with_moderate_results(
 def test_its_runs_go_into_a_simd_batch(batch: Batch, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("DMFRAME_CACHE", str(tmp_path))
     assert batch.measure({"inverse.nu": [1e-5, 1e-4]}).engine.startswith("SIMD batch of ")
+
+
+@pytest.mark.parametrize("n", [1, 2, 7])
+def test_the_factors_multiply_to_the_inverse_and_their_pivots_are_assumed_positive(n: int) -> None:
+    A, rows = ca.SX.sym("A", n, n), np.random.default_rng(n).normal(size=(n + 1, n))
+    with inverting() as inverted:
+        factors = inverse_factors(A)
+    M, N = (np.asarray(item) for item in ca.Function("factors", [A], [*factors])(rows.T @ rows))
+    np.testing.assert_allclose(M.T @ N @ rows.T @ rows, np.eye(n), atol=1e-10)
+    np.testing.assert_array_equal(M, np.tril(M, -1) + np.eye(n))
+    assert [len(item.pivots) for item in inverted] == [n]
