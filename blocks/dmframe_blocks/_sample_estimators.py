@@ -17,7 +17,7 @@ from dmframe.block import (
     NormalisedSteps,
     Signals,
     Steps,
-    inverse_spd,
+    inverse_factors,
     named,
     operation,
 )
@@ -128,23 +128,34 @@ class LeastSquares:
 
     def step(self, theta: Any, G: Any, h: Any, g: Any, Gamma: Any, nu: Any, box: Any) -> tuple[Any, Any]:
         """Theta and G of one joint after a row; P is the inverse of 1/Gamma + G, before and after it."""
-        P = inverse_spd(ca.diag(1 / Gamma) + G)
-        learnt = P @ h
+        M, N = inverse_factors(ca.diag(1 / Gamma) + G)  # P = M'N
+        learnt = N.T @ (M @ h)  # P h
         n = nu + ca.dot(h, learnt)
-        return self.put_back(
-            theta + learnt * (g - ca.dot(h, theta)) / n, G + h @ h.T / nu, P - learnt @ learnt.T / n, box
-        )
+        left, right = ca.vertcat(M, learnt.T), ca.vertcat(N, -learnt.T / n)
+        return self.put_back(theta + learnt * (g - ca.dot(h, theta)) / n, G + h @ h.T / nu, left, right, box)
 
-    def put_back(self, theta: Any, G: Any, P: Any, box: Any) -> tuple[Any, Any]:
-        """Projection onto each violated face in the norm of P^-1; clipping if the result violates another face.
+    def put_back(self, theta: Any, G: Any, left: Any, right: Any, box: Any) -> tuple[Any, Any]:
+        """Projection onto each violated face in the norm of P^-1, P = left'right; clipping if another face is violated.
+
+        The projection onto face i subtracts column i of P with a multiplier; the elements after i need it at once,
+        those before i in the end. P itself is not computed. An element is exactly on its face if no later one is
+        projected: rounding would count as outside below.
 
         Clipping one element could increase the norm of P^-1, which couples the elements. G is therefore set to zero in
         that case, so that the norm is diagonal.
         """
-        for i in range(theta.shape[0]):
-            face = ca.fmin(ca.fmax(theta[i], box[i, 0]), box[i, 1])
-            theta = theta - P[:, i] * (theta[i] - face) / P[i, i]
-            theta[i] = face  # exactly: rounding would count as outside below
+        columns = list(zip(ca.horzsplit(left), ca.horzsplit(right), strict=True))
+        moved, faces, multipliers = ca.SX(left.shape[0], 1), list[Any](), list[Any]()
+        for i, (row, column) in enumerate(columns):
+            here = theta[i] - ca.dot(row, moved)
+            faces.append(ca.fmin(ca.fmax(here, box[i, 0]), box[i, 1]))
+            multipliers.append((here - faces[i]) / ca.dot(row, column))
+            moved += column * multipliers[i]
+        elements, moved = list[Any](), ca.SX(left.shape[0], 1)
+        for (row, column), face, multiplier in zip(*map(reversed, (columns, faces, multipliers)), strict=True):
+            elements.insert(0, face - ca.dot(row, moved))
+            moved += column * multiplier
+        theta = ca.vertcat(*elements)
         cut, inside = ca.fmin(ca.fmax(theta, box[:, 0]), box[:, 1]), ca.SX(1)
         for i in range(theta.shape[0] - 1):  # the last element has just been projected
             inside *= theta[i] == cut[i]

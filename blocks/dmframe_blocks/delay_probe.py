@@ -15,13 +15,13 @@ from dmframe.block import (
     Diagonal,
     Equations,
     Input,
+    NonNegative,
     Output,
     Positive,
     Scalar,
     Signals,
     State,
     named,
-    operation,
     solve_spd,
 )
 from dmframe_blocks._excitation import check_seed, following, seeded, sign
@@ -43,9 +43,11 @@ class DelayProbe(AbstractBlock):
         v(k) - v(k-1) = b_0 (u(k-1) - u(k-2)) + ... + b_(taps-1) (u(k-taps) - u(k-taps-1))
 
     Smooth motion does not distinguish a delay from inertia; the excitation does. The sums b_0 + ... + b_j are the
-    response of the velocity to a step of the command. The delay is the number of these sums below `threshold`, at most
-    `delay_up_to`: an effective delay, which contains a part of the lag of the servo. It is identified once, after
-    `lasting`, if the last sum has reached the threshold. Otherwise the excitation goes on.
+    response of the velocity to a step of the command. A sum has reached the `threshold` if it exceeds it by
+    `confidence` standard deviations, those of least squares with white residuals. The delay is the number of sums that
+    have not, at most `delay_up_to`: an effective delay, which contains a part of the lag of the servo. In doubt it is
+    the longer one, since with a delay that is too short the loop can diverge. It is identified once, after `lasting`,
+    if the last sum has reached the threshold. Otherwise the excitation goes on.
 
     Blocks with `delay_up_to` use the outputs delay_hat and identified.
 
@@ -59,8 +61,13 @@ class DelayProbe(AbstractBlock):
         Amplitude. Behind a ramp that limits accelerations to a_max it should be below a_max T / 2.
     lasting : scalar, s, > 0
         Duration of the excitation.
+    settling : scalar, s, >= 0
+        Time at the beginning that the regression leaves out: the robot starts to follow its path, and the change of its
+        command is then far larger than the excitation.
     threshold : scalar, > 0
         Share of a step of the command that counts as its effect.
+    confidence : scalar, >= 0
+        Standard deviations by which a sum has to exceed the threshold.
     nu : scalar, rad^2/s^2, > 0
         Regularisation of the least squares problem.
     seed : number, > 0
@@ -92,6 +99,7 @@ class DelayProbe(AbstractBlock):
         State("changes", "n r", "rad/s", sampled=True, recorded=False),
         State("gathered", "r r", "rad^2/s^2", sampled=True, recorded=False),
         State("correlated", "r", "rad^2/s^2", sampled=True, recorded=False),
+        State("varied", "", "rad^2/s^2", sampled=True, recorded=False),
         State(DELAY_HAT.name, sampled=True),
         State(IDENTIFIED.name, sampled=True),
     )
@@ -99,8 +107,10 @@ class DelayProbe(AbstractBlock):
     delay_up_to: int = Field(3, ge=1, le=MOST_DELAY)
     taps: int = Field(8, ge=2)
     probe: Diagonal = Positive("n", "rad/s", default=0.03)
-    lasting: Scalar = Positive("", "s", default=3.0)
+    lasting: Scalar = Positive("", "s", default=4.0)
+    settling: Scalar = NonNegative("", "s", default=1.0)
     threshold: Scalar = Positive(default=0.35)
+    confidence: Scalar = NonNegative(default=1.0)
     nu: Scalar = Positive("", "rad^2/s^2", default=1e-9)
     seed: Scalar = Positive(default=1.0)
 
@@ -120,10 +130,17 @@ class DelayProbe(AbstractBlock):
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """The excitation, the regression, and the delay when the excitation ends."""
         v = named("v", (u.q - x.q_before) / u.T)
-        gathered = named("G", x.gathered + x.changes.T @ x.changes)
-        correlated = named("g_v", x.correlated + x.changes.T @ (v - x.v_before))
-        b = named("b", solve_spd(gathered + p.nu * ca.DM.eye(self.taps), correlated))
-        below = named("below", under(b, p.threshold))
+        counts = named("counts", x.since >= p.settling)
+        gathered = named("G", x.gathered + counts * (x.changes.T @ x.changes))
+        change = counts * (v - x.v_before)
+        correlated = named("g_v", x.correlated + x.changes.T @ change)
+        varied = named("varied_new", x.varied + ca.sumsqr(change))
+        sums = ca.tril(ca.DM.ones(self.taps, self.taps))  # of the first elements
+        spread = named("spread", solve_spd(gathered + p.nu * ca.DM.eye(self.taps), ca.horzcat(correlated, sums.T)))
+        b, freedom = spread[:, 0], ca.fmax(1, ((x.since - p.settling) / u.T + 1) * u.q.shape[0] - self.taps)
+        variance = named("variance", ca.fmax(0, varied - ca.dot(b, correlated)) / freedom)
+        deviation = ca.sqrt(variance * ca.fmax(0, ca.diag(sums @ spread[:, 1:])))
+        below = named("below", ca.sum1(sums @ b - p.confidence * deviation < p.threshold))
         ends = named("ends", (x.since >= p.lasting) * (below <= self.taps - 1))
         known = {
             DELAY_HAT.name: ca.if_else(x.identified > 0.5, x.delay_hat, ends * ca.fmin(below, self.delay_up_to)),
@@ -142,15 +159,6 @@ class DelayProbe(AbstractBlock):
                 "changes": ca.horzcat(u.dq_sent - x.u_before, x.changes[:, :-1]),
                 "gathered": gathered,
                 "correlated": correlated,
+                "varied": varied,
             },
         )
-
-
-@operation
-def under(b: Any, threshold: Any) -> Any:
-    """How many of the sums of the first elements are below the threshold."""
-    total, found = 0, 0
-    for k in range(b.shape[0]):
-        total = total + b[k]
-        found = found + (total < threshold)
-    return found

@@ -29,6 +29,7 @@ from dmframe.analysis.set_point import (
 from dmframe.analysis.switches import turning
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.pieces import rows_of
 from dmframe.errors import EngineError, ShapeError, listed
 from dmframe.simulate import Solver
 from dmframe.simulate.instants import DRAWN
@@ -201,7 +202,6 @@ def linearise(
     diagram: Diagram,
     state: Array | None = None,
     *,
-    estimates: Mapping[str, Any] | None = None,
     start: Mapping[str, Any] | None = None,
     moving: bool = False,
     clock: float | None = None,
@@ -213,7 +213,7 @@ def linearise(
     Parameters
     ----------
     state
-        Where; by default the `equilibrium`, estimates at `estimates`.
+        Where; by default the `equilibrium`.
     moving
         Leave out the slope that smooth Coulomb friction has at rest: it acts within a few mrad/s, and would hide what
         the loop does when it moves.
@@ -227,7 +227,7 @@ def linearise(
     """
     still = unrounded(frozen(diagram))
     loop, T = still.loop, period_of(still.loop, clock)
-    point = equilibrium(still, estimates, start, clock) if state is None else np.array(state, dtype=float)
+    point = equilibrium(still, start=start, clock=clock) if state is None else np.array(state, dtype=float)
     if point.shape != (loop.state.numel(),):
         raise ShapeError(f"linearise: expected a state of {loop.state.numel()} numbers, found {point.size}")
     p = at_speed(loop) if moving else loop.p_values
@@ -248,7 +248,7 @@ def linearise(
         def again(period: float) -> Linear:
             moved = point
             if not at_rest(field(point, loop.p_values, period), point):
-                moved = equilibrium(still, estimates, _by_label(loop, point), period)
+                moved = equilibrium(still, start=_by_label(loop, point), clock=period)
             return at(moved, period)
 
         u = held(point, loop.p_values, T)
@@ -291,8 +291,7 @@ def _kinks(loop: ClosedLoop, point: Array, p: Array, T: float) -> tuple[str, ...
 
 
 def _by_label(loop: ClosedLoop, point: Array) -> dict[str, Array]:
-    ends = np.cumsum([0, *(variable.symbol.numel() for variable in loop.variables)])
-    parts = [(v, point[first:last]) for v, first, last in zip(loop.variables, ends, ends[1:], strict=False)]
+    parts = [(variable, point[rows]) for variable, rows in rows_of(loop.variables)]
     return {v.label: part if v.symbol.is_column() else part.reshape(v.symbol.shape, order="F") for v, part in parts}
 
 

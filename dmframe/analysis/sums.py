@@ -5,7 +5,7 @@ Used to find cancelling terms, and invariant sums of states such as the differen
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import Final, final
 
@@ -19,9 +19,6 @@ Sum = dict[Term, Fraction]
 
 PERIOD: Final = 2
 """Which argument of the program is T."""
-
-_POWERS: Final = (0, 1)
-"""The powers of T that the factors of a conserved sum may hold."""
 
 _NAMED: Final = by_code({name: name for name in ("add", "sub", "neg", "twice", "mul", "div")})
 
@@ -114,7 +111,7 @@ class Span:
         return one, made
 
 
-def conserved(moves: Mapping[int, Sum], powers: Iterable[int] = _POWERS) -> list[Sum]:
+def conserved(moves: Mapping[int, Sum]) -> list[Sum]:
     """Invariant sums of states; the first state of each occurs in no other sum.
 
     Parameters
@@ -135,7 +132,7 @@ def conserved(moves: Mapping[int, Sum], powers: Iterable[int] = _POWERS) -> list
             break
         active = left
     span, relations = Span(), list[Sum]()
-    for power in powers:
+    for power in (0, 1):  # of T, in the factors of a conserved sum
         for state, one in active.items():
             relation = span.add(scaled(one, Fraction(1), power) or {}, (state, power))
             if relation is not None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,7 +17,7 @@ from dmframe.build.trial import called
 from dmframe.codegen import simd_source
 from dmframe.errors import EngineError
 from dmframe.results.metrics import EIGHTHS
-from dmframe.simulate.engine import alike
+from dmframe.simulate.engine import Trial, alike
 from dmframe.simulate.step import Step
 
 
@@ -132,27 +131,15 @@ def compiled(step: Step) -> tuple[SimdLoop | None, str | None]:
     return SimdLoop(step, run, int(width[0])), loaded.notice
 
 
-def _one_tick(step: Step, given: np.ndarray, p: np.ndarray, state: np.ndarray) -> Sequence[Any]:
-    moved, recorded, *_ = step.tick(state, given, p)
-    return moved, recorded
-
-
 def _works(library: Path, step: Step) -> bool:
     """True if each element of the register gives the interpreter's numbers, over one tick."""
     answer = called(library, "dm_width", [{"doubles": [0.0]}])
     if answer is None:
         return False
-    parts, rng, width = step.parts, np.random.default_rng(0), int(answer[0][0])
-    spread = 1 + 0.01 * np.arange(width)  # all near one random state, so that none diverges alone
-    brief = step.with_period(float(step.period) * 1e-3)  # too short for any run to diverge
-    given, group = (
-        brief.instants.rows(0, 2),
-        SimdLoop(brief, None, width).start(
-            rng.uniform(0.5, 1.5, (parts.sample.numel_in(0), 1)) * spread,
-            rng.uniform(0.5, 1.5, (parts.sample.numel_in(4), 1)) * spread,
-            np.ones(width),
-        ),
-    )
+    width = int(answer[0][0])
+    trial = Trial.of(step, 1 + 0.01 * np.arange(width), after=1)  # all near one state, so that none diverges alone
+    brief, given = trial.step, trial.given
+    group = SimdLoop(brief, None, width).start(trial.states, trial.p, np.ones(width))
     found = called(
         library,
         "dm_run_simd",
@@ -173,8 +160,4 @@ def _works(library: Path, step: Step) -> bool:
         return False
     after, figures = (np.reshape(array, (-1, width)) for array in (found[1], found[6]))
     last = figures[LAST::PER_OUTPUT]
-    for k in range(width):
-        reference = partial(_one_tick, brief, given[0], group.p[:, k])
-        if not alike([after[:, k], last[:, k]], reference, group.state[:, k]):
-            return False
-    return True
+    return all(alike([after[:, k], last[:, k]], partial(trial.tick, run=k), group.state[:, k]) for k in range(width))

@@ -41,7 +41,7 @@ from dmframe.certificate import (
     soft_clip,
     soft_min,
 )
-from dmframe.linalg import inverse_spd, ldl, solve_spd
+from dmframe.linalg import inverse_factors, inverse_spd, ldl, solve_spd
 from dmframe.naming import Expression, derivative, named, operation
 from dmframe.parameter import (
     Around,
@@ -121,6 +121,7 @@ __all__ = [
     "clip",
     "derivative",
     "gathered",
+    "inverse_factors",
     "inverse_spd",
     "ldl",
     "named",

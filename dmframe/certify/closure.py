@@ -35,6 +35,7 @@ from dmframe.certify.linear import is_stable
 from dmframe.certify.movement import Movement
 from dmframe.certify.symbols import Group
 from dmframe.diagram.closed_loop import Variable
+from dmframe.diagram.pieces import rows_of
 from dmframe.exact import Tape
 from dmframe.exact.linear import Echelon
 from dmframe.text import Label, Text, joined, listed_text, text_of
@@ -122,13 +123,7 @@ class Closure:
     def open_states(self) -> list[Variable]:
         """States of which some combination is not known to be bounded."""
         free = self._open()
-        found, start = [], 0
-        for variable in self._variables:
-            size = variable.symbol.numel()
-            if any(any(u[start : start + size]) for u in free):
-                found.append(variable)
-            start += size
-        return found
+        return [variable for variable, rows in rows_of(self._variables) if any(any(u[rows]) for u in free)]
 
     def conditions(self) -> list[tuple[str, Condition]]:
         """What had to be assumed, and the conditions that replace what did not follow; by block."""
@@ -257,10 +252,7 @@ class Closure:
         """Sums and differences of up to three states whose rates cancel keep the value with which they start."""
         tape = self._movement.tape([ca.vec(ca.densify(self._rate(variable))) for variable in self._variables])
         flat = [self._movement.values(tape, place) for place in (0, 1)]
-        starts, start = list[int](), 0
-        for variable in self._variables:
-            starts.append(start)
-            start += variable.symbol.numel()
+        starts = [rows.start for _, rows in rows_of(self._variables)]
         for count in (1, 2, 3):
             for places in combinations(range(len(self._variables)), count):
                 sizes = {self._variables[k].symbol.numel() for k in places}
@@ -322,14 +314,11 @@ class Closure:
         read = symbols_in(item.inputs)
         if not read & symbols_in(item.vectors):
             return False
-        known, start = self._known, 0
+        known = self._known
         self._known = self._copied()
-        for variable in self._variables:
-            size = variable.symbol.numel()
-            if read & variable.identities:
-                for column in range(start, start + size):
-                    self._known.add([int(column == k) for k in range(self._columns)])
-            start += size
+        for variable, rows in rows_of(self._variables):
+            for column in range(rows.start, rows.stop) if read & variable.identities else ():
+                self._known.add([int(column == k) for k in range(self._columns)])
         moves = self._moves([ca.vec(ca.densify(vector)) for vector in item.vectors])
         self._known = known
         return not all(map(all, moves))

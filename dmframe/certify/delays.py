@@ -19,6 +19,7 @@ from dmframe.certificate import SX
 from dmframe.certify.checked import Checked
 from dmframe.certify.claim import Claim, Part
 from dmframe.diagram.closed_loop import ClosedLoop, Variable, stack
+from dmframe.diagram.pieces import rows_of
 from dmframe.errors import listed
 from dmframe.sampled import Acted
 from dmframe.text import Text
@@ -164,13 +165,11 @@ def _kept(loop: ClosedLoop, kept: Sequence[SX], signals: Sequence[SX]) -> bool:
 
 def _memories(loop: ClosedLoop, states: Sequence[Variable]) -> Mapping[int, tuple[SX, str]]:
     """What each element of sampled states becomes, and its block, by the identity of the element's symbol."""
-    found, wanted, start = dict[int, tuple[SX, str]](), {state.label for state in states if state.sampled}, 0
-    for variable in loop.stepped:
-        elements = ca.vertsplit(ca.vec(variable.symbol))
+    found, wanted = dict[int, tuple[SX, str]](), {state.label for state in states if state.sampled}
+    for variable, rows in rows_of(loop.stepped):
         if variable.label in wanted:
-            then = ca.vertsplit(loop.advanced[start : start + len(elements)])
+            elements, then = ca.vertsplit(ca.vec(variable.symbol)), ca.vertsplit(loop.advanced[rows])
             found |= {x.element_hash(): (row, variable.block) for x, row in zip(elements, then, strict=True)}
-        start += len(elements)
     return found
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
@@ -13,12 +12,12 @@ from dmframe.certificate import SX
 from dmframe.certify.checked import Checked
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
+from dmframe.certify.points import in_random_field
 from dmframe.certify.sign import Sign, sign_after
 from dmframe.certify.symbols import Group, symbols_of
-from dmframe.exact import Tape, Trial, ZeroDivision, random_prime
+from dmframe.exact import Tape, Trial
 from dmframe.port import Side
 from dmframe.program import CONST, DIVISIONS, INPUT, OPERATIONS
-from dmframe.prove.identity import ATTEMPTS
 from dmframe.text import Label, Text, joined, name_of, sentence, square_of
 
 AWAY: Final = "{of} stays away from zero"
@@ -64,29 +63,27 @@ def domains(name: str, risks: Iterable[tuple[int, SX]], moving: set[int]) -> Ite
         yield Checked(text, "", None, True, "", strict=strict, margin=margin)
 
 
-def brought_in(claim: Claim, closure: Closure) -> Iterator[Text]:
+def brought_in(claim: Claim, closure: Closure) -> Iterable[Text]:
     """What certificates, and derivatives that the proof takes, divide by, and no block's equations do.
 
-    Two divisors are one where they agree at a random point of a prime field.
+    Two divisors are one where they agree at a random point of a prime field. Raises `ValueFault` where one of them
+    vanishes at every such point.
     """
     symbols = symbols_of(claim, closure.uncertain)
     known = Tape.from_function(symbols.function("known", list(_of_equations(claim))))
     stated = Tape.from_function(
         symbols.function("stated", [p for part in claim.parts for p in part.certificate.pieces])
     )
-    rng = random.Random(closure.seed + 7)
-    for _ in range(ATTEMPTS):
-        trial, point = Trial(random_prime(rng), rng), dict[str, list[int]]()
-        try:
-            listed = {residue for (residue,) in known.evaluate(_at(point, symbols.groups, trial), trial)}
-            found = dict[Text, None]()
-            for groups, tape in [(symbols.groups, stated), *closure.tapes]:
-                values = tape.values(_at(point, groups, trial), trial)
-                found |= dict.fromkeys(_unlisted(tape, groups, values, listed))
-        except ZeroDivision:
-            continue
-        yield from found
-        return
+
+    def unlisted(trial: Trial) -> dict[Text, None]:
+        point, found = dict[str, list[int]](), dict[Text, None]()
+        listed = {residue for (residue,) in known.evaluate(_at(point, symbols.groups, trial), trial)}
+        for groups, tape in [(symbols.groups, stated), *closure.tapes]:
+            values = tape.values(_at(point, groups, trial), trial)
+            found |= dict.fromkeys(_unlisted(tape, groups, values, listed))
+        return found
+
+    return in_random_field("the divisors", closure.seed + 4, unlisted)
 
 
 def _at(point: dict[str, list[int]], groups: Sequence[Group], trial: Trial) -> list[list[int]]:

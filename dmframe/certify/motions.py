@@ -22,6 +22,7 @@ from dmframe.certify.claim import Claim, Part
 from dmframe.certify.driven import DrivenLoop
 from dmframe.diagram import Diagram, Parameter, Variable
 from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.pieces import rows_of
 from dmframe.diagram.view import view
 from dmframe.errors import DmframeError
 from dmframe.sampled import DelayLine
@@ -229,8 +230,7 @@ class Moved:
         wanted = {variable.label for variable in (*self._needed, *loop.flowing)}
         idle = {variable.label: 0.0 for variable in loop.variables if variable.label not in wanted}
         state = start_state(diagram, {**idle, **motion.pose}, self._made, Instants(T))
-        edges = np.cumsum([0, *(variable.symbol.numel() for variable in loop.variables)])
-        at = {v.label: state[a:b] for v, a, b in zip(loop.variables, edges, edges[1:], strict=False)}
+        at = {variable.label: state[rows] for variable, rows in rows_of(loop.variables)}
         x, z = (np.concatenate([np.zeros(0), *(at[v.label] for v in of)]) for of in (self._needed, loop.flowing))
         return x, z, diagram.loop.p_values
 

@@ -10,10 +10,12 @@ from dmframe.certificate import SX
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.symbols import Group, exact_values, symbols_of
+from dmframe.diagram.pieces import rows_of
 from dmframe.errors import ValueFault
 from dmframe.exact import Tape, random_prime
 from dmframe.exact.shift import Shift, ZeroDivision
 from dmframe.linalg import nodes
+from dmframe.slices import slices
 
 ATTEMPTS: Final = 20
 BITS: Final = 149
@@ -65,11 +67,7 @@ class Movement:
 
     def _moved(self, point: Mapping[str, Sequence[int]], u: Sequence[int]) -> list[list[int]]:
         """A point with its states and its time moved along u."""
-        steps, start = {"t": u[-1:]}, 0
-        for variable in self._claim.loop.variables:
-            size = variable.symbol.numel()
-            steps[variable.label] = u[start : start + size]
-            start += size
+        steps = {"t": u[-1:]} | {v.label: u[rows] for v, rows in rows_of(self._claim.loop.variables)}
         return [
             [(a + b) % self.shift.prime for a, b in zip(point[group.label], steps[group.label], strict=True)]
             if group.kind in ("state", "time")
@@ -102,11 +100,7 @@ class Movement:
     def along(self, expressions: Sequence[SX], direction: Sequence[int]) -> list[list[int]]:
         """By how much each element moves along a direction, at the first point."""
         (flat,) = self.differences(self.tape(expressions), 0, [direction])
-        found, start = [], 0
-        for expression in expressions:
-            found.append(flat[start : start + expression.numel()])
-            start += expression.numel()
-        return found
+        return [flat[part] for part in slices(expression.numel() for expression in expressions)]
 
     def differences(self, tape: Tape, place: int, directions: Sequence[Sequence[int]]) -> list[list[int]]:
         """By how much each element moves along each direction, at one of the two points."""

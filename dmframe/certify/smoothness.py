@@ -59,11 +59,6 @@ class Smoothness:
     notes: tuple[str, ...]
 
 
-def smoothness_faults(diagram: Diagram, claim: Claim) -> list[str]:
-    """Why dV/dt would not be what the chain rule says; none for a claim that is smooth enough."""
-    return list(smoothness(diagram, claim).faults)
-
-
 def smoothness(diagram: Diagram, claim: Claim) -> Smoothness:
     """Examine all that has been differentiated for a claim until now, and follow its trajectories."""
     return Examiner(diagram, claim).found()

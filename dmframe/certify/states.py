@@ -20,7 +20,8 @@ from dmframe.certify.claim import Claim
 from dmframe.certify.risky import risky
 from dmframe.certify.smoothness import jumps
 from dmframe.certify.statements import States
-from dmframe.diagram.closed_loop import Variable, stack
+from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.pieces import rows_of
 from dmframe.errors import ValueFault
 from dmframe.exact import Trial, ZeroDivision, random_prime
 from dmframe.exact.linear import Echelon
@@ -74,16 +75,8 @@ def _in_v(claim: Claim, numbers: Numbers, seed: int) -> set[str]:
                 continue
             for row in _constant_rows(ca.jacobian(ca.SX(term.vector), states), numbers, trial):
                 rows.add(row)
-    return set(_closed(own, rows.undetermined))
-
-
-def _closed(variables: list[Variable], open_columns: set[int]) -> Iterator[str]:
-    start = 0
-    for variable in variables:
-        end = start + variable.symbol.numel()
-        if not open_columns & set(range(start, end)):
-            yield variable.label
-        start = end
+    columns = range(states.numel())
+    return {variable.label for variable, part in rows_of(own) if rows.undetermined.isdisjoint(columns[part])}
 
 
 def _constant_rows(slopes: SX, numbers: Numbers, trial: Trial) -> Iterator[list[int]]:
@@ -101,20 +94,11 @@ def _becomes(claim: Claim) -> Iterator[tuple[str, tuple[SX, SX]]]:
     """Each state, and what it is one sample later; of one that moves between samples, only where it never does."""
     loop = claim.loop
     moved = loop.joined([loop.advanced])[0]
-    rows = ca.vertsplit(moved, [0, *_ends(loop.stepped)]) if moved.numel() else []
-    for variable, row in zip(loop.stepped, rows, strict=True):
-        yield variable.label, (ca.vec(variable.symbol), row)
+    for variable, rows in rows_of(loop.stepped):
+        yield variable.label, (ca.vec(variable.symbol), moved[rows])
     for variable in loop.flowing:
         if loop.joined(loop.rates_of([variable]))[0].is_zero():
             yield variable.label, (ca.vec(variable.symbol), ca.vec(variable.symbol))
-
-
-def _ends(variables: tuple[Variable, ...]) -> list[int]:
-    ends, end = list[int](), 0
-    for variable in variables:
-        end += variable.symbol.numel()
-        ends.append(end)
-    return ends
 
 
 def _kept(pair: tuple[SX, SX], known: AbstractSet[int]) -> bool:

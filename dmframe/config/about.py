@@ -14,6 +14,11 @@ class AboutGraph:
     graph: BaseGraph
 
     @property
+    def name(self) -> str:
+        """The graph's name."""
+        return self.graph.name
+
+    @property
     def diagram(self) -> Diagram:
         """The graph's closed loop."""
         return self.graph.diagram

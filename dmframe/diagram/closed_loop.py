@@ -12,7 +12,7 @@ import numpy as np
 
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
-from dmframe.diagram.pieces import Followed, Leaf, Noise, Parameter, Signal, Variable
+from dmframe.diagram.pieces import Followed, Leaf, Noise, Parameter, Signal, Variable, rows_of
 from dmframe.diagram.projection import Projection
 from dmframe.port import Side
 
@@ -260,13 +260,8 @@ class ClosedLoop:
 
     def becomes(self) -> dict[str, SX]:
         """The sampled states one sample later, by label, projected onto their sets, in the leaves of their sides."""
-        whole, first, found = self.put_back(self.advanced), 0, dict[str, SX]()
-        for variable in self.stepped:
-            rows, columns = variable.symbol.shape
-            if variable.sampled:
-                found[variable.label] = ca.reshape(whole[first : first + rows * columns], rows, columns)
-            first += rows * columns
-        return found
+        whole, sampled = self.put_back(self.advanced), [(v, rows) for v, rows in rows_of(self.stepped) if v.sampled]
+        return {v.label: ca.reshape(whole[rows], *v.symbol.shape) for v, rows in sampled}
 
     @property
     def held_over_a_sample(self) -> tuple[SX, SX]:

@@ -10,6 +10,7 @@ import casadi as ca
 
 from dmframe.diagram.implicit import Bodies, Implicit, systems
 from dmframe.diagram.slopes import Slopes
+from dmframe.slices import slices
 
 
 @final
@@ -29,13 +30,11 @@ def split(bodies: Bodies, p: Any) -> tuple[list[Any], Any]:
     remaining, symbols, constants = ca.extract_parametric(ca.vertcat(*flat), p)
     c = ca.SX.sym("c", len(symbols))
     (remaining,) = ca.substitute([remaining], [ca.vertcat(ca.SX(0, 1), *symbols)], [c])
-    made, first = list[Any](), 0
-    for name, (inputs, expressions) in bodies.items():
-        outputs = list[Any]()
-        for expression in expressions:
-            outputs.append(remaining[first : first + expression.numel()])
-            first += expression.numel()
-        made.append(ca.Function(name, [*inputs, p, c], outputs))
+    parts = iter(slices(item.numel() for _, expressions in bodies.values() for item in expressions))
+    made = [
+        ca.Function(name, [*inputs, p, c], [remaining[next(parts)] for _ in expressions])
+        for name, (inputs, expressions) in bodies.items()
+    ]
     return made, ca.Function("constants", [p], [ca.vertcat(ca.SX(0, 1), *constants)])
 
 

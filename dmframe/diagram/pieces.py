@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
@@ -12,6 +13,7 @@ import numpy as np
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
 from dmframe.port import Side
+from dmframe.slices import slices
 
 
 @final
@@ -56,6 +58,11 @@ class Variable:
     def gained(self) -> SX | None:
         """Change of a sampled state over one sample, before projection; None for a continuous state."""
         return None if self.own_next is None else self.own_next - self.symbol
+
+
+def rows_of(variables: Sequence[Variable]) -> list[tuple[Variable, slice]]:
+    """Each state with its rows in a column of all of them."""
+    return list(zip(variables, slices(variable.symbol.numel() for variable in variables), strict=True))
 
 
 @final

@@ -10,6 +10,7 @@ import numpy as np
 
 from dmframe.block.model import SYMBOLIC
 from dmframe.config import BaseGraph
+from dmframe.diagram.pieces import rows_of
 from dmframe.drive.identity import identity
 from dmframe.drive.kept import refusal
 from dmframe.drive.limits import own_limits
@@ -126,11 +127,7 @@ def _check_acceleration(limits: Limits) -> None:
 
 def _start(graph: BaseGraph) -> np.ndarray | None:
     """Initial joint angles of the graph's plant."""
-    column, first = start_state(graph.diagram, graph.start), 0
-    own = {variable.label for variable in graph.diagram.loop.plant}
-    for variable in graph.diagram.loop.variables:
-        size = variable.symbol.numel()
-        if variable.label in own and variable.name == "q":
-            return np.asarray(column[first : first + size])
-        first += size
-    return None
+    column, loop = start_state(graph.diagram, graph.start), graph.diagram.loop
+    own = {variable.label for variable in loop.plant}
+    places = (rows for variable, rows in rows_of(loop.variables) if variable.label in own and variable.name == "q")
+    return next((np.asarray(column[rows]) for rows in places), None)

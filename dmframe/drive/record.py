@@ -19,6 +19,7 @@ from dmframe.runtime.steered import Steered
 from dmframe.simulate import Recording, Solver
 from dmframe.simulate.recording import ExtraSignal
 from dmframe.simulate.run import moving_outputs
+from dmframe.slices import slices
 from dmframe.units import plain
 
 MOST_BYTES: Final = 48 * 2**20
@@ -145,12 +146,8 @@ def _computed(
         z, given = np.hstack(rows).T, np.hstack(inputs).T
         parts_of = [slice(first, min(first + CHUNK, len(time))) for first in range(0, len(time), CHUNK)]
         found = np.concatenate([_mapped(f, z, given, time, period, loop.p_values, part) for part in parts_of])
-    parts, first = dict[str, np.ndarray](), 0
-    for signal in own:
-        size = signal.expression.numel()
-        parts[signal.label] = np.ascontiguousarray(found[:, first : first + size])
-        first += size
-    return parts
+    parts = slices(signal.expression.numel() for signal in own)
+    return {signal.label: np.ascontiguousarray(found[:, part]) for signal, part in zip(own, parts, strict=True)}
 
 
 def _mapped(f: Any, z: Any, given: Any, time: Any, period: Any, p: np.ndarray, part: slice) -> np.ndarray:

@@ -21,3 +21,16 @@ ARITHMETIC: Final[dict[int, Callable[..., Any]]] = by_code(
     }
 )
 """A table of rules, to which a kind of number adds what else it knows."""
+
+
+def with_intervals(kind: Any) -> dict[int, Callable[..., Any]]:
+    """The same table; of intervals of the class `kind`, as soon as there is one among the operands.
+
+    `kind.of` makes one of a number, and its `square` is narrower than the product with itself.
+    """
+
+    def mixed(rule: Callable[..., Any]) -> Callable[..., Any]:
+        return lambda *values: rule(*map(kind.of, values)) if kind in map(type, values) else rule(*values)
+
+    squares = by_code({"sq": lambda x: x.square() if isinstance(x, kind) else x * x})
+    return {code: mixed(rule) for code, rule in (ARITHMETIC | squares).items()}

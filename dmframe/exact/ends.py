@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, final
 
@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from dmframe.errors import ValueFault
-from dmframe.exact.arithmetic import ARITHMETIC
+from dmframe.exact.arithmetic import with_intervals
 from dmframe.program import by_code, read, run
 
 
@@ -96,20 +96,7 @@ def _both(one: Ends, other: Ends) -> Any:
     return ca.logic_and(one.defined, other.defined)
 
 
-def _mixed(rule: Callable[..., Any]) -> Callable[..., Any]:
-    """The rule for expressions, and for intervals as soon as there is one among the operands."""
-
-    def mixed(*values: Any) -> Any:
-        return rule(*map(Ends.of, values)) if Ends in map(type, values) else rule(*values)
-
-    return mixed
-
-
-def _square(x: Any) -> Any:
-    return x.square() if isinstance(x, Ends) else x * x
-
-
-_RULES: Final = {code: _mixed(rule) for code, rule in (ARITHMETIC | by_code({"sq": _square})).items()}
+_RULES: Final = with_intervals(Ends)
 _WAVES: Final = by_code({
     "sin": lambda x: Ends(ca.SX(-1), ca.SX(1), x.defined) if isinstance(x, Ends) else ca.sin(x),
     "cos": lambda x: Ends(ca.SX(-1), ca.SX(1), x.defined) if isinstance(x, Ends) else ca.cos(x),

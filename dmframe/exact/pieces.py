@@ -10,12 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import reduce
 from typing import Final, TypeVar, final
 
 import casadi as ca
-from flint import arb
+from flint import arb, fmpq, fmpq_poly
 
+from dmframe.exact.arithmetic import ARITHMETIC
 from dmframe.exact.balls import UndecidedError, ball, enclosed, precise
 from dmframe.exact.tape import Tape
 from dmframe.program import CONST, DIVISIONS, EDGES, INPUT, by_code, sign_of
@@ -31,8 +31,7 @@ CONTINUOUS: Final = 1e-13
 LARGEST_POWER: Final = 16
 """Of a polynomial, that is written out."""
 
-Polynomial = tuple[Fraction, ...]
-"""Coefficients, the constant first."""
+_TIME: Final = fmpq_poly([0, 1])
 
 
 class NotFollowed(ArithmeticError):
@@ -112,9 +111,9 @@ class _Piece:
         self._tape, self._parameters, self._begin = tape, parameters, begin
         self.end: Fraction | None = None
         self.edged = False
-        self._held = dict[int, tuple[Fraction, int, Fraction]]()
-        self._inputs = self._given((_ZERO, _ONE), [(value,) for value in parameters])
-        self._values = list[Polynomial | None]()
+        self._held = dict[int, Held]()
+        self._inputs = self._given(_TIME, list(map(_polynomial, parameters)))
+        self._values = list[fmpq_poly | None]()
         for k in range(len(tape)):
             self._values.append(self._value(k))
             self.edged = self.edged or (self._values[-1] is None and k in moving and self._has_edge(k))
@@ -125,10 +124,10 @@ class _Piece:
         def held(k: int, values: Sequence[arb]) -> arb | None:
             polynomial = self._values[k]
             if polynomial is not None:
-                return ball(sum((a * time**power for power, a in enumerate(polynomial)), _ZERO))
+                return arb(polynomial(_rational(time)))
             if k in self._held:
                 scale, place, offset = self._held[k]
-                return ball(scale) * values[place] + ball(offset)
+                return arb(scale) * values[place] + arb(offset)
             return None
 
         program = self._tape.program
@@ -142,15 +141,15 @@ class _Piece:
         if exponent is None and node.code not in DIVISIONS:
             return node.code in EDGES or node.code == ca.OP_ATAN2
         divisor = self._values[node.b if exponent is None else node.a]
-        return (exponent is None or exponent < 0) and (divisor is None or len(_trimmed(divisor)) != 1)
+        return (exponent is None or exponent < 0) and (divisor is None or divisor.degree() != 0)
 
-    def _value(self, k: int) -> Polynomial | None:
+    def _value(self, k: int) -> fmpq_poly | None:
         """The polynomial in time that a node is on this piece, if it is one."""
         node = self._tape.nodes[k]
         if node.code == INPUT:
             return self._inputs[node.a][node.b]
         if node.code == CONST:
-            return (self._tape.numbers[node.constant],)
+            return _polynomial(self._tape.numbers[node.constant])
         values = [self._values[operand] for operand in node.operands]
         if node.code in SWITCHES:
             deciding = values[:1] if node.code == ca.OP_IF_ELSE_ZERO else values
@@ -158,27 +157,29 @@ class _Piece:
                 raise NotFollowed(f"{sign_of(node.code)} of a function that is no polynomial in time")
             scale, chosen, offset = SWITCHES[node.code](self, [value for value in deciding if value is not None])
             self._held[k] = scale, node.operands[chosen], offset
-            held = values[chosen] if scale else ()
-            return None if held is None else _plus(_times(held, (scale,)), (offset,))
+            held = values[chosen] if scale else fmpq_poly([])
+            return None if held is None else scale * held + offset
         if any(value is None for value in values):
             return None
         known = [value for value in values if value is not None]
         exponent = self._tape.exponent(k)
         if exponent is not None:
-            return _power(known[0], exponent)
-        return FIELD[node.code](*known) if node.code in FIELD else None
+            return known[0] ** exponent if 0 <= exponent <= LARGEST_POWER else None
+        if node.code in DIVISIONS and known[-1].degree() != 0:
+            return None
+        return ARITHMETIC[node.code](*known) if node.code in ARITHMETIC else None
 
     def _given(self, time: V, parameters: Sequence[V]) -> list[list[V]]:
         return self._tape.program.elements([[time], parameters][: len(self._tape.inputs)])
 
-    def sign(self, x: Polynomial) -> int:
+    def sign(self, x: fmpq_poly) -> int:
         """The sign of a polynomial right after the piece begins; the piece ends where it changes."""
         value, slope = self._line(x)
         if slope and value * slope < 0:
             self._ends(self._begin - value / slope)
         return _sign(value) or _sign(slope)
 
-    def whole(self, x: Polynomial) -> Fraction:
+    def whole(self, x: fmpq_poly) -> Fraction:
         """The floor of a polynomial right after the piece begins; the piece ends where it changes."""
         value, slope = self._line(x)
         floor = Fraction(value.__floor__())
@@ -189,67 +190,76 @@ class _Piece:
             self._ends(self._begin + (floor - value) / slope)
         return floor
 
-    def _line(self, x: Polynomial) -> tuple[Fraction, Fraction]:
+    def _line(self, x: fmpq_poly) -> tuple[Fraction, Fraction]:
         """Value and slope where the piece begins."""
-        trimmed = _trimmed(x)
-        if len(trimmed) > 2:
-            raise NotFollowed(f"a switch at the roots of a polynomial of degree {len(trimmed) - 1} in time")
-        constant, slope = (*trimmed, Fraction(0), Fraction(0))[:2]
-        return constant + slope * self._begin, slope
+        if x.degree() > 1:
+            raise NotFollowed(f"a switch at the roots of a polynomial of degree {x.degree()} in time")
+        return _fraction(x(_rational(self._begin))), _fraction(x[1])
 
     def _ends(self, time: Fraction) -> None:
         if time > self._begin and (self.end is None or time < self.end):
             self.end = time
 
 
-Held = tuple[Fraction, int, Fraction]
+Held = tuple[fmpq, int, fmpq]
 """What a switch is on a piece: so many times one of its arguments, plus a number."""
 
-_ZERO, _ONE = Fraction(0), Fraction(1)
+_ZERO, _ONE = fmpq(0), fmpq(1)
+
+
+def _rational(x: Fraction) -> fmpq:
+    return fmpq(x.numerator, x.denominator)
+
+
+def _polynomial(x: Fraction) -> fmpq_poly:
+    return fmpq_poly([_rational(x)])
+
+
+def _fraction(x: fmpq) -> Fraction:
+    return Fraction(int(x.p), int(x.q))
 
 
 def _number(value: bool) -> Held:
-    return _ZERO, 0, Fraction(int(value))
+    return _ZERO, 0, fmpq(value)
 
 
-def _constant(x: Polynomial) -> Fraction:
-    trimmed = _trimmed(x)
-    if len(trimmed) > 1:
+def _constant(x: fmpq_poly) -> fmpq:
+    if x.degree() > 0:
         raise NotFollowed("a condition or a period that is no constant between switching instants")
-    return trimmed[0] if trimmed else _ZERO
+    return x[0]
 
 
-def _truncated(piece: _Piece, x: Polynomial, period: Fraction) -> Fraction:
-    turns = _times(x, (1 / period,))
-    return piece.whole(turns) if piece.sign(turns) >= 0 else -piece.whole(_times(turns, (-_ONE,)))
+def _truncated(piece: _Piece, x: fmpq_poly, period: fmpq) -> Fraction:
+    turns = x / period
+    return piece.whole(turns) if piece.sign(turns) >= 0 else -piece.whole(-turns)
 
 
-def _modulo(count: Callable[[_Piece, Polynomial, Fraction], Fraction]) -> Callable[[_Piece, list[Polynomial]], Held]:
-    def held(piece: _Piece, values: list[Polynomial]) -> Held:
+def _modulo(count: Callable[[_Piece, fmpq_poly, fmpq], Fraction]) -> Callable[[_Piece, list[fmpq_poly]], Held]:
+    def held(piece: _Piece, values: list[fmpq_poly]) -> Held:
         period = _constant(values[1])
         if not period:
             raise UndecidedError("a period of zero")
-        return _ONE, 0, -period * count(piece, values[0], period)
+        return _ONE, 0, -period * _rational(count(piece, values[0], period))
 
     return held
 
 
-def _compared(true: Callable[[int], bool]) -> Callable[[_Piece, list[Polynomial]], Held]:
-    return lambda piece, values: _number(true(piece.sign(_minus(*values))))
+def _compared(true: Callable[[int], bool]) -> Callable[[_Piece, list[fmpq_poly]], Held]:
+    return lambda piece, values: _number(true(piece.sign(values[0] - values[1])))
 
 
-def _chosen(lower: bool) -> Callable[[_Piece, list[Polynomial]], Held]:
-    return lambda piece, values: (_ONE, int((piece.sign(_minus(*values)) > 0) is lower), _ZERO)
+def _chosen(lower: bool) -> Callable[[_Piece, list[fmpq_poly]], Held]:
+    return lambda piece, values: (_ONE, int((piece.sign(values[0] - values[1]) > 0) is lower), _ZERO)
 
 
-def _copied(piece: _Piece, values: list[Polynomial]) -> Held:
-    return Fraction((piece.sign(values[0]) or 1) * (piece.sign(values[1]) or 1)), 0, _ZERO
+def _copied(piece: _Piece, values: list[fmpq_poly]) -> Held:
+    return fmpq((piece.sign(values[0]) or 1) * (piece.sign(values[1]) or 1)), 0, _ZERO
 
 
-SWITCHES: Final[Mapping[int, Callable[[_Piece, list[Polynomial]], Held]]] = by_code(
+SWITCHES: Final[Mapping[int, Callable[[_Piece, list[fmpq_poly]], Held]]] = by_code(
     {
-        "sign": lambda piece, values: (_ZERO, 0, Fraction(piece.sign(values[0]))),
-        "fabs": lambda piece, values: (Fraction(piece.sign(values[0])), 0, _ZERO),
+        "sign": lambda piece, values: (_ZERO, 0, fmpq(piece.sign(values[0]))),
+        "fabs": lambda piece, values: (fmpq(piece.sign(values[0])), 0, _ZERO),
         "fmin": _chosen(lower=True),
         "fmax": _chosen(lower=False),
         "lt": _compared(lambda sign: sign < 0),
@@ -259,65 +269,16 @@ SWITCHES: Final[Mapping[int, Callable[[_Piece, list[Polynomial]], Held]]] = by_c
         "not": lambda piece, values: _number(not _constant(values[0])),
         "and": lambda piece, values: _number(bool(_constant(values[0]) and _constant(values[1]))),
         "or": lambda piece, values: _number(bool(_constant(values[0]) or _constant(values[1]))),
-        "if_else_zero": lambda piece, values: (Fraction(int(bool(_constant(values[0])))), 1, _ZERO),
-        "floor": lambda piece, values: (_ZERO, 0, piece.whole(values[0])),
-        "ceil": lambda piece, values: (_ZERO, 0, -piece.whole(_times(values[0], (-_ONE,)))),
+        "if_else_zero": lambda piece, values: (fmpq(bool(_constant(values[0]))), 1, _ZERO),
+        "floor": lambda piece, values: (_ZERO, 0, _rational(piece.whole(values[0]))),
+        "ceil": lambda piece, values: (_ZERO, 0, -_rational(piece.whole(-values[0]))),
         "fmod": _modulo(_truncated),
-        "remainder": _modulo(lambda piece, x, y: piece.whole(_plus(_times(x, (1 / y,)), (Fraction(1, 2),)))),
+        "remainder": _modulo(lambda piece, x, y: piece.whole(x / y + fmpq(1, 2))),
         "copysign": _copied,
     }
 )
 """How each switch is held on a piece. atan2, which jumps too, is not followed."""
 
 
-def _plus(x: Polynomial, y: Polynomial) -> Polynomial:
-    size = max(len(x), len(y))
-    return tuple((x[k] if k < len(x) else _ZERO) + (y[k] if k < len(y) else _ZERO) for k in range(size))
-
-
-def _minus(x: Polynomial, y: Polynomial) -> Polynomial:
-    return _plus(x, _times(y, (-_ONE,)))
-
-
-def _times(x: Polynomial, y: Polynomial) -> Polynomial:
-    product = [_ZERO] * max(0, len(x) + len(y) - 1)
-    for i, a in enumerate(x):
-        for j, b in enumerate(y):
-            product[i + j] += a * b
-    return tuple(product)
-
-
-def _quotient(x: Polynomial, y: Polynomial) -> Polynomial | None:
-    divisor = _trimmed(y)
-    return _times(x, (1 / divisor[0],)) if len(divisor) == 1 else None
-
-
-def _power(x: Polynomial, exponent: int) -> Polynomial | None:
-    one: Polynomial = (_ONE,)
-    return reduce(_times, [x] * exponent, one) if 0 <= exponent <= LARGEST_POWER else None
-
-
-def _trimmed(x: Polynomial) -> Polynomial:
-    size = len(x)
-    while size and not x[size - 1]:
-        size -= 1
-    return x[:size]
-
-
 def _sign(x: Fraction) -> int:
     return (x > 0) - (x < 0)
-
-
-FIELD: Final[Mapping[int, Callable[..., Polynomial | None]]] = by_code(
-    {
-        "add": _plus,
-        "sub": _minus,
-        "mul": _times,
-        "sq": lambda x: _times(x, x),
-        "neg": lambda x: _times(x, (-_ONE,)),
-        "twice": lambda x: _times(x, (Fraction(2),)),
-        "div": _quotient,
-        "inv": lambda x: _quotient((_ONE,), x),
-    }
-)
-"""What gives a polynomial of polynomials, but for a divisor that moves."""

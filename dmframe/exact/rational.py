@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Final, final
 
 from dmframe.errors import ValueFault
-from dmframe.exact.arithmetic import ARITHMETIC
+from dmframe.exact.arithmetic import with_intervals
 from dmframe.exact.literal import literal
-from dmframe.program import by_code, read, run
+from dmframe.program import read, run
 
 
 @final
@@ -91,17 +91,4 @@ def _exact(constant: float, name: str) -> Fraction:
         raise ValueFault(f"{name}: {error.text}") from None
 
 
-def _enclosing(rule: Callable[..., Any]) -> Callable[..., Any]:
-    """The rule for numbers, and for intervals as soon as there is one among the operands."""
-
-    def mixed(*values: Any) -> Any:
-        return rule(*map(Interval.of, values)) if Interval in map(type, values) else rule(*values)
-
-    return mixed
-
-
-def _square(x: Any) -> Any:
-    return x.square() if isinstance(x, Interval) else x * x
-
-
-RULES: Final = {code: _enclosing(rule) for code, rule in (ARITHMETIC | by_code({"sq": _square})).items()}
+RULES: Final = with_intervals(Interval)

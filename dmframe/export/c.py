@@ -22,6 +22,7 @@ from dmframe.export.replay import Computed, computed_by_c, first_sample, kept, s
 from dmframe.files import encoded, expanded
 from dmframe.results.folder import provenance
 from dmframe.results.place import Place, built, locked
+from dmframe.slices import slices
 from dmframe.units import plain
 from dmframe.version import version
 
@@ -221,11 +222,9 @@ def unit_of(unit: str) -> str:
 
 
 def _places(program: Program) -> Iterator[str]:
-    first = 0
-    for member in program.states:
+    for member, place in zip(program.states, slices(member.size for member in program.states), strict=True):
         word = f"{program.name}_{member.word}".upper()
-        yield f"#define {word} {first} /* {member.label}, {member.size} numbers, {unit_of(member.unit)} */"
-        first += member.size
+        yield f"#define {word} {place.start} /* {member.label}, {member.size} numbers, {unit_of(member.unit)} */"
 
 
 def own_file(name: str) -> str:

@@ -27,6 +27,7 @@ from dmframe.export.c import commented, functions_of, origin, own_file, spelled,
 from dmframe.export.program import Member, Program, program_of
 from dmframe.export.robot import Robot, robot_of
 from dmframe.files import encoded, expanded
+from dmframe.slices import slices
 from dmframe.units import base_units
 from dmframe.version import version
 
@@ -169,10 +170,9 @@ def code(unit: Unit, fmi: Version, token: str) -> str:
         "SUBSTEPS": unit.substeps,
         "SHOWS": int(unit.shows),
     }
-    places, first = list[str](), 0
-    for _, item in unit.members:
-        places.append(f"    {{{first}, {item.size}}}, /* {item.label} */")
-        first += item.size
+    items = [item for _, item in unit.members]
+    pairs = zip(slices(item.size for item in items), items, strict=True)
+    places = [f"    {{{place.start}, {item.size}}}, /* {item.label} */" for place, item in pairs]
     table = ["static const struct { size_t first, size; } dm_variables[] = {", *places, "};"] if fmi == 3 else []
     values = [f"    {', '.join(map(repr, item.value))}, /* {item.label} */" for _, item in unit.members]
     bodies = [spelled(function) for function in unit.functions]

@@ -12,6 +12,7 @@ from dmframe.block.model import symbols_in
 from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.pieces import rows_of
 from dmframe.errors import EngineError, listed
 from dmframe.export.program import Member, identifier, members
 from dmframe.port import Side
@@ -111,9 +112,6 @@ def _robot_of(graph: BaseGraph) -> Robot:
     p = stack(parameter.symbol for parameter in kept)
     units = {signal.label: signal.unit for signal in loop.outputs}
     starts = start_state(diagram, graph.start)[loop.state.numel() - x.numel() :]
-    edges = [0]
-    for variable in states:
-        edges.append(edges[-1] + variable.symbol.numel())
     return Robot(
         name=f"{identifier(name)}_robot",
         title=graph.file.title or "",
@@ -123,8 +121,8 @@ def _robot_of(graph: BaseGraph) -> Robot:
         measured=members((leaf.name, leaf.symbol, units[leaf.name]) for leaf in loop.measured),
         parameters=members((item.label, item.symbol, item.unit, item.value.ravel(order="F").tolist()) for item in kept),
         states=members(
-            (variable.label, variable.symbol, variable.unit, starts[first:last].tolist())
-            for variable, first, last in zip(states, edges, edges[1:], strict=False)
+            (variable.label, variable.symbol, variable.unit, starts[rows].tolist())
+            for variable, rows in rows_of(states)
         ),
         rate=ca.Function("rate", [x, commands, p], [rate]),
         shown=ca.Function("shown", [x, p], [shown]),

@@ -27,6 +27,7 @@ from dmframe.export.c import (
 from dmframe.export.program import Member, Program, program_of
 from dmframe.files import made_distinct
 from dmframe.runtime.signals import measured_as, velocity_command
+from dmframe.slices import slices
 from dmframe.units import plain
 from dmframe.version import version
 
@@ -123,11 +124,10 @@ class _Row(NamedTuple):
 
 def _rows(parameters: Sequence[Member]) -> Iterator[_Row]:
     """All parameters except those of the robot's model, on which the exported tool position depends."""
-    first = 0
-    for name, item in zip(_names(parameters), parameters, strict=True):
+    places = slices(item.size for item in parameters)
+    for name, place, item in zip(_names(parameters), places, parameters, strict=True):
         if not item.label.startswith("robot."):
-            yield _Row(name, first, item)
-        first += item.size
+            yield _Row(name, place.start, item)
 
 
 def _names(items: Sequence[Member]) -> list[str]:

@@ -11,6 +11,11 @@ from dmframe.formula.write import Dialect
 from dmframe.names import latex_name, unicode_name
 
 
+def _relations(signs: str) -> dict[str, str]:
+    """The signs of a dialect, by those of the code."""
+    return dict(zip("< <= > >= = != and or not".split(), signs.split(), strict=True))
+
+
 class _Plain(Dialect):
     """Base class of the two dialects for plain text."""
 
@@ -54,18 +59,8 @@ class _Plain(Dialect):
 
 @final
 class _Text(_Plain):
-    minus, gap, prime, square, dots, partial = "-", " ", "'", "^2", "..", "d"
-    relations: ClassVar[Mapping[str, str]] = {
-        "<": "<",
-        "<=": "<=",
-        ">": ">",
-        ">=": ">=",
-        "=": "=",
-        "!=": "!=",
-        "and": "and",
-        "or": "or",
-        "not": "not",
-    }
+    minus, prime, square, dots, partial = "-", "'", "^2", "..", "d"
+    relations: ClassVar[Mapping[str, str]] = _relations("< <= > >= = != and or not")
 
     def name(self, name: str) -> str:
         return name
@@ -94,18 +89,8 @@ def _decimal(value: Fraction) -> str:
 
 @final
 class _Latex(Dialect):
-    minus, gap, dots = "-", " ", r" \ldots "
-    relations: ClassVar[Mapping[str, str]] = {
-        "<": "<",
-        "<=": r"\le",
-        ">": ">",
-        ">=": r"\ge",
-        "=": "=",
-        "!=": r"\ne",
-        "and": r"\land",
-        "or": r"\lor",
-        "not": r"\lnot",
-    }
+    minus, dots = "-", r" \ldots "
+    relations: ClassVar[Mapping[str, str]] = _relations(r"< \le > \ge = \ne \land \lor \lnot")
 
     def name(self, name: str) -> str:
         return latex_name(name)
@@ -127,16 +112,12 @@ class _Latex(Dialect):
 
     def lead(self, coefficient: Fraction, more: bool, below: bool) -> tuple[str, str]:
         """A number precedes its factors, unless it is combined with that of a quotient."""
-        if (coefficient == 1 and more) or (below and not more and coefficient == 1):
+        if coefficient == 1 and (more or below):
             return "" if more else "1", ""
         return self.fraction(coefficient), ""
 
     def raised(self, base: str, exponent: str) -> str:
-        return f"{base}^{{{self._top(exponent)}}}" if exponent != "T" else rf"{base}^\top"
-
-    @staticmethod
-    def _top(exponent: str) -> str:
-        return exponent
+        return f"{base}^{{{exponent}}}" if exponent != "T" else rf"{base}^\top"
 
     def over(self, above: str, below: str, *, simple: bool) -> str:
         if simple and "\\left" not in above + below:
@@ -184,18 +165,8 @@ _RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 @final
 class _Unicode(_Plain):
-    minus, gap, prime, square, dots, partial = "−", " ", "ᵀ", "²", "…", "∂"
-    relations: ClassVar[Mapping[str, str]] = {
-        "<": "<",
-        "<=": "≤",
-        ">": ">",
-        ">=": "≥",
-        "=": "=",
-        "!=": "≠",
-        "and": "∧",
-        "or": "∨",
-        "not": "¬",
-    }
+    minus, prime, square, dots, partial = "−", "ᵀ", "²", "…", "∂"
+    relations: ClassVar[Mapping[str, str]] = _relations("< ≤ > ≥ = ≠ ∧ ∨ ¬")
 
     def name(self, name: str) -> str:
         return unicode_name(name)

@@ -39,9 +39,7 @@ class Dialect(ABC):
     """Base class of dialects: writes a tree with the symbols of the dialect."""
 
     minus: str
-    gap: str
     dots: str
-    comma = ", "
     relations: ClassVar[Mapping[str, str]]
 
     def write(self, node: Node) -> str:
@@ -103,10 +101,6 @@ class Dialect(ABC):
     @abstractmethod
     def unprinted(self, names: Sequence[str]) -> str:
         """An expression that is too long to print."""
-
-    def half(self, above: str, value: Fraction) -> str:
-        """A numerator with its number; the denominator of the number is below."""
-        return above
 
     def _held(self, node: Node, least: int = _ATOM) -> str:
         text, holds = self._written(node)
@@ -214,9 +208,9 @@ class Dialect(ABC):
             text += (self.between(text, piece) if text else "") + piece
         return text
 
+    @abstractmethod
     def between(self, left: str, right: str) -> str:
         """The separator of two factors."""
-        return self.gap
 
     def _applied(self, node: Applied) -> str:
         arguments = [self.write(item) for item in node.arguments]
@@ -227,7 +221,7 @@ class Dialect(ABC):
         if node.function == "hadamard":
             return self.bracketed(f"{self._held(node.arguments[0])} .* {self._held(node.arguments[1])}")
         head = self.name(node.function) if node.symbol else self.word(node.function)
-        return f"{head}{self.bracketed(self.comma.join(arguments))}"
+        return f"{head}{self.bracketed(', '.join(arguments))}"
 
 
 def _sign(term: Product | Number) -> Fraction:

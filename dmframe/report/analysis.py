@@ -42,11 +42,6 @@ class Analysis(AboutGraph):
     found: LoopAnalysis
 
     @property
-    def name(self) -> str:
-        """The graph's name."""
-        return self.graph.name
-
-    @property
     def summary(self) -> dict[str, Any]:
         """Data that ``dmframe analyse --json`` prints."""
         return dict(self._view.numbers)

@@ -15,6 +15,7 @@ from dmframe.certify.true_values import estimates_of
 from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import WORDS, known_truths
+from dmframe.diagram.pieces import rows_of
 from dmframe.errors import DmframeError, visible
 from dmframe.formula import Formula, PrintedLaw, laws_of
 from dmframe.formula.unmarked import unmarked
@@ -174,9 +175,4 @@ def _starts(graph: BaseGraph) -> dict[str, np.ndarray]:
         whole = start_state(graph.diagram, graph.start)
     except DmframeError:
         return {}
-    found, place = dict[str, np.ndarray](), 0
-    for variable in graph.diagram.loop.variables:
-        size = variable.symbol.numel()
-        found[variable.label] = whole[place : place + size]
-        place += size
-    return found
+    return {variable.label: whole[rows] for variable, rows in rows_of(graph.diagram.loop.variables)}

@@ -62,11 +62,6 @@ class Explanation(AboutGraph):
     graph: BaseGraph
     verdict: Verdict
 
-    @property
-    def name(self) -> str:
-        """The graph's name."""
-        return self.graph.name
-
     @cached_property
     def blocks(self) -> tuple[BlockFacts, ...]:
         """Facts about each block, in signal-flow order."""

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import Final
 
+from dmframe.plotting import unit_text
 from dmframe.report.content import BlockLaw, Content, Follows, Opening
 from dmframe.report.linear import EMULATION_HEADS, JOINT_HEADS
 from dmframe.report.parts import (
@@ -128,17 +129,12 @@ def _law(block: BlockLaw) -> Iterator[Part]:
     yield Paragraph(Marked(block.law.summary))
     yield Equations(block.equations)
     if block.values:
-        rows = [(Word(v.name, "code"), v.value, units(v.unit), Marked(v.says)) for v in block.values]
+        rows = [(Word(v.name, "code"), v.value, unit_text(v.unit), Marked(v.says)) for v in block.values]
         yield Table(rows, ("parameter", "in this graph", "unit", "description"), kind="values")
     if block.law.notes:
         yield Paragraph(Marked(block.law.notes), note=True)
     if block.law.source:
         yield Paragraph(("Source: ", Marked(block.law.source)), note=True)
-
-
-def units(text: str) -> str:
-    """A unit with its exponents raised."""
-    return text.replace("^2", "²").replace("^3", "³")
 
 
 def _terms(r: Content) -> Iterator[Part]:
@@ -169,7 +165,7 @@ def _terms(r: Content) -> Iterator[Part]:
             r"Residual, positive or of either sign: $\dot V$ may exceed minus the dissipation by the sum of these."
         )
         yield Table(left, ("block", "term", *_TERM_HEADS[2:]), Marked(caption))
-    legend = [(Formula(i.symbol), Word(i.label, "code"), i.value, units(i.unit)) for i in found.legend]
+    legend = [(Formula(i.symbol), Word(i.label, "code"), i.value, unit_text(i.unit)) for i in found.legend]
     heads = ("symbol", "parameter or signal", "value", "unit")
     yield Table(legend, heads, "The symbols of the weights:", kind="legend")
 

@@ -27,6 +27,7 @@ from dmframe.results.at_instants import AtInstants
 from dmframe.results.climb import Climb, climb_of
 from dmframe.results.constants import determined, excess_of, notes_on
 from dmframe.simulate import Recording
+from dmframe.slices import slices
 from dmframe.text import UNNAMED, Text
 
 LOOKED_AT = 128
@@ -221,13 +222,12 @@ def _stored(part: Part) -> Iterator[tuple[Text, SX]]:
     for place, term in enumerate(part.certificate.storage, start=1):
         yield getattr(term, "of", UNNAMED) or Text(f"storage {place}"), term.value
     for item in part.certificate.steps:
-        first, square = 0, item.storage
-        for j, size in enumerate(item.parts, start=1):
-            rows, name = slice(first, first + size), f"{item.estimate}_{j}" if len(item.parts) > 1 else item.estimate
+        square = item.storage
+        for j, rows in enumerate(slices(item.parts), start=1):
+            name = f"{item.estimate}_{j}" if len(item.parts) > 1 else item.estimate
             weight = square.weight[rows] if square.weight.is_column() else square.weight[rows, rows]
             error = Formula(tree.subtract(Name(name), Name(f"{name}_true"), SCALAR))
             yield Text(error), Square(square.vector[rows], weight).value
-            first += size
 
 
 def _crossings(own: AtInstants) -> Iterator[str]:

@@ -14,6 +14,7 @@ from dmframe.certificate import SX
 from dmframe.certify.claim import Claim
 from dmframe.diagram import Variable
 from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.pieces import rows_of
 from dmframe.errors import ValueFault, listed
 from dmframe.simulate import Recording
 from dmframe.simulate.instants import DRAWN
@@ -87,13 +88,8 @@ class AtInstants:
 
     def _start(self, lost: list[Variable]) -> np.ndarray:
         """Where these states started."""
-        first, parts = 0, [np.zeros(0)]
-        for variable in self.claim.loop.variables:
-            size = variable.symbol.numel()
-            if variable in lost:
-                parts.append(self.run.start[first : first + size])
-            first += size
-        return np.concatenate(parts)
+        parts = [self.run.start[rows] for variable, rows in rows_of(self.claim.loop.variables) if variable in lost]
+        return np.concatenate([np.zeros(0), *parts])
 
     def _given(self, read: list[Variable], both: SX, places: np.ndarray | None) -> np.ndarray:
         """(N, columns) kept states, time, period and what was drawn."""

@@ -24,6 +24,7 @@ from dmframe.certify.claim import Claim, NotApplicableError, total
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import listed, summarised
 from dmframe.results.at_instants import AtInstants
+from dmframe.slices import slices
 
 SINGULAR: Final = 1e-9
 """Eigenvalues of the scaled sum of r'' up to this say nothing of their direction."""
@@ -58,8 +59,8 @@ class Constants:
     @property
     def by_label(self) -> dict[str, np.ndarray]:
         """The values of each."""
-        ends = np.cumsum([symbol.numel() for symbol in self.symbols.values()])
-        return dict(zip(self.symbols, np.split(self.values, ends[:-1]), strict=True)) if self.symbols else {}
+        parts = slices(symbol.numel() for symbol in self.symbols.values())
+        return {label: self.values[part] for label, part in zip(self.symbols, parts, strict=True)}
 
     @property
     def text(self) -> str:

@@ -50,7 +50,7 @@ class Table:
     attributes: Mapping[str, Any]
 
 
-def table(run: Recording, graph: BaseGraph | None = None, seed: int | None = None) -> Table:
+def table(run: Recording, graph: BaseGraph | None = None) -> Table:
     """Every recorded state and output as a variable ``block.signal`` over time, with its unit.
 
     Dimensions are named joint, axis, parameter; any other size gets its own dimension.
@@ -58,10 +58,8 @@ def table(run: Recording, graph: BaseGraph | None = None, seed: int | None = Non
     Parameters
     ----------
     graph
-        The graph of the run; name, title, SHA-256 of the resolved text and model hash (`Diagram.fingerprint`) become
-        attributes.
-    seed
-        Seed of the noise, if any.
+        The graph of the run; name, title, seed, SHA-256 of the resolved text and model hash (`Diagram.fingerprint`)
+        become attributes.
     """
     entries, variables = dict[str, tuple[Element, ...]](), dict[str, Labelled]()
     for label, shape, unit, kind in _recorded(run):
@@ -82,10 +80,10 @@ def table(run: Recording, graph: BaseGraph | None = None, seed: int | None = Non
     if "parameter" in entries:
         units = [element.unit for element in entries["parameter"]]
         coordinates["parameter_unit"] = Labelled(("parameter",), units, {"long_name": "unit", "units": "1"})
-    return Table(coordinates, variables, _attributes(run, graph, seed))
+    return Table(coordinates, variables, _attributes(run, graph))
 
 
-def _attributes(run: Recording, graph: BaseGraph | None, seed: int | None) -> dict[str, Any]:
+def _attributes(run: Recording, graph: BaseGraph | None) -> dict[str, Any]:
     attributes: dict[str, Any] = {
         "title": printable(graph.file.title or graph.name) if graph else "dmframe run",
         "graph": printable(graph.name) if graph else "",
@@ -98,20 +96,19 @@ def _attributes(run: Recording, graph: BaseGraph | None, seed: int | None) -> di
     if run.drive:
         attributes["drive"] = json.dumps(dict(run.drive))
     if graph is not None:
+        attributes["seed"] = graph.file.seed
         attributes["field_hash"] = run.diagram.fingerprint
         attributes["graph_sha256"] = hashlib.sha256(encoded(resolved_text(graph))).hexdigest()
-    if seed is not None:
-        attributes["seed"] = seed
     if run.divergence is not None:
         attributes["divergence"] = str(run.divergence)
     return attributes
 
 
-def dataset(run: Recording, graph: BaseGraph | None = None, seed: int | None = None) -> xarray.Dataset:
+def dataset(run: Recording, graph: BaseGraph | None = None) -> xarray.Dataset:
     """`table` as an xarray dataset."""
     import xarray
 
-    source = table(run, graph, seed)
+    source = table(run, graph)
     return xarray.Dataset(
         {name: (item.dimensions, item.values, dict(item.attributes)) for name, item in source.variables.items()},
         {name: (item.dimensions, item.values, dict(item.attributes)) for name, item in source.coordinates.items()},
@@ -119,7 +116,7 @@ def dataset(run: Recording, graph: BaseGraph | None = None, seed: int | None = N
     )
 
 
-def netcdf(run: Recording, graph: BaseGraph | None = None, seed: int | None = None) -> bytes:
+def netcdf(run: Recording, graph: BaseGraph | None = None) -> bytes:
     """`table` as a compressed NetCDF file, without xarray, whose import takes half a second.
 
     Written in memory: on a full disk HDF5 prints tracebacks and can abort the process.
@@ -127,7 +124,7 @@ def netcdf(run: Recording, graph: BaseGraph | None = None, seed: int | None = No
     import h5netcdf
     import h5py
 
-    source, file = table(run, graph, seed), io.BytesIO()
+    source, file = table(run, graph), io.BytesIO()
     with h5netcdf.File(file, "w") as made:
         for item in (*source.variables.values(), *source.coordinates.values()):
             for name, size in zip(item.dimensions, np.shape(item.values), strict=True):

@@ -50,9 +50,6 @@ def write_run(
     plots: bool = True,
     formats: Sequence[str] = FORMATS[:1],
     force: bool = False,
-    seed: int | None = None,
-    command: Sequence[str] | None = None,
-    now: datetime | None = None,
 ) -> list[dict[str, Any]]:
     """Write runs to a new folder, and return their summaries.
 
@@ -70,10 +67,6 @@ def write_run(
         Formats of the figures: ``svg``, ``png``, ``pdf``.
     force
         Allow a folder with files; those of the same names are replaced.
-    seed
-        Seed of the noise, for the provenance.
-    command, now
-        Command line and time for the provenance; default: those of this process.
 
     Raises
     ------
@@ -83,20 +76,13 @@ def write_run(
     folders = folders_of([run.name for run in runs])
     reservation = nullcontext(path) if isinstance(path, Place) else reserved(path, force=force, folders=folders)
     with reservation as place, drawing(runs if plots else (), checked_formats("formats", formats)) as draw:
-        summaries = write_data(place, runs, seed=seed, command=command, now=now)
+        summaries = write_data(place, runs)
         draw(place, runs)
         complete(place)
     return summaries
 
 
-def write_data(
-    place: Place,
-    runs: Sequence[Run],
-    *,
-    seed: int | None = None,
-    command: Sequence[str] | None = None,
-    now: datetime | None = None,
-) -> list[dict[str, Any]]:
+def write_data(place: Place, runs: Sequence[Run]) -> list[dict[str, Any]]:
     """`write_run` without the figures and the final seal of `complete`."""
     below = folders_of([run.name for run in runs])
     folders = [place.path / name for name in below] or [place.path]
@@ -105,7 +91,7 @@ def write_data(
         for run, folder, data in zip(runs, folders, summaries, strict=True):
             own = building / folder.relative_to(place.path)
             own.mkdir(exist_ok=True)
-            _write_one(own, run, data, seed, command, now)
+            _write_one(own, run, data)
     with writing(place.path, "folder"):
         clear_figures(place.folder)
         if all(run.recording.drive.get("every", 1) == 1 for run in runs):  # signals.nc contains every sample
@@ -154,14 +140,7 @@ def _names(labels: Sequence[str]) -> list[str]:
     return made_distinct(map(safe_name, labels), lambda name, count: f"{name}_{count}")
 
 
-def _write_one(
-    place: Path,
-    run: Run,
-    data: dict[str, Any],
-    seed: int | None,
-    command: Sequence[str] | None,
-    now: datetime | None,
-) -> None:
+def _write_one(place: Path, run: Run, data: dict[str, Any]) -> None:
     text = resolved_text(run.graph)
     (place / "graph.yaml").write_bytes(encoded(text))
     for name, source in companions(run.graph).items():
@@ -169,11 +148,11 @@ def _write_one(
     _write_json(place / "summary.json", data)
     # hash of the diagram that ran, not of the graph, as in `verify --json`
     field_hash = run.recording.diagram.fingerprint
-    made = provenance(run.graph, text, field_hash=field_hash, seed=seed, command=command, now=now)
+    made = provenance(run.graph, text, field_hash=field_hash, seed=run.graph.file.seed)
     if run.recording.drive:
         made["drive"] = dict(run.recording.drive)
     _write_json(place / "provenance.json", made)
-    (place / "signals.nc").write_bytes(netcdf(run.whole, run.graph, seed))
+    (place / "signals.nc").write_bytes(netcdf(run.whole, run.graph))
 
 
 def _write_json(file: Path, data: dict[str, Any]) -> None:
@@ -187,12 +166,11 @@ def provenance(
     field_hash: str,
     seed: int | None = None,
     command: Sequence[str] | None = None,
-    now: datetime | None = None,
 ) -> dict[str, Any]:
     """Data to reproduce a run: versions, machine, command, time, digests, seed, model hash `Diagram.fingerprint`."""
     source = robot_source(graph)
     return {
-        "time": (now or datetime.now(UTC)).astimezone(UTC).isoformat(timespec="seconds"),
+        "time": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": list(sys.argv if command is None else command),
         "python": platform.python_version(),
         "platform": platform.platform(),

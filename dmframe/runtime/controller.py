@@ -25,6 +25,7 @@ from dmframe.simulate.engine import Choice, alike
 from dmframe.simulate.instants import Instants
 from dmframe.simulate.start import start_state
 from dmframe.simulate.start_expressions import measured_start
+from dmframe.slices import slices
 
 
 @final
@@ -221,9 +222,6 @@ def start_function(diagram: Diagram, given: Mapping[str, Any]) -> tuple[Any, tup
 
 
 def _parts(items: Any, array: np.ndarray) -> dict[str, np.ndarray]:
-    parts, first = dict[str, np.ndarray](), 0
-    for item in items:
-        label, size = getattr(item, "label", None) or item.name, item.symbol.numel()
-        parts[label] = array[first : first + size]
-        first += size
-    return parts
+    labels = [getattr(item, "label", None) or item.name for item in items]
+    parts = slices(item.symbol.numel() for item in items)
+    return {label: array[part] for label, part in zip(labels, parts, strict=True)}

@@ -37,10 +37,10 @@ class Link(Protocol):
 class Wire:
     """TCP connection."""
 
-    def __init__(self, host: str, port: int, patience: float = 2.0) -> None:
+    def __init__(self, host: str, port: int) -> None:
         self.name = f"{host}:{port}"
         try:
-            self._socket = socket.create_connection((host, port), patience)
+            self._socket = socket.create_connection((host, port), timeout=2.0)
         except OSError as error:
             raise LostError(f"{self.name}: no robot answers: {error.strerror or error}") from None
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

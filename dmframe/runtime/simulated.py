@@ -27,6 +27,7 @@ from dmframe.simulate.run import prepare
 from dmframe.simulate.start import start_state
 from dmframe.simulate.step import Solver, plant_step
 from dmframe.simulate.stiffness import speed_of
+from dmframe.slices import slices
 
 ARRIVED: Final = 1e-6
 """Tolerance of the end of a motion to a pose [rad]."""
@@ -96,10 +97,7 @@ class SimulatedRobot:
             step = plant_step(loop, clock, self.solver, stack(shown.values()), bounds_of(diagram)[size:], drawn)
             columns = np.arange(step.parts.outputs.numel_out(0), dtype=np.int64) + (state.size - size)
             self._engine = choose(engine, step, self.solver, 1, columns, max(1, round(duration / clock)))
-        self._parts, first = dict[str, slice](), 0
-        for name, expression in shown.items():
-            self._parts[name] = slice(first, first + expression.numel())
-            first += expression.numel()
+        self._parts = dict(zip(shown, slices(expression.numel() for expression in shown.values()), strict=True))
         self.name = f"sim:{delay}" if delay else "sim"
         self.period, self._slowed = clock, (slowed_from, scaling)
         self.engine = self._engine.name

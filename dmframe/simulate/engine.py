@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Final, Literal, Protocol, final, get_args
 
@@ -123,20 +123,51 @@ TAME: Final = 1e9
 """Limit of moderate results."""
 
 
+@final
+@dataclass(frozen=True)
+class Trial:
+    """A brief tick from random states, over which a new library is compared with the interpreter.
+
+    Parameters
+    ----------
+    step
+        The step with a short period, to avoid divergence.
+    given
+        Rows of `Instants`: that of the tick, and of those after it.
+    states, p
+        A column for each run. The states are so small that the results are moderate.
+    """
+
+    step: Step
+    given: np.ndarray
+    states: np.ndarray
+    p: np.ndarray
+
+    @classmethod
+    def of(cls, step: Step, spread: np.ndarray | float = 1.0, after: int = 0) -> Trial:
+        """The trial of a step with a run for each factor of `spread`, which multiplies its states and parameters."""
+        sample, brief = step.parts.sample, step.with_period(float(step.period) * 1e-3)
+        given, rng = brief.instants.rows(0, 1 + after), np.random.default_rng(0)
+        states, p = (rng.uniform(0.5, 1.5, (sample.numel_in(place), 1)) * spread for place in (0, 4))
+        trials = (cls(brief, given, scale * states, p) for scale in SCALES)
+        return next((trial for trial in trials if trial._moderate), cls(brief, given, SCALES[-1] * states, p))
+
+    def tick(self, state: np.ndarray, run: int) -> Sequence[Any]:
+        """The interpreter's state one tick later, and what is recorded before it."""
+        return list(self.step.tick(state, self.given[0], self.p[:, run])[:2])
+
+    @property
+    def _moderate(self) -> bool:
+        """Differences over a short period amplify large states, and rounding with them."""
+        runs = enumerate(self.states.T)
+        return all(np.max(np.abs(item.full()), initial=0.0) < TAME for k, x in runs for item in self.tick(x, k))
+
+
 def _works(library: Path, step: Step) -> bool:
-    """Compare a new library with the interpreter over one tick from a random state."""
-    parts = step.parts
-    period = float(step.period) * 1e-3  # short, to avoid divergence
-    count = parts.outputs.numel_out(0)
-    brief = step.with_period(period)
-    given = brief.instants.rows(0, 1)
-    for scale in SCALES:  # differences over a short period amplify large states and rounding
-        rng = np.random.default_rng(0)
-        state, p = (rng.uniform(0.5, 1.5, parts.sample.numel_in(place)) for place in (0, 4))
-        state *= scale
-        expected = brief.tick(state, given, p)
-        if max(float(np.max(np.abs(item.full()), initial=0.0)) for item in expected[:2]) < TAME:
-            break
+    """Compare a new library with the interpreter over one tick."""
+    count = step.parts.outputs.numel_out(0)
+    trial = Trial.of(step)
+    brief, given, state, p = trial.step, trial.given, trial.states[:, 0], trial.p[:, 0]
     kept = (state.size + np.arange(count)).tolist()
     found = called(
         library,
@@ -144,7 +175,7 @@ def _works(library: Path, step: Step) -> bool:
         [
             {"doubles": state.tolist()},
             {"doubles": p.tolist()},
-            {"double": period},
+            {"double": brief.period},
             *({"integer": value} for value in (1, 0, 1)),
             {"doubles": given.ravel().tolist()},
             {"integer": 1},
@@ -156,7 +187,7 @@ def _works(library: Path, step: Step) -> bool:
     )
     if found is None:
         return False
-    return alike([found[0][: state.size], found[3][:count]], lambda x: brief.tick(x, given, p)[:2], state)
+    return alike([found[0][: state.size], found[3][:count]], partial(trial.tick, run=0), state)
 
 
 def alike(found: Sequence[Any], reference: Callable[[np.ndarray], Sequence[Any]], state: np.ndarray) -> bool:

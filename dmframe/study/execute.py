@@ -7,7 +7,7 @@ import platform
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
@@ -81,7 +81,6 @@ def run_study(
     force: bool = False,
     chunk: int | None = None,
     report: Callable[[State], None] | None = None,
-    command: Sequence[str] | None = None,
 ) -> State:
     """Compute those rows of a study that its folder does not hold yet.
 
@@ -101,8 +100,6 @@ def run_study(
         Samples per chunk; by default as many as take some seconds.
     report
         Called with the state whenever it changes, and twice a second.
-    command
-        Command line for the record; by default that of this process.
 
     Returns
     -------
@@ -143,7 +140,7 @@ def run_study(
             finally:
                 state.seconds = time.monotonic() - began
                 with suppress(OutputError):  # a full disk is reported by the rows
-                    _record(store, state, moment, scheduler, command)
+                    _record(store, state, moment, scheduler)
         update()
     return state
 
@@ -240,11 +237,11 @@ def _left(store: Store) -> Iterator[Chunk]:
     return (chunk for extent in extents for chunk in extent if chunk not in store.done)
 
 
-def _record(store: Store, state: State, moment: datetime, scheduler: str | None, command: Sequence[str] | None) -> None:
+def _record(store: Store, state: State, moment: datetime, scheduler: str | None) -> None:
     """Write to ``provenance.json`` what ran last and what made the rows, and append this process to the list."""
     this = {
         "time": moment.isoformat(timespec="seconds"),
-        "command": list(sys.argv if command is None else command),
+        "command": sys.argv,
         "python": platform.python_version(),
         "platform": platform.platform(),
         "versions": dict(versions()),

@@ -157,7 +157,7 @@ class Paired:
         return self.better + self.worse + self.alike
 
 
-def paired(first: np.ndarray, second: np.ndarray, *, independent: bool, level: float = LEVEL) -> Paired:
+def paired(first: np.ndarray, second: np.ndarray, *, independent: bool) -> Paired:
     """Compare figures sample by sample with a sign test.
 
     No distribution of the differences is assumed, so that runs that diverged are included: they are worse than all
@@ -180,7 +180,7 @@ def paired(first: np.ndarray, second: np.ndarray, *, independent: bool, level: f
         better,
         worse,
         len(difference) - better - worse,
-        quantile(difference, 0.5, independent=independent, level=level),
+        quantile(difference, 0.5, independent=independent),
         quantile(ratio, 0.5, independent=False).value,
         float(p) if independent else None,
     )

@@ -6,7 +6,6 @@ before the renaming, holds its digest and what made it. A file that does not mat
 
 from __future__ import annotations
 
-import hashlib
 import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,6 +18,7 @@ import numpy as np
 
 from dmframe.errors import MissingError, OutputError, ValueFault, visible
 from dmframe.files import append, encoded, expanded, put, writing
+from dmframe.seal import digest
 from dmframe.study.chunks import Chunk, Extent
 from dmframe.study.executor import Computed, versions
 from dmframe.study.journal import (
@@ -120,7 +120,7 @@ class Store:
         buffer = io.BytesIO()
         frame.write_parquet(buffer)
         content, target = buffer.getvalue(), self.file(chunk)
-        kept = Kept(target.name, _digest(content), chunk.runs, computed.seconds, computed.made)
+        kept = Kept(target.name, digest(content), chunk.runs, computed.seconds, computed.made)
         with writing(self.path, "folder"):
             append(self.path / CHUNKS, json.dumps(asdict(kept), sort_keys=True) + "\n")
             put(target, content)
@@ -253,13 +253,9 @@ def opened(path: str | Path, study: Study, files: Mapping[str, bytes], *, force:
 
 def _is(path: Path, sha256: str) -> bool:
     try:
-        return _digest(path.read_bytes()) == sha256
+        return digest(path.read_bytes()) == sha256
     except OSError:  # a folder
         return False
-
-
-def _digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
 
 
 def _series(library: Any, name: str, column: Any) -> Any:

@@ -207,11 +207,6 @@ class Functions(SocketFunctions):
         past = self._robot.past
         return _list(past[-1 - min(max(0, int(steps)), len(past) - 1)])
 
-    def get_actual_joint_speeds(self) -> list[float]:
-        return _list(self._robot.dq)
-
-    get_joint_speeds = get_actual_joint_speeds
-
     def set_tcp(self, pose: Any, *_: Any) -> None:
         if any(six(pose)):
             raise ScriptError("set_tcp: expected zeros: the virtual robot's only tool is its flange")

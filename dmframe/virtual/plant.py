@@ -22,6 +22,7 @@ from dmframe.errors import EngineError, ValueFault
 from dmframe.export.program import Member
 from dmframe.export.robot import Robot, robot_of
 from dmframe.simulate.engine import Choice
+from dmframe.slices import slices
 
 FINEST: Final = 1e-9
 """Relative tolerance for a cycle that is a whole number of the graph's steps."""
@@ -178,11 +179,8 @@ class Plant:
 
 def _places(members: tuple[Member, ...]) -> dict[str, slice]:
     """Slice of each port in the vector of all measured values, by port name."""
-    found, first = dict[str, slice](), 0
-    for member in members:
-        found[member.label.rpartition(".")[2]] = slice(first, first + member.size)
-        first += member.size
-    return found
+    names = (member.label.rpartition(".")[2] for member in members)
+    return dict(zip(names, slices(member.size for member in members), strict=True))
 
 
 def _check_commands(name: str, robot: Robot) -> None:

@@ -99,21 +99,23 @@ def test_another_adaptation_is_refuted(law: Any, monkeypatch: pytest.MonkeyPatch
 def _gain_after(self: LeastSquares, theta: Any, G: Any, h: Any, g: Any, Gamma: Any, nu: Any, box: Any) -> Any:
     P = inverse_spd(ca.diag(1 / Gamma) + G + h @ h.T / nu)
     n = nu + ca.dot(h, P @ h)
-    return self.put_back(theta + P @ h * (g - ca.dot(h, theta)) / n, G + h @ h.T / nu, P, box)
+    theta = theta + P @ h * (g - ca.dot(h, theta)) / n
+    return self.put_back(theta, G + h @ h.T / nu, ca.SX.eye(h.shape[0]), P, box)
 
 
 def _away_by_squares(self: LeastSquares, theta: Any, G: Any, h: Any, g: Any, Gamma: Any, nu: Any, box: Any) -> Any:
     P = inverse_spd(ca.diag(1 / Gamma) + G)
     n = nu + ca.dot(h, P @ h)
-    return self.put_back(theta - P @ h * (g - ca.dot(h, theta)) / n, G + h @ h.T / nu, P - P @ h @ h.T @ P / n, box)
+    theta, after = theta - P @ h * (g - ca.dot(h, theta)) / n, P - P @ h @ h.T @ P / n
+    return self.put_back(theta, G + h @ h.T / nu, ca.SX.eye(h.shape[0]), after, box)
 
 
-def _clipped(self: LeastSquares, theta: Any, G: Any, P: Any, box: Any) -> Any:
+def _clipped(self: LeastSquares, theta: Any, G: Any, left: Any, right: Any, box: Any) -> Any:
     return ca.fmin(ca.fmax(theta, box[:, 0]), box[:, 1]), G
 
 
-def _remembering(self: LeastSquares, theta: Any, G: Any, P: Any, box: Any) -> Any:
-    found, _ = _put_back(self, theta, G, P, box)
+def _remembering(self: LeastSquares, theta: Any, G: Any, left: Any, right: Any, box: Any) -> Any:
+    found, _ = _put_back(self, theta, G, left, right, box)
     return found, G
 
 

@@ -9,6 +9,7 @@ from scalar_blocks import scalar_loop
 
 from dmframe.certificate import Assumption, Certificate, Consumed, Driven, Square
 from dmframe.certify import verify
+from dmframe.exact import ZeroDivision
 from dmframe.graph.graph import Graph
 
 
@@ -90,6 +91,17 @@ def test_a_divisor_that_holds_a_state_is_listed():
         lambda x, u, p: Certificate(storage=(Square(x.x), Square(x.w)), dissipation=(Square(x.x),)),
     )
     assert any("stays away from zero" in item.text for item in verify(loop).assumptions)
+
+
+def test_divisors_that_no_random_point_decides_leave_the_claim_open(monkeypatch):
+    def vanishing(*_):
+        raise ZeroDivision("a denominator vanishes")
+
+    monkeypatch.setattr("dmframe.certify.divisors._unlisted", vanishing)
+    loop = scalar_loop("x", lambda x, u, p: {"x": -x.x}, lambda x, u, p: Certificate((Square(x.x),), (Square(x.x),)))
+    verdict = verify(loop)
+    assert verdict.outcome == "not_applicable"
+    assert "exact test of the divisors: a denominator vanishes at every random point" in verdict.reason
 
 
 def test_what_turns_is_bounded_where_only_its_sine_is_felt():

@@ -21,7 +21,7 @@ from dmframe.certificate import (
 )
 from dmframe.certify import claim_of, verify
 from dmframe.certify.claim import flow_part
-from dmframe.certify.smoothness import Smoothness, is_smooth_over, smoothness, smoothness_faults
+from dmframe.certify.smoothness import Smoothness, is_smooth_over, smoothness
 from dmframe.diagram import Diagram
 from dmframe.exact import Tape
 from dmframe.graph.graph import Graph
@@ -90,7 +90,7 @@ def test_a_smooth_storage_passes(name: str) -> None:
 
 @pytest.mark.parametrize("name", JUMPS)
 def test_a_storage_that_jumps_is_refused_by_block_term_and_operation(name: str) -> None:
-    faults = smoothness_faults(diagram := stored(JUMPS[name]), claim_of(diagram))
+    faults = smoothness(diagram := stored(JUMPS[name]), claim_of(diagram)).faults
     assert any(f.startswith("toy: the storage of ") and f"holds {name}, which jumps" in f for f in faults)
     assert verify(diagram).outcome == "not_applicable"
 
@@ -137,7 +137,7 @@ def test_a_correction_of_a_projection_in_v_is_refused() -> None:
     held = Square(projection.correction, ONE, Text("a correction"))
     part = next(part for part in claim.parts if part.block == "inverse")
     flow_part(claim.flow, "inverse", replace(part.certificate, storage=(*part.certificate.storage, held)))
-    found = smoothness_faults(loop, claim)
+    found = smoothness(loop, claim).faults
     assert (
         f"inverse: the storage of a correction holds the correction of the projection of {projection.name}" in found[0]
     )
@@ -148,7 +148,7 @@ def test_a_symbol_of_nowhere_in_v_is_refused() -> None:
     claim = claim_of(loop)
     held = Square(ca.SX.sym("ghost"), ONE, Text("a ghost"))
     flow_part(claim.flow, "toy", replace(claim.parts[0].certificate, storage=(held,)))
-    (fault,) = smoothness_faults(loop, claim)
+    (fault,) = smoothness(loop, claim).faults
     assert fault.startswith("toy: the storage of a ghost holds ghost, which is no state, trajectory or parameter")
 
 

@@ -109,7 +109,7 @@ def test_values_are_those_of_the_run(ur10):
 
 
 def test_attributes_say_where_the_data_come_from(ur10):
-    attributes = dataset(ur10.recording, ur10.graph, seed=3).attrs
+    attributes = dataset(ur10.recording, ur10.graph.set(seed=3)).attrs
     assert attributes["graph"] == "ur10_fast"
     assert attributes["title"] == ur10.graph.file.title
     assert attributes["clock"] == "0.008 s"
