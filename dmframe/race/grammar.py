@@ -140,6 +140,7 @@ class LawSection(Section):
     )
     delay: Names = Field((), description="parameters that are given the transport delay of the cell, in samples")
     rate: Names = Field((), description="parameters that are given the rate at which the path repeats, if it does")
+    seed: Names = Field((), description="parameters that are given the seed of the run, such as that of an excitation")
 
     def graph_at(self, clock: float) -> str:
         """The graph for a sampling period: the first whose longest period reaches it, else the last."""

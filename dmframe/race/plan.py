@@ -23,6 +23,8 @@ Entries = Mapping[str, tuple[Node, Node]]
 Values = tuple[tuple[str, float], ...]
 """Labels ``block.parameter`` and their values."""
 
+SEEDS: Final = 1_000_000
+"""Different seeds that a law's parameters are given, from 1 on."""
 PATH: Final = "path"
 """Name of the source in each graph."""
 REPEATS: Final = "repeats"
@@ -203,6 +205,7 @@ class Race:
         known: list[tuple[str, str, Any]] = [(f"tune.{label}", label, value) for label, value in run.values]
         late = self.delays.get(run.cell.reality, 0)
         known += [("delay", label, late) for label in law.section.delay]
+        known += [("seed", label, 1 + run.seed % SEEDS) for label in law.section.seed]
         known += [("rate", label, rate[1].value) for label in law.section.rate if rate is not None]
         for key, label, value in known:
             name, _, parameter = label.partition(".")

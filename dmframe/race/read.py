@@ -172,12 +172,14 @@ def _law(name: str, clock: float, section: LawSection, race: Document, folder: P
             raise ValueFault(text, path=("laws", name, "set", label))
     blocks = {block: pair for block, pair in _entries(document, "blocks").items() if block in mine}
     values, taken = mapping_of(Node(0, 0, blocks)), set[str]()
-    for key in ("tune", "delay", "rate"):
+    for key in ("tune", "delay", "rate", "seed"):
         for label in getattr(section, key):
             at = ("laws", name, key, label) if key == "tune" else ("laws", name, key)
             _check_parameter(f"{where}.{key}", label, mine, at)
             if label in taken:
-                raise ValueFault(f"{where}.{key}: {label}: expected one of tune, delay and rate, found two", path=at)
+                raise ValueFault(
+                    f"{where}.{key}: {label}: expected one of tune, delay, rate and seed, found two", path=at
+                )
             taken.add(label)
     own = list[tuple[str, float]]()
     for label, searched in section.tune.items():

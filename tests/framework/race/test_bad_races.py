@@ -61,7 +61,7 @@ FAULTS = {
     "no bounds": (("task.gamma: [1, 4]", "task.gamma: 4"), "expected bounds, [0.1, 100] or {per_clock: [0.01, 1]}"),
     "a parameter tuned and known": (
         ("task.gamma: [1, 4]}", "task.gamma: [1, 4]}, delay: task.gamma"),
-        "laws.weak.delay: task.gamma: expected one of tune, delay and rate, found two",
+        "laws.weak.delay: task.gamma: expected one of tune, delay, rate and seed, found two",
     ),
     "a value of the plant": (
         ("task.gamma: [1, 4]}", "task.gamma: [1, 4]}, set: {servo.K_P: 3}"),

@@ -182,6 +182,17 @@ def test_a_law_is_given_the_rate_at_which_the_path_repeats_and_keeps_its_own_on_
     assert "repeats" not in found.document_of(run).data["blocks"]["path"]
 
 
+def test_a_law_is_given_the_seed_of_the_run(race: Make, tmp_path: Path) -> None:
+    race()
+    law = (tmp_path / "law.yaml").read_text().replace("kinematic_command", "velocity_probe")
+    (tmp_path / "probing.yaml").write_text(law)
+    probing = "  probing: {graph: probing.yaml, tune: {task.gamma: [1, 4]}, seed: inverse.seed}\n  weak:"
+    found = race(("  weak:", probing))
+    run = next(found.trials("probing", 0.02, found.candidates("probing", 0.02)[0]))
+    given = [found.document_of(replace(run, seed=seed)).data["blocks"]["inverse"]["seed"] for seed in (0, 1, 2**64 - 1)]
+    assert given == [1, 2, 551616]
+
+
 def test_a_law_may_have_a_graph_for_each_range_of_sampling_periods(race: Make, tmp_path: Path) -> None:
     race()
     (tmp_path / "slow.yaml").write_text((tmp_path / "law.yaml").read_text().replace("gamma: 4", "gamma: 3"))
