@@ -119,6 +119,8 @@ SCALES: Final = (1.0, 1e-3, 1e-6)
 """Scales of the test states of a new library; the first one with moderate results is used."""
 LAST_DIGITS: Final = 1e-11
 """Relative perturbation of states that measures the effect of rounding."""
+SHARES: Final = (1e-3, 1e-2)
+"""Shares of the period over which it is compared: short, to avoid divergence; a law that divides by it may overflow."""
 TAME: Final = 1e6
 """Limit of moderate results: the rounding of larger ones exceeds the absolute tolerance of `alike`."""
 
@@ -146,11 +148,11 @@ class Trial:
     @classmethod
     def of(cls, step: Step, spread: np.ndarray | float = 1.0, after: int = 0) -> Trial:
         """The trial of a step with a run for each factor of `spread`, which multiplies its states and parameters."""
-        sample, brief = step.parts.sample, step.with_period(float(step.period) * 1e-3)
-        given, rng = brief.instants.rows(0, 1 + after), np.random.default_rng(0)
+        sample, rng = step.parts.sample, np.random.default_rng(0)
         states, p = (rng.uniform(0.5, 1.5, (sample.numel_in(place), 1)) * spread for place in (0, 4))
-        trials = (cls(brief, given, scale * states, p) for scale in SCALES)
-        return next((trial for trial in trials if trial._moderate), cls(brief, given, SCALES[-1] * states, p))
+        briefs = [step.with_period(float(step.period) * share) for share in SHARES]
+        trials = [cls(each, each.instants.rows(0, 1 + after), scale * states, p) for each in briefs for scale in SCALES]
+        return next((trial for trial in trials if trial._moderate), trials[len(SCALES) - 1])
 
     def tick(self, state: np.ndarray, run: int) -> Sequence[Any]:
         """The interpreter's state one tick later, and what is recorded before it."""

@@ -15,7 +15,7 @@ import dmframe.simulate.engine
 from dmframe.batch.batch import Batch
 from dmframe.build.compiler import find_compiler
 from dmframe.linalg import inverse_factors, inverting
-from dmframe.simulate.engine import SCALES, TAME, Trial
+from dmframe.simulate.engine import SCALES, SHARES, TAME, Trial
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +37,16 @@ def test_a_library_is_tried_at_states_with_moderate_results(
     assert len(trial.given) == 2
     assert np.finfo(float).eps * TAME < 1e-9  # the absolute tolerance, also of elements that are zero but for rounding
     assert (max(results) < TAME) == (scales == SCALES)  # large random numbers are no positive definite matrix
+
+
+def test_a_longer_share_of_the_period_is_taken_where_the_shorter_one_overflows(
+    batch: Batch, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    period = float(batch.prepared.step.period)
+    assert Trial.of(batch.prepared.step).step.period == pytest.approx(SHARES[0] * period)
+    overflows = property(lambda trial: trial.step.period > 1.01 * SHARES[0] * period)
+    monkeypatch.setattr(Trial, "_moderate", overflows)
+    assert Trial.of(batch.prepared.step).step.period == pytest.approx(SHARES[1] * period)
 
 
 @pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
