@@ -21,8 +21,9 @@ from dmframe.block import (
     Scalar,
     Signals,
     State,
+    inverse_spd,
     named,
-    solve_spd,
+    operation,
 )
 from dmframe_blocks._excitation import check_seed, following, seeded, sign
 from dmframe_blocks._identified_delay import DELAY_HAT, IDENTIFIED, MOST_DELAY
@@ -135,12 +136,11 @@ class DelayProbe(AbstractBlock):
         change = counts * (v - x.v_before)
         correlated = named("g_v", x.correlated + x.changes.T @ change)
         varied = named("varied_new", x.varied + ca.sumsqr(change))
-        sums = ca.tril(ca.DM.ones(self.taps, self.taps))  # of the first elements
-        spread = named("spread", solve_spd(gathered + p.nu * ca.DM.eye(self.taps), ca.horzcat(correlated, sums.T)))
-        b, freedom = spread[:, 0], ca.fmax(1, ((x.since - p.settling) / u.T + 1) * u.q.shape[0] - self.taps)
-        variance = named("variance", ca.fmax(0, varied - ca.dot(b, correlated)) / freedom)
-        deviation = ca.sqrt(variance * ca.fmax(0, ca.diag(sums @ spread[:, 1:])))
-        below = named("below", ca.sum1(sums @ b - p.confidence * deviation < p.threshold))
+        P = named("P", inverse_spd(gathered + p.nu * ca.DM.eye(self.taps)))
+        b, freedom = named("b", P @ correlated), ((x.since - p.settling) / u.T + 1) * u.q.shape[0] - self.taps
+        variance = named("variance", ca.fmax(0, varied - ca.dot(b, correlated)) / ca.fmax(1, freedom))
+        spread = named("spread", p.confidence * ca.sqrt(variance) * deviations(P))
+        below = named("below", under(b, spread, p.threshold))
         ends = named("ends", (x.since >= p.lasting) * (below <= self.taps - 1))
         known = {
             DELAY_HAT.name: ca.if_else(x.identified > 0.5, x.delay_hat, ends * ca.fmin(below, self.delay_up_to)),
@@ -162,3 +162,19 @@ class DelayProbe(AbstractBlock):
                 "varied": varied,
             },
         )
+
+
+@operation
+def deviations(P: Any) -> Any:
+    """Standard deviations of the sums of the first elements, with the covariance P of the elements."""
+    return ca.vertcat(*(ca.sqrt(ca.fmax(0, ca.sum1(ca.sum2(P[:k, :k])))) for k in range(1, P.shape[0] + 1)))
+
+
+@operation
+def under(b: Any, spread: Any, threshold: Any) -> Any:
+    """How many of the sums of the first elements do not exceed the threshold by their spread."""
+    total, found = 0, 0
+    for k in range(b.shape[0]):
+        total = total + b[k]
+        found = found + (total - spread[k] < threshold)
+    return found
