@@ -11,12 +11,14 @@ import numpy as np
 from dmframe.identification.log import Log
 from dmframe.identification.model import Array
 from dmframe.identification.rows import rows_of, starts
-from dmframe.identification.solve import Fit, solved
+from dmframe.identification.solve import ROUNDS, Fit, solved
 from dmframe.identification.twin import Twins
 from dmframe.identification.unknowns import SERVOS, Unknowns
 
 STARTS: Final = 3
 """Delays from which a candidate is fitted, as long as its residual is above the floor."""
+BRIEF: Final = 8
+"""Rounds of a candidate after another one has explained the log."""
 ABOVE: Final = 3.0
 """Largest residual of an explained log, in floors."""
 SHARE: Final = 0.001
@@ -70,9 +72,12 @@ def chosen(twins: Twins, log: Log, say: Callable[[str], None] = lambda text: Non
     for attempt in range(STARTS):
         for kind, some in begun.items():
             say(f"fitting {kind}, start {attempt + 1}")
-            fit = solved(twins, Unknowns(twins.model, log, kind), some[attempt][1])
+            rounds = BRIEF if any(map(found.explained, found.fits)) else ROUNDS
+            fit = solved(twins, Unknowns(twins.model, log, kind), some[attempt][1], rounds)
             if kind not in found.fits or np.sum(np.log(fit.rms)) < np.sum(np.log(found.fits[kind].rms)):
                 found.fits[kind] = fit
         if any(map(found.explained, found.fits)):
             break
+    if found.explained(found.best):  # its rounds may have been few
+        found.fits[found.best] = solved(twins, found.fits[found.best].unknowns, found.fits[found.best].theta)
     return found

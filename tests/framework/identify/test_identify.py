@@ -46,6 +46,15 @@ def test_a_cascade_with_half_the_feed_forward_is_found(tmp_path: Path) -> None:
     assert found.delay[0] == pytest.approx(2, abs=0.1)
 
 
+def test_a_cascade_without_feed_forward_is_found_although_its_integrator_turns_with_the_joint(tmp_path: Path) -> None:
+    p, i = np.array([17.0, 8.0, 9.0]), np.array([8.0, 6.0, 5.0])
+    found = dm.identify(write(tmp_path / "log.csv", *record(Hidden(p, p + i, p * i, 0.0), seconds=16.0)), "ur10_slow")
+    assert found.kind == "p_pi"
+    assert found.servo["k_p"][0] == pytest.approx(p, rel=0.01)
+    assert found.servo["f"][0] == pytest.approx([0] * 3, abs=0.01)
+    assert found.delay[0] == pytest.approx(1, abs=0.05)
+
+
 def test_friction_with_memory_is_no_confident_twin(tmp_path: Path) -> None:
     hidden = Hidden(K_P, K_P, K_I, hysteresis=60.0)
     found = dm.identify(write(tmp_path / "log.csv", *record(hidden)), "ur10_slow")
