@@ -1,0 +1,54 @@
+"""A hidden robot's servo, found from positions and commands alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dmframe as dm
+from dmframe.identification.found import Identified
+from tests.framework.identify.plants import Hidden, record, write
+
+K_P, K_I = np.array([5.0, 7.0, 9.0]), np.array([4.0, 8.0, 6.0])
+
+
+def inside(found: Identified, name: str, true: np.ndarray) -> bool:
+    _, limits = found.servo[name]
+    return bool(np.all((limits[:, 0] <= true) & (true <= limits[:, 1])))
+
+
+def test_a_pid_servo_its_gains_and_its_delay_are_found_within_half_a_percent(tmp_path: Path) -> None:
+    file = write(tmp_path / "log.csv", *record(Hidden(K_P, K_P, K_I)))
+    found = dm.identify(file, "ur10_slow", out=tmp_path / "out")
+    assert found.kind == "pid"
+    assert found.servo["k_P"][0] == pytest.approx(K_P, rel=0.005)
+    assert found.servo["k_I"][0] == pytest.approx(K_I, rel=0.02)
+    assert found.delay[0] == pytest.approx(1, abs=0.02)
+    assert found.delay[1][0] <= 1 <= found.delay[1][1]
+    summary = found.summary
+    assert set(summary) == set("servo delay friction bodies residual floor indistinguishable verdict".split())
+    assert (tmp_path / "out" / "identified.json").is_file()
+
+
+def test_a_pi_servo_is_found(tmp_path: Path) -> None:
+    found = dm.identify(write(tmp_path / "log.csv", *record(Hidden(K_P, K_P, 0 * K_P), delay=0)), "ur10_slow")
+    assert found.kind == "pi"
+    assert found.servo["k_I"][0] == pytest.approx(K_P, rel=0.005)
+
+
+def test_a_cascade_with_half_the_feed_forward_is_found(tmp_path: Path) -> None:
+    p, i, f = np.array([8.0, 10.0, 9.0]), np.array([4.0, 3.0, 5.0]), 0.6
+    found = dm.identify(write(tmp_path / "log.csv", *record(Hidden(p + f * i, p + i, p * i, f), delay=2)), "ur10_slow")
+    assert found.kind == "p_pi"
+    assert found.servo["f"][0] == pytest.approx([f] * 3, abs=0.05)
+    assert found.delay[0] == pytest.approx(2, abs=0.1)
+
+
+def test_friction_with_memory_is_no_confident_twin(tmp_path: Path) -> None:
+    hidden = Hidden(K_P, K_P, K_I, hysteresis=60.0)
+    found = dm.identify(write(tmp_path / "log.csv", *record(hidden)), "ur10_slow")
+    assert found.kind == "unknown"
+    assert found.summary["servo"] == {"class": "unknown", "parameters": {}, "intervals": None}
+    assert found.summary["delay"]["interval"] is None
