@@ -17,6 +17,8 @@ from dmframe.identification.unknowns import SERVOS, Unknowns
 
 STARTS: Final = 3
 """Delays from which a candidate is fitted, as long as its residual is above the floor."""
+NEAR: Final = 0.01
+"""Deviation of f from 1 that does not count."""
 BRIEF: Final = 8
 """Rounds of a candidate after another one has explained the log."""
 ABOVE: Final = 3.0
@@ -43,9 +45,17 @@ class Choice:
 
     @property
     def best(self) -> str:
-        """The candidate with the smallest information criterion."""
+        """The candidate with the smallest information criterion; a cascade whose f may be 1 is a PID servo."""
         closest = min(self.fits.values(), key=lambda fit: float(np.sum(np.log(fit.rms))))
-        return min(self.fits, key=lambda kind: criterion(self.fits[kind], closest.inflation))
+        best = min(self.fits, key=lambda kind: criterion(self.fits[kind], closest.inflation))
+        return "pid" if best == "p_pi" and self.explained("pid") and self._full_feed_forward else best
+
+    @property
+    def _full_feed_forward(self) -> bool:
+        fit = self.fits["p_pi"]
+        place = fit.unknowns.places["f"]
+        spread = 2 * np.sqrt(np.diag(fit.covariance)[place])
+        return bool(np.all(np.abs(fit.theta[place] - 1) <= np.maximum(spread, NEAR)))
 
     def explained(self, kind: str) -> bool:
         """True if the residual of a candidate is near the floor on every joint."""
