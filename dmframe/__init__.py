@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from dmframe.graph.shelf import blocks, graphs, robots
     from dmframe.graph.shortcuts import analyse, draw, run, verify
     from dmframe.graph.sweep import sweep
+    from dmframe.identification.identify import identify
     from dmframe.results.run import Run
     from dmframe.study.read import load_study
     from dmframe.study.tune import tune
@@ -45,6 +46,7 @@ _HOMES: Final = {
     "draw": "graph.shortcuts",
     "fitted_delay": "analysis.delay",
     "graphs": "graph.shelf",
+    "identify": "identification.identify",
     "load": "graph.load",
     "load_study": "study.read",
     "robots": "graph.shelf",
@@ -67,6 +69,7 @@ __all__ = [
     "draw",
     "fitted_delay",
     "graphs",
+    "identify",
     "load",
     "load_study",
     "robots",

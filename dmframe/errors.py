@@ -98,11 +98,17 @@ class DocumentError(DmframeError):
 
 @final
 class UnknownNameError(DmframeError, KeyError):
-    """An unknown name of a block type, a parameter, a key, a graph or a signal."""
+    """An unknown name of a block type, a parameter, a key, a graph or a signal.
 
-    def __init__(self, where: str, kind: str, name: str, choices: Iterable[str], **place: object) -> None:
+    Without `spelling` the message lists all choices and suggests none of them.
+    """
+
+    def __init__(
+        self, where: str, kind: str, name: str, choices: Iterable[str], *, spelling: bool = True, **place: object
+    ) -> None:
         self.name, self.choices = name, tuple(sorted(choices))
-        super().__init__(f"{where}: unknown {kind}; {nearest(name, self.choices)}", **place)  # type: ignore[arg-type]  # as DmframeError takes it
+        hint = nearest(name if spelling else "", self.choices)
+        super().__init__(f"{where}: unknown {kind}; {hint}", **place)  # type: ignore[arg-type]  # as DmframeError takes it
 
 
 @final

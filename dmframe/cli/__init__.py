@@ -110,7 +110,6 @@ _REQUIRED = {
     "pinocchio": "pin",
     "flint": "python-flint",
     "ruamel": "ruamel.yaml",
-    "example_robot_data": "example-robot-data",
 }
 """Distribution names by import name."""
 

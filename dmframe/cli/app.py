@@ -30,6 +30,7 @@ from dmframe.cli.arguments import (
     robot_names,
 )
 from dmframe.cli.catalogue import blocks, graphs, learn, new, robots, schema
+from dmframe.cli.identify import identify
 from dmframe.cli.races import race
 from dmframe.cli.robots import drive, export, rehearse, replay, robot
 from dmframe.cli.streams import tell
@@ -250,7 +251,7 @@ def delay(
     return delay_of(one_graph(graph, overrides, trust=trust), duration=duration, as_json=as_json)
 
 
-for command in (rehearse, drive, replay, export, robot):
+for command in (identify, rehearse, drive, replay, export, robot):
     app.command()(command)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,8 +12,6 @@ from dmframe.config.resolved import robot_source
 
 SOURCE: Final = "SOURCE.md"
 """File of a packaged robot with its origin and licence in the first paragraphs."""
-COLLECTION: Final = "example-robot-data"
-"""Package with the models and meshes of most packaged robots."""
 ABOVE: Final = 3
 """Number of parent folders of a URDF searched for a licence."""
 MOST: Final = 20_000
@@ -29,8 +26,6 @@ def origin_of(graph: BaseGraph) -> dict[str, Any] | None:
     stated = None if source.folder is None else source.folder / SOURCE
     text = _head(stated.read_text("utf-8")) if stated is not None and stated.is_file() else ""
     licences = dict(_licences(source.urdf))
-    if COLLECTION in source.urdf.parts:
-        licences |= dict(_of_the_collection())
     unknown = f"Origin and licence of {source.urdf.name} are unknown: no {SOURCE} and no licence file found."
     return {
         "robot": source.name,
@@ -56,14 +51,3 @@ def _licences(urdf: Path) -> Iterator[tuple[str, str]]:
             stated = re.findall(r"<license[^>]*>(.*?)</license>", manifest.read_text("utf-8", errors="replace"))
             if stated:
                 yield f"{folder.name}/package.xml", ", ".join(stated)
-
-
-def _of_the_collection() -> Iterator[tuple[str, str]]:
-    """Licence of the installed collection."""
-    try:
-        found = files(COLLECTION) or []
-    except PackageNotFoundError:
-        return
-    for file in found:
-        if "LICENSE" in file.name and "licenses" in file.parts:
-            yield f"{COLLECTION}/{file.name}", file.read_text()

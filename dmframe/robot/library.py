@@ -20,8 +20,6 @@ from dmframe.files import probed
 from dmframe.robot.chain import SerialChain
 
 GROUP = "dmframe.robots"
-SHARED = "example-robot-data"
-SHARED_FOLDER = "cmeel.prefix/share/example-robot-data/robots"
 KEYS = ("description", "urdf", "tool", "axes", "free", "hold")
 MODEL_PATH = ("robot", "model")
 
@@ -96,8 +94,6 @@ def find_robot(name_or_path: str, base: Path | None = None) -> RobotSource:
     ------
     UnknownNameError
         No robot of that name.
-    RobotError
-        Its model belongs to a package that is not installed.
     """
     if name_or_path.endswith(".urdf"):
         path = Path(name_or_path).expanduser()
@@ -107,15 +103,9 @@ def find_robot(name_or_path: str, base: Path | None = None) -> RobotSource:
         return RobotSource(name=path.stem, urdf=path, folder=path.parent)
     known = robots()
     if name_or_path not in known:
-        raise UnknownNameError(f"robot {name_or_path}", "robot", name_or_path, known, path=MODEL_PATH)
-    source = known[name_or_path]
-    if str(source.urdf).startswith(f"{SHARED}:"):
-        raise RobotError(
-            f"robot {source.name}: its model comes with the package {SHARED}, which is not installed; "
-            f"install it: python -m pip install {SHARED}",
-            path=MODEL_PATH,
-        )
-    return source
+        # no nearest name: another robot is not a spelling of this one
+        raise UnknownNameError(f"robot {name_or_path}", "robot", name_or_path, known, path=MODEL_PATH, spelling=False)
+    return known[name_or_path]
 
 
 def load(
@@ -164,7 +154,7 @@ def _read_source(file: Path) -> RobotSource:
             raise UnknownNameError(f"{where}: {key}", "key", key, KEYS)
     return RobotSource(
         name=name,
-        urdf=_locate(_text(data, "urdf", where), file.parent),
+        urdf=file.parent / _text(data, "urdf", where),
         tool=_text(data, "tool", where) if "tool" in data else None,
         axes=_text(data, "axes", where) if "axes" in data else "xyz",
         free=_names(data["free"], where) if "free" in data else None,
@@ -191,17 +181,3 @@ def _hold(table: Any, where: str) -> dict[str, float]:
     if not isinstance(table, dict) or not all(isinstance(angle, int | float) for angle in table.values()):
         raise RobotError(f"{where}: expected hold as a table of joint = angle in rad, found {table!r}")
     return {joint: float(angle) for joint, angle in table.items()}
-
-
-def _locate(urdf: str, folder: Path) -> Path:
-    """File that `urdf` names; unresolved if its package is missing, so that other robots stay usable."""
-    package, colon, inside = urdf.partition(":")
-    if not colon:
-        return folder / urdf
-    if package != SHARED:
-        raise RobotError(f"robot {folder.name}: expected urdf as a file name or {SHARED}:..., found {urdf!r}")
-    try:
-        shared = metadata.distribution(SHARED)
-    except metadata.PackageNotFoundError:
-        return Path(urdf)
-    return Path(str(shared.locate_file(SHARED_FOLDER))) / inside

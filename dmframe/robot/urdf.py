@@ -27,14 +27,20 @@ def read_urdf(path: Path) -> tuple[Any, dict[str, Mimic]]:
     Raises
     ------
     MissingError
-        No such file.
+        No such file, or Pinocchio is not installed.
     RobotError
         The file is not readable, not XML (with line and column), not a URDF, its joints are not a tree, a number is
         malformed, or an inertial element is incomplete; several of the latter as `Faults`.
     """
-    import pinocchio as pin
-
     where = f"robot {path.name}"
+    try:
+        import pinocchio as pin
+    except ModuleNotFoundError:
+        raise MissingError(
+            f"{where}: robots need the package pin (Pinocchio), which is not installed; pip install pin; it has no "
+            "wheel for Windows: install pinocchio from conda-forge, or use WSL",
+            path=URDF_PATH,
+        ) from None
     if not path.is_file():
         raise MissingError(f"{where}: expected a URDF file, found none at {path}", path=URDF_PATH)
     try:

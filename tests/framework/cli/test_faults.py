@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+from dmframe.robot.library import robots
+
 PACKAGED = Path(__file__).parents[3] / "blocks" / "dmframe_blocks" / "graphs"
 GRAPHS = ", ".join(sorted(file.stem for file in PACKAGED.glob("*.yaml")))
 RUN = ("run", "pendulum", "--no-plots")
@@ -38,7 +40,10 @@ FAULTS = {
         ("blocks", "my.py:Mine"),
         "dmframe: blocks: the file my.py does not exist; its path is relative to the graph's folder\n",
     ),
-    "unknown robot": (("regressor", "ur11"), "dmframe: robot ur11: unknown robot; did you mean ur10?\n"),
+    "unknown robot": (
+        ("regressor", "ur11"),
+        f"dmframe: robot ur11: unknown robot; choose from {', '.join(robots())}\n",
+    ),
     "unknown friction": (
         ("regressor", "arm2", "--friction", "sticky"),
         "dmframe: friction sticky: unknown kind of friction; choose from coulomb, viscous\n",

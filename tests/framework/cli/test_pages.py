@@ -28,7 +28,7 @@ from dmframe.cli import main
 from dmframe.cli.app import app, app_for
 from dmframe.config.document import read_document, read_file
 from dmframe.report.linear import LinearView
-from dmframe.robot.library import find_robot
+from dmframe.robot.library import find_robot, robots
 
 PRINTED: dict[tuple[str, int], Any] = {}
 
@@ -120,7 +120,7 @@ def test_one_robot_is_printed_with_its_joints_masses_tool_source_and_known_error
     assert page.endswith("known errors\n  None known. There is no friction and no rotor inertia.\n")
     data = json.loads(dmframe("robots", "arm2", "--json").out)
     assert [joint["mass"] for joint in data["joints"]] == [6.0, 3.5]  # as its SOURCE.md states them
-    assert dmframe("robots", "ur1").err == "dmframe: robot ur1: unknown robot; did you mean ur10?\n"
+    assert dmframe("robots", "ur1").err == f"dmframe: robot ur1: unknown robot; choose from {', '.join(robots())}\n"
 
 
 def test_a_robot_of_ones_own_says_what_its_file_says(dmframe: Any, tmp_path: Path) -> None:

@@ -1,0 +1,172 @@
+"""Checks of a log: clock, finite numbers, units, order of columns, excitation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from dmframe.errors import ValueFault
+from dmframe.identification.log import Array, Log
+from dmframe.robot.chain import SerialChain
+
+FEWEST: Final = 500
+MOST: Final = 20_000
+"""Samples that are used; of a longer log those with the most changes of the commands."""
+PERIODS: Final = (2e-4, 0.2)
+"""Range of sampling periods [s]."""
+GAP: Final = 3.5
+"""Longest interval between samples, in periods."""
+Refuse = Callable[[str], ValueFault]
+LAGS: Final = 30
+"""Samples by which a position may follow its command."""
+
+
+def checked_log(signals: dict[str, Array], chain: SerialChain, where: str) -> tuple[Log, tuple[str, ...]]:
+    """The log of some signals, and notices.
+
+    Raises
+    ------
+    ValueFault
+        The log cannot be right, or excites too little; the text has the place and the remedy.
+    """
+
+    def refuse(text: str) -> ValueFault:
+        return ValueFault(text, location=where)
+
+    for name, values in signals.items():
+        bad = np.argwhere(~np.isfinite(values))
+        if len(bad):
+            joint = f"_{bad[0][1] + 1}" if values.ndim == 2 else ""
+            raise refuse(
+                f"{name}{joint}: expected finite numbers, found {len(bad)} others, the first in row {bad[0][0] + 2}; "
+                "remove or repair these rows"
+            )
+    t, q = signals["t"], signals["q"]
+    if len(t) < FEWEST:
+        raise refuse(f"expected at least {FEWEST} samples, found {len(t)}; record about 20 s")
+    _clock(t, refuse)
+    notices = list[str]()
+    dq_c, q_c = signals.get("dq_c"), signals.get("q_c")
+    if dq_c is None:
+        assert q_c is not None  # `signals_of` requires one of them
+        u = np.diff(q_c, axis=0) / np.diff(t)[:, None]
+        notices.append("velocity commands are differences of q_c")
+    else:
+        u = dq_c[:-1]
+    _units(t, q, u, chain, refuse)
+    for j in range(chain.n):
+        changes = int(np.sum(np.abs(np.diff(u[:, j])) > 0.005))
+        if np.ptp(q[:, j]) < 0.01 or np.ptp(u[:, j]) < 0.02 or changes < 4:
+            raise refuse(
+                f"joint {j + 1}: the log excites it too little ({np.ptp(q[:, j]):.2g} rad, {changes} changes "
+                "of its velocity command); record velocity steps of 0.1 rad/s or more on every joint, for "
+                "20 s"
+            )
+    _matched(t, q, u, refuse)
+    if q_c is not None and dq_c is not None:
+        u, text = _consistent(t, dq_c, q_c, refuse)
+        notices.append(text)
+    ahead = np.zeros(chain.n) if q_c is None else q_c[0] - q[0]
+    if np.max(np.abs(ahead)) > 0.1:
+        raise refuse(f"q_c - q is {np.max(np.abs(ahead)):.2g} rad at the first sample; begin the log at rest")
+    if len(t) > MOST:
+        energy = np.concatenate([[0], np.cumsum(np.sum(np.abs(np.diff(u, axis=0)), axis=1)), [0]])[: len(t)]
+        first = int(np.argmax(energy[MOST - 1 : -1] - energy[:-MOST]))
+        still = np.flatnonzero(np.all(np.abs(u) < 1e-6, axis=1))
+        before = still[still <= first]
+        first = int(before[-1]) if len(before) else first
+        rows = slice(first, min(first + MOST, len(t)))
+        notices.append(f"used: {MOST} of {len(t)} samples, those with the most changes of the commands")
+        t, q, u, ahead = t[rows], q[rows], u[rows][:-1], np.zeros(chain.n)
+        u = u[: len(t) - 1]
+    return Log(t - t[0], q, np.ascontiguousarray(u), ahead), tuple(notices)
+
+
+def _clock(t: Array, refuse: Refuse) -> None:
+    steps = np.diff(t)
+    period = float(np.median(steps))
+    if np.any(steps <= 0):
+        row = int(np.argmax(steps <= 0)) + 3
+        raise refuse(f"time does not increase in row {row}: sort the rows and remove repeated ones")
+    if not PERIODS[0] <= period <= PERIODS[1]:
+        hint = "time seems to be in ms; divide it by 1000" if 0.2 < period < 200 else "time is needed in s"
+        raise refuse(f"time: expected a period of {PERIODS[0]:g} to {PERIODS[1]:g} s, found {period:.4g}; {hint}")
+    if np.max(steps) > GAP * period:
+        row = int(np.argmax(steps)) + 3
+        raise refuse(
+            f"gap of {np.max(steps):.3g} s before row {row}, {np.max(steps) / period:.0f} periods; use "
+            "a part of the log without gaps"
+        )
+
+
+def _units(t: Array, q: Array, u: Array, chain: SerialChain, refuse: Refuse) -> None:
+    """Compare speeds and ranges with the limits of the robot's file."""
+    speed = np.max(np.abs(u), axis=0)
+    for j, joint in enumerate(chain.joints):
+        limit = joint.velocity if 0 < joint.velocity < np.inf else 10.0
+        span = 7.0 if joint.kind == "revolute" else 20.0
+        unit = "degrees; divide by 57.29578" if joint.kind == "revolute" else "mm; divide by 1000"
+        if speed[j] > 2 * limit or np.max(np.abs(q[:, j])) > span:
+            raise refuse(
+                f"joint {j + 1}: commands reach {speed[j]:.3g} per s and positions {np.max(np.abs(q[:, j])):.3g}, "
+                f"beyond the robot's limits: they seem to be in {unit}"
+            )
+
+
+def _matched(t: Array, q: Array, u: Array, refuse: Refuse) -> None:
+    """Compare each joint's position with the integral of each command, at the lag at which they agree best."""
+    held = np.vstack([0 * u[:1], np.cumsum(u * np.diff(t)[:, None], axis=0)])
+    n = q.shape[1]
+    for j in range(n):
+        own = q[:, j] - q[0, j]
+        fits = [_fit(held[:, k], own) for k in range(n)]
+        share, factor, lag = fits[j]
+        better = int(np.argmin([fit[0] for fit in fits]))
+        if share > 0.3 and better != j and fits[better][0] < 0.5 * share:
+            raise refuse(f"position {j + 1} follows command {better + 1}: columns seem to be swapped; use --columns")
+        if lag < 0:
+            raise refuse(
+                f"joint {j + 1}: positions lead their commands by {-lag} samples: q and q_c, or actual and "
+                "target, seem to be swapped"
+            )
+        if np.ptp(held[:, j]) > 0.01 and not 0.5 < factor < 2:
+            hint = {True: "degrees and radians, or ms and s", False: "signs or columns"}[factor > 0]
+            raise refuse(
+                f"joint {j + 1}: positions move {factor:.3g} times as far as commanded; {hint} seem to be mixed"
+            )
+        if np.ptp(held[:, j]) > 0.01 and share > 0.5:
+            raise refuse(
+                f"joint {j + 1}: positions do not follow the commands ({100 * share:.0f} % unexplained); "
+                "check columns, units and signs"
+            )
+
+
+def _fit(command: Array, own: Array) -> tuple[float, float, int]:
+    """Unexplained fraction, factor and lag [samples] of a position as an affine function of a command."""
+    best = (np.inf, 0.0, 0)
+    for lag in range(-5, LAGS):
+        x, y = (command[: len(command) - lag], own[lag:]) if lag >= 0 else (command[-lag:], own[:lag])
+        x, y = x - np.mean(x), y - np.mean(y)
+        factor = float(x @ y / max(x @ x, 1e-30))
+        left = float(np.sqrt(np.sum((y - factor * x) ** 2) / max(y @ y, 1e-30)))
+        if left < best[0] - 1e-9:
+            best = left, factor, lag
+    return best
+
+
+def _consistent(t: Array, dq_c: Array, q_c: Array, refuse: Refuse) -> tuple[Array, str]:
+    """Commands that agree with both columns: differences of q_c where they are those of dq_c, else dq_c."""
+    slopes = np.diff(q_c, axis=0) / np.diff(t)[:, None]
+    between = 0.5 * (dq_c[1:] + dq_c[:-1])
+    size = max(float(np.std(slopes)), 1e-9)
+    if np.std(slopes - between) < 0.02 * size and np.std(slopes - between) < np.std(slopes - dq_c[:-1]):
+        return slopes, "velocity commands are differences of q_c, which agree with dq_c"
+    for lag in range(-1, 8):
+        late, early = (
+            (slopes[lag:], dq_c[: len(slopes) - lag]) if lag >= 0 else (slopes[:lag], dq_c[-lag : len(slopes)])
+        )
+        if np.std(late - early) < 0.2 * size:
+            return dq_c[:-1], f"commands are dq_c; q_c follows them by {lag} samples"
+    raise refuse("dq_c is not the rate of q_c at any lag up to 7 samples: check columns and units")

@@ -1,0 +1,145 @@
+r"""The twin's equations: a servo of one family on each joint, and the robot's dynamics in base parameters.
+
+.. math::
+
+    \tau_j        &= (f_j \dot q_{c,j} + a_j q_{c,j} - b_j q_j - \dot q_j) / w_j + z_j                    \tag{1} \\
+    \dot z_j      &= c_j (q_{c,j} - q_j) / w_j                                                             \tag{2} \\
+    M(q, \beta) \ddot q + h(q, \dot q, \beta)
+                  &= \tau - B \dot q - (D + S e^{-(\dot q / v_s)^2}) \tanh(\dot q / v_0)            \tag{3}
+
+q and q_c in (1) are deviations from the first position of the log. Initially z holds the robot: :math:`z(0) = h + o`,
+with the offset o. PID servo: f = 1, a = b = k_P, c = k_I. PI servo: f = 1, a = b = k_I, c = 0. P-PI cascade with gains
+p and i: a = p + f i, b = p + i, c = p i.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final, final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.linalg import solve_spd
+from dmframe.regressor.base_parameters import BaseParameters, base_parameters
+from dmframe.robot.chain import SerialChain
+from dmframe.robot.symbolic import SymbolicRobot
+
+Array = np.ndarray
+
+JOINT: Final = ("f", "a", "b", "c", "w", "B", "D", "S", "offset", "q_0", "dq_0", "e_0")
+"""Numbers of each joint: (1) to (3), and q, dq and q_c - q at the first sample."""
+SHARED: Final = ("v_0", "v_s", "delay")
+"""Numbers of all joints: velocities of the friction law [rad/s], and the delay [s] relative to the schedule's."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Model:
+    """Functions of the twin for a robot.
+
+    Parameters
+    ----------
+    chain
+        The robot, as its file describes it.
+    base
+        Its base parameters, with the rotors' inertia.
+    """
+
+    chain: SerialChain
+    base: BaseParameters
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.chain.n
+
+    @cached_property
+    def places(self) -> dict[str, slice]:
+        """Places of the numbers in the twin's vector p: joint numbers, shared ones, base parameters."""
+        n, found, at = self.n, dict[str, slice](), 0
+        for name in JOINT:
+            found[name], at = slice(at, at + n), at + n
+        for name in SHARED:
+            found[name], at = slice(at, at + 1), at + 1
+        found["beta"] = slice(at, at + self.base.count)
+        return found
+
+    @property
+    def size(self) -> int:
+        """Length of p."""
+        return int(self.places["beta"].stop)
+
+    @cached_property
+    def nominal(self) -> Array:
+        """Base parameters of the robot's file, with rotors of no inertia."""
+        values = np.array([0.0 if value is None else float(value) for value in self.base.parameters.values])
+        return np.asarray(self.grouping @ values)
+
+    @cached_property
+    def grouping(self) -> Array:
+        """Base parameters of all parameters, as numbers: (count, p)."""
+        return np.array([[float(x) for x in row] for row in self.base.grouping])
+
+    @cached_property
+    def _robot(self) -> tuple[SymbolicRobot, Any, Any, Any, Any]:
+        """The robot, its base parameters as symbols, all inertial parameters, rotors, and the robot's own numbers.
+
+        Parameters that are not independent are zero: the motion depends on the base parameters only.
+        """
+        robot, beta = SymbolicRobot(self.chain), ca.SX.sym("beta", self.base.count)
+        everything = ca.SX(self.base.parameters.size, 1)
+        for k, column in enumerate(self.base.independent):
+            everything[column] = beta[k]
+        bodies = self.base.parameters.inertial
+        fixed = [constant for constant in robot.constants if not constant.name.endswith(".inertia")]
+        return robot, beta, everything[bodies], everything[self.base.parameters.places("rotor")], fixed
+
+    def _numeric(self, *expressions: Any) -> list[Any]:
+        fixed = self._robot[4]
+        values = [ca.DM([float(value) for value in constant.values]) for constant in fixed]
+        return list(ca.substitute(list(expressions), [constant.symbol for constant in fixed], values))
+
+    @cached_property
+    def rate(self) -> Any:
+        """Function (x, dq_c, p) -> rate of x = (q, dq, q_c, z)."""
+        n, (robot, beta, bodies, rotors, _) = self.n, self._robot
+        x, u, p = ca.SX.sym("x", 4 * n), ca.SX.sym("u", n), ca.SX.sym("p", self.size)
+        q, v, q_c, z = (x[k * n : (k + 1) * n] for k in range(4))
+        f, a, b, c, w, B, D, S = (p[self.places[name]] for name in JOINT[:8])
+        v_0, v_s = p[self.places["v_0"]], p[self.places["v_s"]]
+        moved = q - p[self.places["q_0"]]
+        tau = (f * u + a * q_c - b * moved - v) / w + z
+        half = ca.tanh((v / v_s) ** 2 / 2)  # exp(-y) = (1 - tanh(y/2)) / (1 + tanh(y/2)); tanh has a SIMD form
+        dry = (D + S * (1 - half) / (1 + half)) * ca.tanh(v / v_0)
+        M = robot.mass_matrix(q, bodies) + ca.diag(rotors)
+        ddq = solve_spd(M, tau - B * v - dry - robot.inverse_dynamics(q, v, v, ca.SX(n, 1), bodies))
+        [stated] = self._numeric(ca.vertcat(v, ddq, u, c * (q_c - moved) / w))
+        [stated] = ca.substitute([stated], [beta], [p[self.places["beta"]]])
+        return ca.Function("rate", [x, u, p], [ca.densify(stated)])
+
+    @cached_property
+    def begin(self) -> Any:
+        """Function p -> x at the first sample."""
+        robot, beta, bodies, _, _ = self._robot
+        p = ca.SX.sym("p", self.size)
+        q, v, e = (p[self.places[name]] for name in ("q_0", "dq_0", "e_0"))
+        held = robot.gravity_torque(q, bodies) + p[self.places["offset"]]
+        [stated] = self._numeric(ca.vertcat(q, v, e, held))
+        [stated] = ca.substitute([stated], [beta], [p[self.places["beta"]]])
+        return ca.Function("begin", [p], [ca.densify(stated)])
+
+    @cached_property
+    def torque_rows(self) -> Any:
+        """Function (q, dq, ddq) -> Y (n, count) of the torque Y beta of links and rotors."""
+        n, (robot, beta, bodies, rotors, _) = self.n, self._robot
+        q, v, a = (ca.SX.sym(name, n) for name in ("q", "dq", "ddq"))
+        tau = robot.inverse_dynamics(q, v, v, a, bodies) + rotors * a
+        [rows] = self._numeric(ca.jacobian(tau, beta))
+        return ca.Function("rows", [q, v, a], [ca.densify(rows)])
+
+
+def model_of(chain: SerialChain) -> Model:
+    """The twin of a robot."""
+    return Model(chain, base_parameters(chain, ("rotor",)))

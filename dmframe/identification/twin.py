@@ -1,0 +1,146 @@
+"""Simulation of several twins at once along the commands of a log, compiled, or interpreted without a compiler."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any, Final, final
+
+import numpy as np
+
+from dmframe.build import load
+from dmframe.build.library import address
+from dmframe.build.trial import called
+from dmframe.codegen.function import SIMD, written
+from dmframe.codegen.source import shipped
+from dmframe.identification.model import Array, Model
+
+LONGEST: Final = 1e-3
+"""Longest step of the integrator [s]."""
+SHORTEST: Final = 1e-4
+"""Shortest step that the stiffness of a twin may require [s]."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Schedule:
+    """Segments of constant command between the samples of a log, for delays near one value.
+
+    Parameters
+    ----------
+    length, slope
+        Seconds of a segment, and their slope in the delay.
+    command
+        Row of the commands.
+    steps
+        Integrator steps.
+    record
+        Sample at the end of the segment, or -1.
+    """
+
+    length: Array
+    slope: Array
+    command: Array
+    steps: Array
+    record: Array
+    samples: int
+
+
+def schedule(time: Array, delay: float, step: float = LONGEST) -> Schedule:
+    """Segments for commands that act `delay` [s] after their samples; before the first command acts there is none.
+
+    Row 0 of the commands is rest, row k + 1 the command of sample k.
+    """
+    acting = time[:-1] + delay
+    instants = np.concatenate([time, acting])
+    kinds = np.concatenate([np.zeros(len(time), int), np.ones(len(acting), int)])
+    places = np.concatenate([np.arange(len(time)), np.arange(len(acting))])
+    order = np.lexsort((kinds, instants))
+    order = order[instants[order] <= time[-1]]
+    instants, kinds, places = instants[order], kinds[order], places[order]
+    row = np.maximum.accumulate(np.where(kinds == 1, places + 1, 0))
+    length, slope = np.diff(instants), np.diff(kinds).astype(float)
+    steps = np.maximum(1, np.ceil(length / step - 1e-9)).astype(np.int64)
+    record = np.where(kinds[1:] == 0, places[1:], -1).astype(np.int64)
+    return Schedule(length, slope, row[:-1].astype(np.int64), steps, record, len(time))
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Twins:
+    """A simulator of the twins of a robot.
+
+    Parameters
+    ----------
+    model
+        Their equations.
+    library
+        The compiled loop, or None.
+    width
+        Twins that one call of the loop advances.
+    notice
+        Why it is interpreted, or None.
+    """
+
+    model: Model
+    library: Any
+    width: int
+    notice: str | None
+
+    def positions(self, plan: Schedule, commands: Array, p: Array) -> Array:
+        """Q of each twin at the samples: (samples, n, count) for the columns of p; NaN after a divergence."""
+        count, found = p.shape[1], np.empty((plan.samples, self.model.n, p.shape[1]))
+        rows = np.vstack([np.zeros(self.model.n), commands])
+        for first in range(0, count, self.width):
+            some = p[:, first : first + self.width]
+            advanced = self._compiled if self.library is not None else self._interpreted
+            found[:, :, first : first + some.shape[1]] = advanced(plan, rows, some)
+        found[0] = p[self.model.places["q_0"]]
+        return found
+
+    def _compiled(self, plan: Schedule, rows: Array, p: Array) -> Array:
+        filled = np.ascontiguousarray(p[:, np.minimum(np.arange(self.width), p.shape[1] - 1)])
+        q = np.empty((plan.samples, self.model.n, self.width))
+        arrays = (plan.length, plan.slope, plan.command, plan.steps, plan.record)
+        segments = ctypes.c_int64(len(plan.length))
+        self.library.dm_twin(address(filled), address(rows), segments, *map(address, arrays), address(q))
+        return q[:, :, : p.shape[1]]
+
+    def _interpreted(self, plan: Schedule, rows: Array, p: Array) -> Array:
+        count, place = p.shape[1], self.model.places["delay"].start
+        rate = self.model.rate.map(count)
+        x = np.array(self.model.begin.map(count)(p))
+        q = np.full((plan.samples, self.model.n, count), np.nan)
+        for k in range(len(plan.length)):
+            u = np.repeat(rows[plan.command[k]][:, None], count, axis=1)
+            h = (plan.length[k] + plan.slope[k] * p[place]) / plan.steps[k]
+            for _ in range(plan.steps[k]):
+                k1 = np.array(rate(x, u, p))
+                k2 = np.array(rate(x + h / 2 * k1, u, p))
+                k3 = np.array(rate(x + h / 2 * k2, u, p))
+                x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + np.array(rate(x + h * k3, u, p)))
+            if plan.record[k] >= 0:
+                q[plan.record[k]] = x[: self.model.n]
+        return q
+
+
+def twins_of(model: Model) -> Twins:
+    """The simulator of a robot's twins, from the cache of compiled libraries, or compiled."""
+    sizes = {"N": model.n, "X": 4 * model.n, "P": model.size, "DELAY": model.places["delay"].start}
+    source = "\n".join(
+        [
+            *map(shipped, SIMD.arithmetic),
+            *(f"#define DM_{name} {size}" for name, size in sizes.items()),
+            '#define DM_EXPORT __attribute__((visibility("default")))',
+            written(model.begin, SIMD),
+            written(model.rate, SIMD),
+            files("dmframe.identification").joinpath("twin.c").read_text(encoding="utf-8"),
+        ]
+    )
+    loaded = load(source, lambda library: called(library, "dm_width", [{"doubles": [0.0]}]) is not None)
+    if loaded.library is None:
+        return Twins(model, None, 64, loaded.notice)
+    width = np.zeros(1)
+    loaded.library.dm_width(address(width))
+    return Twins(model, loaded.library, int(width[0]), loaded.notice)

@@ -1,0 +1,143 @@
+"""Unknowns of a fit: which numbers of the twin are free, how they are scaled, and what is known of them before."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, final
+
+import numpy as np
+
+from dmframe.identification.log import Log
+from dmframe.identification.model import Array, Model
+from dmframe.robot.parameters import INERTIAL
+
+SERVOS: Final[Mapping[str, tuple[str, ...]]] = {
+    "pi": ("k_I",),
+    "pid": ("k_P", "k_I"),
+    "p_pi": ("k_p", "k_i", "f"),
+    "p_pi_0": ("k_p", "k_i"),
+}
+"""Candidates with their parameters [1/s, 1/s^2]; `p_pi_0` is a cascade without feed-forward, f = 0."""
+
+SPREAD: Final = 0.3
+"""Standard deviation of a link's mass relative to that of the robot's file."""
+LOAD: Final = 3.0
+"""Standard deviation of a point mass at the tool [kg]."""
+_FRICTION: Final = {"B": 0.03, "D": 0.05, "S": 0.01}
+"""Standard deviations of w B, w D [rad/s] and w S [rad/s] before the log is seen."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """Vector theta of a candidate, and its map to the numbers of a twin.
+
+    Parameters
+    ----------
+    model, log
+        The robot's twin, and what was recorded.
+    kind
+        A key of `SERVOS`.
+    """
+
+    model: Model
+    log: Log
+    kind: str
+
+    @cached_property
+    def places(self) -> dict[str, slice]:
+        """Places in theta; joint by joint for each name, then shared ones."""
+        n, at, found = self.model.n, 0, dict[str, slice]()
+        for name in ("w", *SERVOS[self.kind], *_FRICTION, "offset", "q_0", "dq_0"):
+            found[name], at = slice(at, at + n), at + n
+        for name in ("v_0", "v_s", "delay"):
+            found[name], at = slice(at, at + 1), at + 1
+        found["beta"] = slice(at, at + self.model.base.count)
+        return found
+
+    @property
+    def size(self) -> int:
+        """Length of theta."""
+        return int(self.places["beta"].stop)
+
+    @cached_property
+    def bodies(self) -> Array:
+        """Square root L of the prior covariance of the base parameters, (count, count): beta = nominal + L z."""
+        root = self.model.grouping @ self.full
+        covariance = root @ root.T
+        return np.linalg.cholesky(covariance + 1e-6 * np.diag(np.diag(covariance) + 1e-6))
+
+    @cached_property
+    def full(self) -> Array:
+        """Square root of the prior covariance of all parameters: links, the tool's load, rotors."""
+        parameters = self.model.base.parameters
+        values = np.array([0.0 if value is None else float(value) for value in parameters.values])
+        columns = [np.diag(0.1 * np.abs(values))]
+        for link in range(self.model.n):
+            column = np.zeros(len(values))
+            column[parameters.of_link(link)] = SPREAD * values[parameters.of_link(link)]
+            columns.append(column[:, None])
+        x, y, z = (float(value) for value in self.model.chain.tool)
+        point = (1, x, y, z, y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y)
+        column = np.zeros(len(values))
+        column[len(INERTIAL) * (self.model.n - 1) : len(INERTIAL) * self.model.n] = point
+        columns.append(LOAD * column[:, None])
+        rotors = np.zeros((len(values), self.model.n))
+        rotors[parameters.places("rotor")] = np.diag(np.maximum(0.5 * self.inertia, 1e-3))
+        return np.hstack([*columns, rotors])
+
+    @cached_property
+    def inertia(self) -> Array:
+        """Diagonal of the nominal mass matrix at the first position [kg m^2]."""
+        q, zero = self.log.q[0], np.zeros(self.model.n)
+        rows = [np.array(self.model.torque_rows(q, zero, axis)) for axis in (*np.eye(self.model.n), zero)]
+        still = rows[-1] @ self.model.nominal
+        return np.array([(rows[j] @ self.model.nominal - still)[j] for j in range(self.model.n)])
+
+    @cached_property
+    def prior(self) -> tuple[Array, Array]:
+        """Mean and standard deviation of theta before the log is seen; infinite for what is unknown."""
+        mean, deviation = np.zeros(self.size), np.full(self.size, np.inf)
+        for name, value in _FRICTION.items():
+            deviation[self.places[name]] = value
+        deviation[self.places["offset"]] = 0.05
+        deviation[self.places["q_0"]] = max(3 * self.log.noise, 1e-6)
+        deviation[self.places["dq_0"]] = 0.05 if self.log.moving else 1e-4
+        mean[self.places["v_0"]], deviation[self.places["v_0"]] = np.log(0.01), 1.0
+        mean[self.places["v_s"]], deviation[self.places["v_s"]] = np.log(0.05), 0.7
+        deviation[self.places["beta"]] = 1.0
+        if "f" in self.places:
+            mean[self.places["f"]], deviation[self.places["f"]] = 0.5, 1.0
+        return mean, deviation
+
+    def numbers(self, theta: Array, delay: float) -> Array:
+        """Columns p of the twins for columns of theta; the schedule's delay is `delay` [s]."""
+        at, to = self.places, self.model.places
+        p = np.zeros((self.model.size, theta.shape[1]))
+        w = np.exp(theta[at["w"]])
+        p[to["w"]] = w
+        p[to["f"]], p[to["a"]], p[to["b"]], p[to["c"]] = self.family(theta)
+        for name in _FRICTION:
+            p[to[name]] = theta[at[name]] / w
+        p[to["offset"]] = theta[at["offset"]] / w
+        p[to["q_0"]] = self.log.q[0][:, None] + theta[at["q_0"]]
+        p[to["dq_0"]], p[to["e_0"]] = theta[at["dq_0"]], self.log.ahead[:, None]
+        p[to["v_0"]], p[to["v_s"]] = np.exp(theta[at["v_0"]]), np.exp(theta[at["v_s"]])
+        p[to["delay"]] = theta[at["delay"]] * self.log.period - delay
+        p[to["beta"]] = self.model.nominal[:, None] + self.bodies @ theta[at["beta"]]
+        return p
+
+    def family(self, theta: Array) -> tuple[Array, Array, Array, Array]:
+        """f, a, b and c of (1) and (2) of `dmframe.identification.model`."""
+        at = self.places
+        if self.kind == "pi":
+            k = np.exp(theta[at["k_I"]])
+            return np.ones_like(k), k, k, np.zeros_like(k)
+        if self.kind == "pid":
+            k = np.exp(theta[at["k_P"]])
+            return np.ones_like(k), k, k, np.exp(theta[at["k_I"]])
+        gain, integral = np.exp(theta[at["k_p"]]), np.exp(theta[at["k_i"]])
+        f = theta[at["f"]] if "f" in at else np.zeros_like(gain)
+        return f, gain + f * integral, gain + integral, gain * integral

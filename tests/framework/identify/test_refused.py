@@ -1,0 +1,90 @@
+"""Logs that cannot be right are refused, with the place and the remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dmframe.errors import DmframeError
+from dmframe.identification.identify import chain_of, identify
+from tests.framework.identify.plants import Hidden, record, steps, write
+
+Columns = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def log() -> Columns:
+    """A tracking error of 20 ms, without a simulation."""
+    u = steps(0.008, 12.0, 0)
+    q = 1.0 + np.cumsum(np.roll(u, 3, axis=0), axis=0) * 0.008
+    return 0.008 * np.arange(len(u)), q, u
+
+
+def nan(t: np.ndarray, q: np.ndarray, u: np.ndarray) -> Columns:
+    q = q.copy()
+    q[7, 1] = np.nan
+    return t, q, u
+
+
+def still(t: np.ndarray, q: np.ndarray, u: np.ndarray) -> Columns:
+    return t, q * [1, 0, 1], u * [1, 0, 1]
+
+
+FAULTS: dict[str, tuple[Callable[..., Columns], str]] = {
+    "nan": (nan, "q_2: expected finite numbers, found 1 others, the first in row 9"),
+    "swapped": (lambda t, q, u: (t, q[:, [1, 0, 2]], u), "position 1 follows command 2"),
+    "degrees": (lambda t, q, u: (t, np.rad2deg(q), np.rad2deg(u)), "seem to be in degrees"),
+    "mixed units": (lambda t, q, u: (t, np.rad2deg(q) * 0.05, u), "times as far as commanded"),
+    "milliseconds": (lambda t, q, u: (1e3 * t, q, u), "time seems to be in ms"),
+    "gap": (lambda t, q, u: (t + (t > 3) * 0.5, q, u), "gap of 0.508 s before row"),
+    "repeated time": (lambda t, q, u: (np.minimum(t, 5), q, u), "time does not increase in row"),
+    "backwards": (lambda t, q, u: (t, u.cumsum(0) * 0.008 + 1, np.roll(u, 3, axis=0)), "positions lead their commands"),
+    "still joint": (still, "joint 2: the log excites it too little"),
+    "short": (lambda t, q, u: (t[:90], q[:90], u[:90]), "expected at least 500 samples, found 90"),
+    "other robot": (lambda t, q, u: (t, q + np.random.default_rng(0).normal(0, 1, q.shape), u), "do not follow"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_in_the_numbers_is_found(name: str, log: Columns, tmp_path: Path) -> None:
+    change, text = FAULTS[name]
+    with pytest.raises(DmframeError, match=r"log\.csv") as refused:
+        identify(write(tmp_path / "log.csv", *change(*log)), chain_of("ur10_slow"))
+    assert text in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        ("", "found an empty file"),
+        ("t,q_1,q_1\n0,1,2\n", "the column q_1 appears 2 times"),
+        ("0,1,2\n1,2,3\n", "expected a header"),
+        ("t,q_1\n0,1\n1\n", ":3: expected 2 cells"),
+        ("t,q_1\n0,a\n", ":2: column q_1: expected a number, found 'a'"),
+        ("q_1,q_2,q_3\n1,2,3\n", "expected a column of time"),
+        ("t,q_1,q_2\n1,2,3\n", "expected those of 3 joints, found 2"),
+        ("t,q_1,q_2,q_3\n1,2,3,4\n", "expected commands"),
+        ("t,a,b,c\n1,2,3,4\n", "expected positions"),
+    ],
+)
+def test_a_fault_in_the_file_is_found(content: str, text: str, tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(content)
+    with pytest.raises(DmframeError) as refused:
+        identify(tmp_path / "log.csv", chain_of("ur10_slow"))
+    assert text in str(refused.value)
+
+
+def test_unknown_columns_are_refused_with_the_nearest(log: Columns, tmp_path: Path) -> None:
+    file = write(tmp_path / "log.csv", *log, names=lambda stem, j: f"my_{stem}_{j}")
+    with pytest.raises(DmframeError, match="did you mean my_q_1"):
+        identify(file, chain_of("ur10_slow"), columns=["q_1=my_q_11"])
+
+
+def test_the_hidden_robot_of_these_tests_holds_still_without_commands() -> None:
+    hidden = Hidden(np.full(3, 5.0), np.full(3, 5.0), np.full(3, 4.0))
+    _, q, _ = record(hidden, seconds=0.4)
+    assert np.ptp(q) > 1
+    assert np.all(np.ptp(q, axis=0) == 0)
