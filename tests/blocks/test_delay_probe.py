@@ -63,7 +63,7 @@ def test_a_slow_response_counts_as_delay() -> None:
     assert float(limited[-1].outputs["delay_hat"]) == 2
 
 
-def test_a_trip_asks_for_a_longer_delay_and_the_excitation_ends_beyond_the_longest() -> None:
+def test_after_a_trip_the_delay_is_longer_and_the_excitation_ends_beyond_the_longest() -> None:
     block = KIND(delay_up_to=3, taps=4, tripping=True, trip=2.0)
     u = {"q": [0.3, 0.4], "dq_r": [0.0, 0.0], "dq_sent": [0.0, 0.0], "x_err": [1.0, 0.0], "T": T}
     calm = {"draw": drawn(1, 2), "identified": 1, "delay_hat": 2, "since": 9.0, "error_mean": 1.0, "error_scale": 99.0}
