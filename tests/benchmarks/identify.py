@@ -1,8 +1,8 @@
 """How well `identify` finds hidden robots in MuJoCo: ``python -m tests.benchmarks.identify FIRST LAST``.
 
-Each seed is a UR10 with three joints, masses of links +-25 %, 0 to 5 kg at the tool, rotors, friction (half of them with
-a Stribeck term), a servo of one of five kinds, an encoder of 17 bits, a delay of 0 to 3 samples, and velocity steps for
-20 s at 2 or 8 ms. From seed 80 on friction also grows with the servo's torque, which the twin's family does not contain.
+Each seed is a UR10 with three joints, masses of links +-25 %, 0 to 5 kg at the tool, rotors, friction (half of them
+with a Stribeck term), a servo of one of five kinds, a 17-bit encoder, a delay of 0 to 3 samples, and steps
+for 20 s at 2 or 8 ms. From seed 80 on friction also grows with the servo's torque, which the twin does not contain.
 """
 
 from __future__ import annotations
