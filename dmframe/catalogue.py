@@ -193,6 +193,14 @@ def _found(name: str, noun: str, packaged: Callable[[], dict[str, Path]]) -> Pat
     return known[name]
 
 
+def find_twin(servo: str) -> Path:
+    """The packaged graph of a robot with a servo of a class (pi, pid, p_pi), into which identified numbers are put."""
+    known = _packaged("twins")
+    if servo not in known:
+        raise UnknownNameError(f"twin {servo}", "class of a servo", servo, known)
+    return known[servo]
+
+
 def realities() -> dict[str, Path]:
     """Packaged sets of channel models (delays, noise, limits between controller and robot), by name."""
     return _packaged("realities")

@@ -52,6 +52,17 @@ class DelayProbe(AbstractBlock):
 
     Blocks with `delay_up_to` use the outputs delay_hat and identified.
 
+    *Trip.* With `tripping` the probe watches the error of the tool, as the task law predicts it for the next command.
+    Its mean square over about `dwell` at the end of the excitation, when nothing that needs the delay acts, is the
+    scale. After that
+
+        mean = mean + T/dwell (|x_err|^2 - mean),    tripped if mean > trip^2 scale
+
+    Then the delay counts as unknown: identified returns to 0, and the excitation and the regression go on for
+    `lasting`. The new delay is longer by at least one sample, and the scale does not become smaller. With a delay that
+    would be longer than `delay_up_to`, or a last sum that does not reach the threshold, it remains unknown; in the
+    first case the excitation ends too. So a loop that diverges with the delay is left, at most delay_up_to + 1 times.
+
     Parameters
     ----------
     delay_up_to : 1, 2, ..., 8
@@ -73,6 +84,12 @@ class DelayProbe(AbstractBlock):
         Regularisation of the least squares problem.
     seed : number, > 0
         Whole number that determines the signs of the excitation.
+    tripping : true or false
+        With the trip.
+    trip : scalar, > 0
+        Largest error of the tool, relative to that at the end of the excitation.
+    dwell : scalar, s, > 0
+        Time over which the error is averaged, with the trip.
 
     Notes
     -----
@@ -88,9 +105,15 @@ class DelayProbe(AbstractBlock):
         Input("q", "n", "rad"),
         Input("dq_r", "n", "rad/s"),
         Input("dq_sent", "n", "rad/s"),
+        Input("x_err", "m", "m", optional=True),
         PERIOD,
     )
-    outputs = (Output("dq_probe", "n", "rad/s"), Output(DELAY_HAT.name), Output(IDENTIFIED.name))
+    outputs = (
+        Output("dq_probe", "n", "rad/s"),
+        Output(DELAY_HAT.name),
+        Output(IDENTIFIED.name),
+        Output("tripped", optional=True, notice="the error exceeded its limit, and the delay was identified again"),
+    )
     states = (
         State("since", "", "s", sampled=True),
         State("draw", "n", sampled=True, recorded=False),
@@ -103,6 +126,9 @@ class DelayProbe(AbstractBlock):
         State("varied", "", "rad^2/s^2", sampled=True, recorded=False),
         State(DELAY_HAT.name, sampled=True),
         State(IDENTIFIED.name, sampled=True),
+        State("delay_least", sampled=True, optional=True),
+        State("error_mean", "", "m^2", sampled=True, optional=True),
+        State("error_scale", "", "m^2", sampled=True, optional=True),
     )
 
     delay_up_to: int = Field(3, ge=1, le=MOST_DELAY)
@@ -114,6 +140,9 @@ class DelayProbe(AbstractBlock):
     confidence: Scalar = NonNegative(default=1.0)
     nu: Scalar = Positive("", "rad^2/s^2", default=1e-9)
     seed: Scalar = Positive(default=1.0)
+    tripping: bool = False
+    trip: Scalar = Positive(default=3.0)
+    dwell: Scalar = Positive("", "s", default=1.0)
 
     @model_validator(mode="after")
     def _fits(self) -> DelayProbe:
@@ -124,6 +153,10 @@ class DelayProbe(AbstractBlock):
         """R: number of taps."""
         return {**super().sizes(robot), "r": self.taps}
 
+    def needs(self, port: str) -> bool:
+        """The error of the tool, with the trip."""
+        return port == "x_err" and self.tripping
+
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """At rest, and the first values of the generators."""
         return {"q_before": u.q, "draw": seeded(p.seed, u.q.shape[0])}
@@ -131,7 +164,7 @@ class DelayProbe(AbstractBlock):
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """The excitation, the regression, and the delay when the excitation ends."""
         v = named("v", (u.q - x.q_before) / u.T)
-        counts = named("counts", x.since >= p.settling)
+        counts = named("counts", (x.since >= p.settling) * (x.identified < 0.5))
         gathered = named("G", x.gathered + counts * (x.changes.T @ x.changes))
         change = counts * (v - x.v_before)
         correlated = named("g_v", x.correlated + x.changes.T @ change)
@@ -141,17 +174,22 @@ class DelayProbe(AbstractBlock):
         variance = named("variance", ca.fmax(0, varied - ca.dot(b, correlated)) / ca.fmax(1, freedom))
         spread = named("spread", p.confidence * ca.sqrt(variance) * deviations(P))
         below = named("below", under(b, spread, p.threshold))
-        ends = named("ends", (x.since >= p.lasting) * (below <= self.taps - 1))
-        known = {
-            DELAY_HAT.name: ca.if_else(x.identified > 0.5, x.delay_hat, ends * ca.fmin(below, self.delay_up_to)),
-            IDENTIFIED.name: ca.fmax(x.identified, ends),
-        }
-        excitation = (1 - x.identified) * p.probe * sign(x.draw)
+        longer = ca.fmax(below, x.delay_least) if self.tripping else below
+        goes_on = x.delay_least <= self.delay_up_to if self.tripping else 1
+        ends = named("ends", (x.since >= p.lasting) * (below <= self.taps - 1) * goes_on)
+        tripped, watched = self._watched(u, x, p, counts, ends)
+        excitation = (1 - x.identified) * goes_on * p.probe * sign(x.draw)
         return Equations(
-            outputs={"dq_probe": u.dq_r + excitation, DELAY_HAT.name: x.delay_hat, IDENTIFIED.name: x.identified},
+            outputs={
+                "dq_probe": u.dq_r + excitation,
+                DELAY_HAT.name: x.delay_hat,
+                IDENTIFIED.name: x.identified,
+                **({"tripped": tripped} if watched else {}),
+            },
             next={
-                **known,
-                "since": x.since + u.T,
+                DELAY_HAT.name: ca.if_else(x.identified > 0.5, x.delay_hat, ends * ca.fmin(longer, self.delay_up_to)),
+                IDENTIFIED.name: ca.fmax(x.identified, ends) * (1 - tripped),
+                "since": (1 - tripped) * (x.since + u.T),
                 "draw": following(x.draw),
                 "q_before": u.q,
                 "v_before": v,
@@ -160,8 +198,22 @@ class DelayProbe(AbstractBlock):
                 "gathered": gathered,
                 "correlated": correlated,
                 "varied": varied,
+                **watched,
             },
         )
+
+    def _watched(self, u: Signals, x: Signals, p: Signals, counts: SX, ends: SX) -> tuple[SX | int, Mapping[str, SX]]:
+        """Whether the trip acts, and its states."""
+        if not self.tripping:
+            return 0, {}
+        share = ca.fmax(counts, x.identified) * ca.fmin(1, u.T / p.dwell)
+        mean = named("mean_new", x.error_mean + share * (ca.sumsqr(u.x_err) - x.error_mean))
+        tripped = named("tripped", x.identified * (mean > p.trip * p.trip * x.error_scale))
+        return tripped, {
+            "delay_least": ca.if_else(tripped, x.delay_hat + 1, x.delay_least),
+            "error_mean": (1 - tripped) * mean,
+            "error_scale": ca.if_else(x.identified > 0.5, x.error_scale, ca.fmax(x.error_scale, ends * mean)),
+        }
 
 
 @operation

@@ -220,9 +220,8 @@ class ExpertAggregation(AbstractBlock):
         return Equations(
             outputs={"dq_sent": dq_sent, "q_start": q_start, "model_share": ca.sum2(w[:, E // 2 :])},
             next={
-                **self._begun(u, {"observed": ca.horzcat(*held), "count": x.count + 1}),
+                **self._begun(u, {"observed": ca.horzcat(*held), "count": x.count + 1, **losses}),
                 **phase,
-                **losses,
                 "weights": weights,
                 "forecasts": ca.horzcat(x.forecasts[:, E:], ends),
                 "q_before": u.q,

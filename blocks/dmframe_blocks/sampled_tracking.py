@@ -38,8 +38,8 @@ class SampledTracking(AbstractBlock):
     r"""Average joint velocity over a sample that moves the tool to the next point of its path.
 
     The commanded sample starts at the pose :math:`q_{start}` and should end with the tool at :math:`x_{goal}`. The
-    error :math:`\Delta x = f(q_{start}) - x_d` is fed back through the transpose of the Jacobian or, with Lambda,
-    through its inverse:
+    error :math:`\Delta x = f(q_{start}) - x_d`, the output x_err, is fed back through the transpose of the Jacobian
+    or, with Lambda, through its inverse:
 
     .. math::
 
@@ -112,7 +112,7 @@ class SampledTracking(AbstractBlock):
         IDENTIFIED,
         PERIOD,
     )
-    outputs = (Output("dq_r", "n", "rad/s"),)
+    outputs = (Output("dq_r", "n", "rad/s"), Output("x_err", "m", "m", optional=True))
 
     gamma: Scalar | None = Positive("", "rad^2/(m^2 s)", default=None)
     Lambda: Scalar | None = Positive("", "1/s", default=None)
@@ -143,9 +143,10 @@ class SampledTracking(AbstractBlock):
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) to (4)."""
-        x_goal = named("x_goal", self._goal(u, p))
+        x_err, goal = self._goal(u, p)
+        x_goal = named("x_goal", goal)
         v_1 = named("v_1", self._newton(u, p, x_goal, u.dq_null))
-        return Equations(outputs={"dq_r": self._newton(u, p, x_goal, v_1)})
+        return Equations(outputs={"dq_r": self._newton(u, p, x_goal, v_1), "x_err": x_err})
 
     def _newton(self, u: Signals, p: Signals, x_goal: SX, v: SX) -> SX:
         """(3) and (4): one Newton step from the average velocity v for the sample that should end at x_goal."""
@@ -154,19 +155,19 @@ class SampledTracking(AbstractBlock):
         damped = J @ J.T + p.damping * p.damping * ca.DM.eye(p.robot.m)
         return v + J.T @ solve_spd(damped, (x_goal - p.robot.position(q)) / u.T)
 
-    def _goal(self, u: Signals, p: Signals) -> SX:
-        """(1) or (2), for the sample in which the command acts."""
+    def _goal(self, u: Signals, p: Signals) -> tuple[SX, SX]:
+        """The error, and (1) or (2), for the sample in which the command acts."""
         path = [getattr(u, name) for name in ("x_d", *(f"x_d_{k}" for k in range(1, longest(self) + 2)))]
         now, goal = path[self.delay], path[self.delay + 1]
         if self.delay_up_to is not None:
             now, goal = named("x_at", chosen(path[:-1], u.delay_hat)), named("x_to", chosen(path[1:], u.delay_hat))
-        x_err = p.robot.position(u.q_start) - now
+        x_err = named("x_err", p.robot.position(u.q_start) - now)
         if "Lambda" in p:
-            return goal + (1 - u.T * p.Lambda) * x_err
+            return x_err, goal + (1 - u.T * p.Lambda) * x_err
         if "gain_margin" in p:
-            return goal + (1 - self._bound(u) / p.gain_margin) * x_err
+            return x_err, goal + (1 - self._bound(u) / p.gain_margin) * x_err
         J = p.robot.jacobian(u.q_start)
-        return goal + x_err - u.T * p.gamma * (J @ (J.T @ x_err))
+        return x_err, goal + x_err - u.T * p.gamma * (J @ (J.T @ x_err))
 
     def _bound(self, u: Signals) -> SX:
         """T Lambda of a loop at the limit of stability, with the delay of the margin."""

@@ -11,12 +11,16 @@ import numpy as np
 from dmframe.identification.log import Log
 from dmframe.identification.model import Array
 from dmframe.identification.rows import rows_of, starts
-from dmframe.identification.solve import Fit, solved
+from dmframe.identification.solve import ROUNDS, Fit, solved
 from dmframe.identification.twin import Twins
 from dmframe.identification.unknowns import SERVOS, Unknowns
 
 STARTS: Final = 3
 """Delays from which a candidate is fitted, as long as its residual is above the floor."""
+NEAR: Final = 0.01
+"""Deviation of f from 1 that does not count."""
+BRIEF: Final = 8
+"""Rounds of a candidate after another one has explained the log."""
 ABOVE: Final = 3.0
 """Largest residual of an explained log, in floors."""
 SHARE: Final = 0.001
@@ -41,9 +45,17 @@ class Choice:
 
     @property
     def best(self) -> str:
-        """The candidate with the smallest information criterion."""
+        """The candidate with the smallest information criterion; a cascade whose f may be 1 is a PID servo."""
         closest = min(self.fits.values(), key=lambda fit: float(np.sum(np.log(fit.rms))))
-        return min(self.fits, key=lambda kind: criterion(self.fits[kind], closest.inflation))
+        best = min(self.fits, key=lambda kind: criterion(self.fits[kind], closest.inflation))
+        return "pid" if best == "p_pi" and self.explained("pid") and self._full_feed_forward else best
+
+    @property
+    def _full_feed_forward(self) -> bool:
+        fit = self.fits["p_pi"]
+        place = fit.unknowns.places["f"]
+        spread = 2 * np.sqrt(np.diag(fit.covariance)[place])
+        return bool(np.all(np.abs(fit.theta[place] - 1) <= np.maximum(spread, NEAR)))
 
     def explained(self, kind: str) -> bool:
         """True if the residual of a candidate is near the floor on every joint."""
@@ -70,9 +82,12 @@ def chosen(twins: Twins, log: Log, say: Callable[[str], None] = lambda text: Non
     for attempt in range(STARTS):
         for kind, some in begun.items():
             say(f"fitting {kind}, start {attempt + 1}")
-            fit = solved(twins, Unknowns(twins.model, log, kind), some[attempt][1])
+            rounds = BRIEF if any(map(found.explained, found.fits)) else ROUNDS
+            fit = solved(twins, Unknowns(twins.model, log, kind), some[attempt][1], rounds)
             if kind not in found.fits or np.sum(np.log(fit.rms)) < np.sum(np.log(found.fits[kind].rms)):
                 found.fits[kind] = fit
         if any(map(found.explained, found.fits)):
             break
+    if found.explained(found.best):  # its rounds may have been few
+        found.fits[found.best] = solved(twins, found.fits[found.best].unknowns, found.fits[found.best].theta)
     return found

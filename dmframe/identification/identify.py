@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import platform
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -10,7 +9,6 @@ from typing import Final
 
 from dmframe.catalogue import graphs
 from dmframe.errors import ValueFault
-from dmframe.files import write_text
 from dmframe.identification.checked import checked_log
 from dmframe.identification.choose import chosen
 from dmframe.identification.columns import signals_of
@@ -18,11 +16,11 @@ from dmframe.identification.found import Identified
 from dmframe.identification.model import model_of
 from dmframe.identification.table import read_table
 from dmframe.identification.twin import twins_of
+from dmframe.identification.write import written
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.library import load
 from dmframe.version import version
 
-RESULT: Final = "identified.json"
 UNSURE: Final = 0.35
 """Largest relative standard deviation of a servo's main gain that counts as determined."""
 
@@ -50,7 +48,7 @@ def identify(
     columns
         ``name=column`` for columns whose names are not guessed.
     out
-        Folder to which ``identified.json`` is written.
+        Folder to which ``identified.json``, the robot ``twin.urdf`` and the graph ``twin.yaml`` are written.
     say
         Called with a line of progress.
 
@@ -87,8 +85,7 @@ def identify(
     )
     _determined(found, table.name)
     if out is not None:
-        Path(out).mkdir(parents=True, exist_ok=True)
-        write_text(Path(out) / RESULT, json.dumps({**found.summary, "record": about}, indent=2) + "\n")
+        written(found, Path(out))
     return found
 
 

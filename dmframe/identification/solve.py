@@ -21,6 +21,8 @@ MOST_DELAY: Final = 8.0
 CONVERGED: Final = 0.02
 """Decrease of the cost, twice a log likelihood, below which a fit has converged."""
 
+RESOLUTION: Final = 1e-7
+"""Deviation of a position that no twin explains [rad]."""
 FAR: Final = 3.0
 """Inflation above which a candidate does not explain the log yet."""
 SLOW: Final = 0.005
@@ -93,13 +95,13 @@ def solved(twins: Twins, unknowns: Unknowns, start: Array, rounds: int = ROUNDS)
             break
         J = (q[:, :, 1:] - q[:, :, :1]) / STEP
         inflation = inflation_of(residual)
-        weight = 1 / (np.sqrt(np.mean(residual**2, axis=0) + 1e-16) * inflation)
+        weight = 1 / (np.sqrt(np.mean(residual**2, axis=0) + RESOLUTION**2) * inflation)
         scaled = (J * weight[None, :, None]).reshape(-1, len(theta))
         H = scaled.T @ scaled + np.diag(precision)
         g = scaled.T @ (residual * weight).ravel() - precision * (theta - mean)
         size = np.sqrt(np.maximum(np.diag(H), 1e-12))
         normal = H / np.outer(size, size)
-        fit = Fit(unknowns, theta, np.linalg.pinv(normal, 1e-13, True) / np.outer(size, size), residual, inflation)
+        fit = Fit(unknowns, theta, _inverse(normal) / np.outer(size, size), residual, inflation)
         factors = DAMPINGS * damping
         tried = []
         for factor in factors:
@@ -126,6 +128,12 @@ def solved(twins: Twins, unknowns: Unknowns, start: Array, rounds: int = ROUNDS)
         empty = np.full_like(log.q, np.inf)
         return Fit(unknowns, theta, np.eye(len(theta)), empty, np.ones(unknowns.model.n))
     return fit
+
+
+def _inverse(A: Array) -> Array:
+    """Inverse of a positive semidefinite matrix; directions below the rounding error get a large variance, not none."""
+    values, vectors = np.linalg.eigh(A)
+    return np.asarray((vectors / np.maximum(values, 1e-14 * values[-1])) @ vectors.T)
 
 
 def _cost(residual: Array, weight: Array) -> float:

@@ -33,7 +33,7 @@ DM_EXPORT void dm_twin(const double *parameters, const double *commands, int64_t
     const dm_real h = (length[k] + slope[k] * p[DM_DELAY]) / (double)steps[k];
     for (int64_t j = 0; j < steps[k]; j++) dm_twin_step(x, u, p, h);
     dm_mask sound = alive;
-    for (int i = 0; i < DM_X; i++) sound &= (dm_mask)(dm_abs(x[i]) <= DM_BOUND);
+    for (int i = 0; i < 2 * DM_N; i++) sound &= (dm_mask)(dm_abs(x[i]) <= DM_BOUND); /* q and dq: torques are larger */
     alive = sound;
     if (dm_any(~alive)) {
       for (int i = 0; i < DM_X; i++) x[i] = dm_choose(alive, x[i], fresh[i]);

@@ -65,6 +65,13 @@ class Unknowns:
     @cached_property
     def bodies(self) -> Array:
         """Square root L of the prior covariance of the base parameters, (count, count): beta = nominal + L z."""
+        root = self.model.grouping @ self.full
+        covariance = root @ root.T
+        return np.linalg.cholesky(covariance + 1e-6 * np.diag(np.diag(covariance) + 1e-6))
+
+    @cached_property
+    def full(self) -> Array:
+        """Square root of the prior covariance of all parameters: links, the tool's load, rotors."""
         parameters = self.model.base.parameters
         values = np.array([0.0 if value is None else float(value) for value in parameters.values])
         columns = [np.diag(0.1 * np.abs(values))]
@@ -79,9 +86,7 @@ class Unknowns:
         columns.append(LOAD * column[:, None])
         rotors = np.zeros((len(values), self.model.n))
         rotors[parameters.places("rotor")] = np.diag(np.maximum(0.5 * self.inertia, 1e-3))
-        root = self.model.grouping @ np.hstack([*columns, rotors])
-        covariance = root @ root.T
-        return np.linalg.cholesky(covariance + 1e-6 * np.diag(np.diag(covariance) + 1e-6))
+        return np.hstack([*columns, rotors])
 
     @cached_property
     def inertia(self) -> Array:

@@ -63,6 +63,23 @@ def test_a_slow_response_counts_as_delay() -> None:
     assert float(limited[-1].outputs["delay_hat"]) == 2
 
 
+def test_after_a_trip_the_delay_is_longer_and_the_excitation_ends_beyond_the_longest() -> None:
+    block = KIND(delay_up_to=3, taps=4, tripping=True, trip=2.0)
+    u = {"q": [0.3, 0.4], "dq_r": [0.0, 0.0], "dq_sent": [0.0, 0.0], "x_err": [1.0, 0.0], "T": T}
+    calm = {"draw": drawn(1, 2), "identified": 1, "delay_hat": 2, "since": 9.0, "error_mean": 1.0, "error_scale": 99.0}
+    assert float(block.evaluate(u, calm, robot="arm2").next["identified"]) == 1
+    after = block.evaluate(u, calm | {"error_scale": 0.01}, robot="arm2")
+    assert float(after.outputs["tripped"]) == 1
+    assert [float(after.next[name]) for name in ("identified", "since", "delay_least")] == [0, 0, 3]
+    again = {"draw": drawn(1, 2), "since": 9.0, "correlated": [1.0, 0, 0, 0], "gathered": np.eye(4), "varied": 1.0}
+    found = block.evaluate(u, again | {"delay_least": 3}, robot="arm2").next  # the regression alone finds none
+    assert [float(found[name]) for name in ("identified", "delay_hat")] == [1, 3]
+    for least, excited in ((3, True), (4, False)):
+        item = block.evaluate(u, again | {"delay_least": least}, robot="arm2")
+        assert np.any(np.asarray(item.outputs["dq_probe"])) == excited
+        assert float(item.next["identified"]) == excited
+
+
 @pytest.mark.parametrize("settling", [0.0, 0.975])
 def test_its_regression_is_that_of_numpy(settling: float) -> None:
     found, q, u = played(KIND(delay_up_to=3, taps=4, lasting=100.0, settling=settling), 1, 0.3, 1)

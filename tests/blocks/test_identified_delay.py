@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 from sampled_arm2 import sampled_arm2
 
@@ -61,3 +62,27 @@ def test_with_the_delay_that_the_probe_identifies_the_error_is_far_below_that_of
         assert run.error is not None
         ends.append(run.error.rms_final)
     assert ends[0] < 0.02 * ends[1]
+
+
+def test_the_trip_replaces_a_delay_that_is_too_short() -> None:
+    """A threshold of 0 makes the first delay a coin toss; with this seed it is one sample too short."""
+    graph = aggregated(1).set({"probe.threshold": 1e-3, "probe.confidence": 0})
+    without = graph.run(progress=False, judge=False)
+    assert set(without["probe.delay_hat"].values[51:]) == {0}
+    assert without.error is not None
+    assert without.error.rms_final > 0.1
+    run = graph.set({"probe.tripping": True}).run(progress=False, judge=False)
+    identified, tripped = (run[f"probe.{name}"].values.ravel() > 0.5 for name in ("identified", "tripped"))
+    (at,) = np.flatnonzero(tripped)
+    assert not identified[at + 1 : at + 41].any()  # 2 s
+    assert run["probe.delay_hat"].values[-1] == 1
+    assert run.error is not None
+    assert run.error.rms_final < 1e-4
+    counts = identified | (np.arange(tripped.size) >= 20)  # settling, 1 s
+    errors = np.sum(run["task.x_err"].values ** 2, axis=-1)
+    mean, scale = 0.0, 0.0
+    for k in range(at + 1):
+        mean += 0.05 * counts[k] * (errors[k] - mean)
+        if identified[k + 1] and not identified[k]:
+            scale = mean
+        assert tripped[k] == bool(identified[k] and mean > 9 * scale)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 import dmframe as dm
 from dmframe.identification.found import Identified
+from dmframe.identification.model import model_of
 from tests.framework.identify.plants import Hidden, record, write
 
 K_P, K_I = np.array([5.0, 7.0, 9.0]), np.array([4.0, 8.0, 6.0])
@@ -29,7 +31,21 @@ def test_a_pid_servo_its_gains_and_its_delay_are_found_within_half_a_percent(tmp
     assert found.delay[1][0] <= 1 <= found.delay[1][1]
     summary = found.summary
     assert set(summary) == set("servo delay friction bodies residual floor indistinguishable verdict".split())
-    assert (tmp_path / "out" / "identified.json").is_file()
+    check_twin(found, tmp_path / "out")
+
+
+def check_twin(found: Identified, out: Path) -> None:
+    """The written robot has the identified base parameters, and the written graph runs with the intervals."""
+    graph = dm.load(out / "twin.yaml")
+    value = {leaf.label: np.asarray(leaf.value) for leaf in graph.diagram.loop.parameters}
+    beta = model_of(graph.diagram.robot)
+    rotors = beta.grouping[:, beta.base.parameters.places("rotor")] @ value["arm.rotor"]
+    assert beta.base.kept == found.fit.unknowns.model.base.kept
+    assert beta.nominal + rotors == pytest.approx(found.number("beta")[0], abs=1e-5)
+    assert 1 / value["servo.K_D"] == pytest.approx(found.servo["w"][0])
+    assert {"servo.K_D", "arm.viscous"} <= set(graph.intervals())
+    assert graph.run("0.5 s", progress=False).recording.divergence is None
+    assert json.loads((out / "identified.json").read_text())["record"]["sha256"]
 
 
 def test_a_pi_servo_is_found(tmp_path: Path) -> None:
@@ -44,6 +60,15 @@ def test_a_cascade_with_half_the_feed_forward_is_found(tmp_path: Path) -> None:
     assert found.kind == "p_pi"
     assert found.servo["f"][0] == pytest.approx([f] * 3, abs=0.05)
     assert found.delay[0] == pytest.approx(2, abs=0.1)
+
+
+def test_a_cascade_without_feed_forward_is_found_although_its_integrator_turns_with_the_joint(tmp_path: Path) -> None:
+    p, i = np.array([17.0, 8.0, 9.0]), np.array([8.0, 6.0, 5.0])
+    found = dm.identify(write(tmp_path / "log.csv", *record(Hidden(p, p + i, p * i, 0.0), seconds=16.0)), "ur10_slow")
+    assert found.kind == "p_pi"
+    assert found.servo["k_p"][0] == pytest.approx(p, rel=0.01)
+    assert found.servo["f"][0] == pytest.approx([0] * 3, abs=0.01)
+    assert found.delay[0] == pytest.approx(1, abs=0.05)
 
 
 def test_friction_with_memory_is_no_confident_twin(tmp_path: Path) -> None:

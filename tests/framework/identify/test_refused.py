@@ -43,7 +43,7 @@ FAULTS: dict[str, tuple[Callable[..., Columns], str]] = {
     "repeated time": (lambda t, q, u: (np.minimum(t, 5), q, u), "time does not increase in row"),
     "backwards": (lambda t, q, u: (t, u.cumsum(0) * 0.008 + 1, np.roll(u, 3, axis=0)), "positions lead their commands"),
     "still joint": (still, "joint 2: the log excites it too little"),
-    "short": (lambda t, q, u: (t[:90], q[:90], u[:90]), "expected at least 500 samples, found 90"),
+    "short": (lambda t, q, u: (t[:90], q[:90], u[:90]), "expected at least 200 samples, found 90"),
     "other robot": (lambda t, q, u: (t, q + np.random.default_rng(0).normal(0, 1, q.shape), u), "do not follow"),
 }
 
