@@ -90,22 +90,24 @@ def first_graph(name: str, folder: Path, tool: str | None = None) -> FirstGraph:
         )
     notes = repaired(file.root, frame, where)
     text = written(file.root, notes) if file.converted or notes else None
-    beside = f"{path.name.partition('.')[0]}.urdf"
+    urdf_name = f"{path.name.partition('.')[0]}.urdf"
     if text is None:
         model, chain = os.path.relpath(path, folder), load(str(path), tool=frame)
     else:
-        if (folder / beside).resolve() == path.resolve():
-            beside = f"{path.stem}_arm.urdf"
-        model = beside
+        if (folder / urdf_name).resolve() == path.resolve():
+            urdf_name = f"{path.stem}_arm.urdf"
+        model = urdf_name
         with tempfile.TemporaryDirectory() as place:
-            made = Path(place) / beside
+            made = Path(place) / urdf_name
             made.write_text(text, encoding="utf-8")
             chain = load(str(made), tool=frame)
     rotor = {joint: value for joint, value in file.armature.items() if joint in chain.joint_names}
     said = [f"tool: {frame}"] if tool is None else []
     if rotor:
         said.append("the armature of the MJCF file is the rotor inertia of the graph's arm")
-    return FirstGraph(_text(chain, model, frame, rotor, notes), {} if text is None else {beside: text}, (*said, *notes))
+    return FirstGraph(
+        _text(chain, model, frame, rotor, notes), {} if text is None else {urdf_name: text}, (*said, *notes)
+    )
 
 
 def _text(
