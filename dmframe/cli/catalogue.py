@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -48,21 +49,44 @@ def _print(registry: Named[Any], as_json: bool) -> None:
 
 
 def new(
-    name: Annotated[str, typer.Argument(help="A packaged graph, as a start.", autocompletion=graph_names)],
+    name: Annotated[
+        str,
+        typer.Argument(
+            help="A packaged graph to copy; or a robot: a name, or a URDF, xacro or MJCF file.",
+            autocompletion=graph_names,
+        ),
+    ],
     file: Annotated[Path | None, typer.Argument(callback=home, help="The new file; NAME.yaml without it.")] = None,
+    tool: Annotated[str | None, typer.Option(metavar="FRAME", help="Tool frame of the robot; default: flange.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
 ) -> None:
-    """Copy a packaged graph to a new file, with the schema for completion in an editor."""
+    """Copy a packaged graph, or write a first graph for a robot, with the schema for completion in an editor."""
     from dmframe.catalogue import graphs as packaged
+    from dmframe.cli.options import refuse
     from dmframe.config.schema import json_schema
+    from dmframe.graph.first import first_graph, is_robot
+    from dmframe.robot.library import robots as packaged_robots
 
-    known = packaged()
-    if name not in known:
-        raise UnknownNameError(name, "graph", name, known)
-    target = file or Path(f"{name}.yaml")
-    text = known[name].read_text(encoding="utf-8")
+    known, notes = packaged(), tuple[str, ...]()
+    target = file or Path(f"{Path(name).name.partition('.')[0]}.yaml")
+    if name in known:
+        refuse({"--tool": tool is not None}, "a packaged graph has its own; name a robot")
+        text = known[name].read_text(encoding="utf-8")
+    elif is_robot(name):
+        made = first_graph(name, target.parent, tool)
+        text, notes = made.text, made.notes
+        for model, content in made.robot.items():
+            write_text(target.with_name(model), content, new=not force)
+            notes = (f"wrote {target.with_name(model)}", *notes)
+    else:
+        # a graph may be a misspelt one; a robot is never the spelling of another one
+        misspelt = bool(difflib.get_close_matches(name, known, n=1, cutoff=0.6))
+        choices = known if misspelt else [*known, *packaged_robots()]
+        raise UnknownNameError(name, "graph" if misspelt else "graph or robot", name, choices, spelling=misspelt)
     write_text(target, f"# yaml-language-server: $schema={SCHEMA}\n{text}", new=not force)
     write_text(target.with_name(SCHEMA), json.dumps(json_schema(), indent=1) + "\n")
+    for note in notes:
+        tell(note)
     tell(f"wrote {target}; try: dmframe run {target}")
 
 

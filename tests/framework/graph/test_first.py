@@ -1,0 +1,120 @@
+"""First graphs of robots: each runs and is proved without an edit, or one sentence says what is missing."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dmframe as dm
+from dmframe.errors import RobotError, UnknownNameError
+from dmframe.graph.first import first_graph, is_robot
+
+LIMIT = '<limit lower="-2.5" upper="2.5" velocity="3" effort="50"/>'
+
+
+def made(tmp_path: Path, name: str, tool: str | None = None) -> dm.Graph:
+    first = first_graph(name, tmp_path, tool)
+    for file, text in first.robot.items():
+        (tmp_path / file).write_text(text)
+    path = tmp_path / "first.yaml"
+    path.write_text(first.text)
+    return dm.load(path)
+
+
+def chain_file(folder: Path, kinds: str, seed: int) -> Path:
+    """A robot of random proportions: R a revolute joint, P a prismatic one, C one without limits, - without inertia."""
+    random = np.random.default_rng(seed)
+    text, scale = '<robot name="made"><link name="l0"/>', 10.0 ** random.uniform(-1, 1)
+    for k, kind in enumerate(kinds.replace("-", ""), 1):
+        mass, length = scale * random.uniform(0.3, 1.0) / k, random.uniform(0.1, 0.4)
+        moment = mass * length**2 / 6
+        way = random.choice(["1 0 0", "0 1 0", "0 0 1"])
+        word, limit = {
+            "R": ("revolute", LIMIT),
+            "P": ("prismatic", LIMIT.replace("2.5", "0.2")),
+            "C": ("continuous", '<limit velocity="3" effort="50"/>'),
+        }[kind]
+        inertial = (
+            f'<inertial><origin xyz="{length / 2} 0.01 0.02"/><mass value="{mass}"/><inertia ixx="{moment}" '
+            f'iyy="{moment}" izz="{moment}" ixy="0" ixz="0" iyz="0"/></inertial>'
+        )
+        text += (
+            f'<link name="l{k}">{"" if "-" in kinds else inertial}</link><joint name="j{k}" type="{word}">'
+            f'<parent link="l{k - 1}"/><child link="l{k}"/><origin xyz="{length} 0 {length / 3}"/>'
+            f'<axis xyz="{way}"/>{limit}</joint>'
+        )
+    path = folder / "made.urdf"
+    path.write_text(f"{text}</robot>")
+    return path
+
+
+def sound(graph: dm.Graph) -> None:
+    run = graph.run(until=4.0)
+    assert run.divergence is None
+    assert graph.verify().outcome == "proved"
+
+
+@pytest.mark.parametrize("name", ["ur10e", "so101"])
+def test_the_first_graph_of_a_packaged_robot_runs_and_is_proved(tmp_path, name):
+    graph = made(tmp_path, name)
+    sound(graph)
+    for joint, q in zip(graph.robot.joints, graph.start["q"], strict=True):
+        assert joint.lower < q < joint.upper
+
+
+@pytest.mark.parametrize(
+    ("kinds", "seed"), [("RRPC", 0), ("RRRR", 1), ("RCRRR", 2), ("PRRRRR", 3), ("RRRR-", 4), ("RRRRRRR", 5)]
+)
+def test_the_first_graph_of_a_file_runs_and_is_proved(tmp_path, kinds, seed):
+    path = chain_file(tmp_path, kinds, seed)
+    graph = made(tmp_path, str(path))
+    sound(graph)
+    assert graph.robot.n == len(kinds.replace("-", ""))
+
+
+def test_placeholders_are_stated_in_the_graph_and_in_the_file(tmp_path):
+    first = first_graph(str(chain_file(tmp_path, "RRRR-", 0)), tmp_path)
+    assert list(first.robot) == ["made_arm.urdf"]
+    assert first.text.count("# Assumed: link l") == 4
+    assert first.robot["made_arm.urdf"].count("placeholder of") == 4
+    assert sum("placeholder" in note for note in first.notes) == 4
+
+
+def test_the_armature_of_an_mjcf_file_becomes_the_rotor_of_the_arm(tmp_path):
+    bodies = "".join(
+        f'<body name="b{k}" pos="0.2 0 0.1"><inertial pos="0.1 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>'
+        f'<joint name="j{k}" axis="{axis}" range="-2 2" armature="0.1"/>'
+        for k, axis in enumerate(("0 0 1", "0 1 0", "0 1 0", "1 0 0"))
+    )
+    path = tmp_path / "arm.xml"
+    path.write_text(f'<mujoco><compiler angle="radian"/><worldbody>{bodies}{"</body>" * 4}</worldbody></mujoco>')
+    graph = made(tmp_path, str(path))
+    np.testing.assert_allclose(graph.blocks["arm"].rotor, [0.1] * 4)
+    sound(graph)
+
+
+@pytest.mark.parametrize(
+    ("kinds", "tool", "reason"),
+    [
+        ("RRR", None, "3 joints move on the way to l3; expected an arm with 4 to 7: name another frame with --tool"),
+        ("RRRRRRRR", None, "8 joints move on the way to l8; expected an arm with 4 to 7"),
+        ("RRRRR", "l2", "2 joints move on the way to l2; expected an arm with 4 to 7"),
+    ],
+)
+def test_a_robot_that_is_no_arm_is_refused_in_one_sentence(tmp_path, kinds, tool, reason):
+    with pytest.raises(RobotError, match=re.escape(reason)):
+        first_graph(str(chain_file(tmp_path, kinds, 0)), tmp_path, tool)
+
+
+def test_an_unknown_tool_names_the_frames(tmp_path):
+    with pytest.raises(UnknownNameError, match="tool: hand: unknown frame; choose from"):
+        first_graph(str(chain_file(tmp_path, "RRRR", 0)), tmp_path, "hand")
+
+
+def test_a_robot_is_a_name_or_a_file():
+    assert is_robot("ur10e")
+    assert is_robot("my.urdf.xacro")
+    assert not is_robot("ur30")
