@@ -67,16 +67,17 @@ class Identified:
         columns = np.hstack([fit.theta[:, None], fit.theta[:, None] + step * np.eye(len(fit.theta))])
         p = fit.unknowns.numbers(columns, 0.0)
         slopes = (p[:, 1:] - p[:, :1]) / step
-        return p[:, 0], self._wider * np.sqrt(np.einsum("ij,jk,ik->i", slopes, fit.covariance, slopes))
+        return p[:, 0], self.wider * np.sqrt(np.einsum("ij,jk,ik->i", slopes, fit.covariance, slopes))
 
     @property
-    def _wider(self) -> float:
+    def wider(self) -> float:
+        """Factor of the standard deviations of the class."""
         return _WIDER.get(self.choice.best, 1.0)
 
     def positive(self, name: str) -> tuple[Array, Array]:
         """Values of an unknown that is fitted as a logarithm, and (n, 2) limits of two standard deviations."""
         at = self.fit.unknowns.places[name]
-        value, deviation = self.fit.theta[at], self._wider * np.sqrt(np.diag(self.fit.covariance)[at])
+        value, deviation = self.fit.theta[at], self.wider * np.sqrt(np.diag(self.fit.covariance)[at])
         limits = np.column_stack([value - 2 * deviation, value + 2 * deviation])
         return np.exp(value), np.exp(np.clip(limits, -50, 50))
 
@@ -109,7 +110,7 @@ class Identified:
     def delay(self) -> tuple[float, tuple[float, float]]:
         """Delay from command to servo, and its limits [samples]."""
         at = self.fit.unknowns.places["delay"].start
-        value, deviation = float(self.fit.theta[at]), self._wider * float(np.sqrt(self.fit.covariance[at, at]))
+        value, deviation = float(self.fit.theta[at]), self.wider * float(np.sqrt(self.fit.covariance[at, at]))
         return value, (max(0.0, value - 2 * deviation), value + 2 * deviation)
 
     @property
