@@ -55,14 +55,16 @@ class Plant:
         own = {name: theta[unknowns.places[name]] for name in SERVOS[unknowns.kind]}
         gains = {name: np.maximum(value, 0.0) if name == "f" else np.exp(value) for name, value in own.items()}
         bodies, rotors = bodies_of(unknowns, number["beta"])
-        friction = [np.maximum(number[name], 0.0) for name in ("B", "D", "S")]
+        friction = {name: np.maximum(number[name], 0.0) for name in ("B", "D", "S")}
         return cls(
-            servo_of(unknowns.kind, 1 / number["w"], gains),
-            *friction,
-            float(number["v_s"][0]),
-            bodies,
-            rotors,
-            whole(float(theta[unknowns.places["delay"]][0])),
+            servo=servo_of(unknowns.kind, 1 / number["w"], gains),
+            viscous=friction["B"],
+            coulomb=friction["D"],
+            sticking=friction["S"],
+            velocity=float(number["v_s"][0]),
+            bodies=bodies,
+            rotors=rotors,
+            delay=whole(float(theta[unknowns.places["delay"]][0])),
         )
 
     def blocks(self, servo: str, stribeck: bool) -> dict[str, dict[str, Any]]:

@@ -7,6 +7,8 @@ import math
 from collections.abc import Sequence
 from typing import Any, Final
 
+import numpy as np
+
 from dmframe.catalogue import find_twin
 from dmframe.errors import MissingError
 from dmframe.identification.drawn import Plant, plain, thetas, whole
@@ -67,6 +69,11 @@ def clock_of(found: Identified) -> float:
     return count * period
 
 
+def noise_of(found: Identified) -> float:
+    """Standard deviation of the positions' noise: that of the log, which a residual may bound more closely [rad]."""
+    return min(found.fit.unknowns.log.noise, float(np.min(found.fit.rms)))
+
+
 def race_text(found: Identified, draws: int, place: Place, seed: int = 0) -> str:
     """The packaged race with the plants, paths, channel and sampling period of an identified robot."""
     unknowns, data = found.fit.unknowns, packaged()
@@ -90,9 +97,11 @@ def race_text(found: Identified, draws: int, place: Place, seed: int = 0) -> str
     for path in data["paths"].values():
         path["radius"] = plain([place.scale * radius for radius in path["radius"]])
         path["center"], path["plane"] = plain(place.center), place.plane
-    data["realities"]["log"]["encoder"]["step"] = plain([max(math.sqrt(12) * log.noise, 1e-9)])[0]
-    entrant = data["laws"][data["entrant"]]
-    entrant["set"] = settings(clock, max(plants, key=lambda plant: plant.delay).delay * log.period / clock)
+    data["realities"]["log"]["encoder"]["step"] = plain([max(math.sqrt(12) * noise_of(found), 1e-9)])[0]
+    late = [plant.delay * log.period / clock for plant in plants]
+    for law in data["laws"].values():  # a controller is configured once, so with the delay of the best fit
+        law["set"] = {**law.get("set", {}), **dict.fromkeys(law.pop("delay", ()), math.floor(late[0] + 0.5))}
+    data["laws"][data["entrant"]]["set"] = settings(clock, max(late))
     return dumped(data)
 
 

@@ -5,19 +5,29 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Final
 
 import numpy as np
 
 from dmframe.build.compiler import find_compiler
-from dmframe.errors import DisagreementError, DmframeError
+from dmframe.errors import DisagreementError, DmframeError, OutputError
 from dmframe.files import write_text
+from dmframe.identification.answer import (
+    BY_PATH,
+    NOT_WORTH_IT,
+    UNDECIDED,
+    WORTH_IT,
+    Judged,
+    Verdict,
+    millimetres,
+)
 from dmframe.identification.drawn import bodies_of
 from dmframe.identification.found import Identified
-from dmframe.identification.race_text import not_applicable, place_in, race_text
+from dmframe.identification.race_text import noise_of, not_applicable, place_in, race_text
 from dmframe.identification.robot_file import urdf_text
+from dmframe.identification.write import ROBOT, written
 from dmframe.race.compute import Heat
 from dmframe.race.protocol import Row
 from dmframe.race.read import load_race
@@ -31,83 +41,18 @@ LEAST_DRAWS: Final = 8
 """Fewest draws whose range counts as an interval."""
 WORTH: Final = 0.2
 """Least decrease of the error, relative to that of the best rival, that is worth an adaptive law."""
-RACE, FOLDER, ROBOT = "verdict.yaml", "verdict", "twin.urdf"
-
-WORTH_IT, NOT_WORTH_IT, CANNOT_TELL, BY_PATH, NOT_COMPUTED = (
-    "worth it",
-    "not worth it",
-    "cannot tell",
-    "depends on the path",
-    "not computed",
-)
+RACE: Final = "verdict.yaml"
+FOLDER: Final = "verdict"
 
 
-@final
-@dataclass(frozen=True)
-class Judged:
-    """One law on one path.
-
-    Parameters
-    ----------
-    error, interval
-        Median, least and largest error over the draws [mm]; infinite for a run that diverged.
-    values
-        Tuned parameters.
-    """
-
-    law: str
-    path: str
-    error: float
-    interval: tuple[float, float]
-    values: Mapping[str, float]
-    adaptive: bool
-
-    @property
-    def summary(self) -> dict[str, Any]:
-        """Plain data for JSON; null instead of an infinite number."""
-        error, low, high = (value if math.isfinite(value) else None for value in (self.error, *self.interval))
-        about = {"law": self.law, "path": self.path, "error": error, "interval": [low, high]}
-        return about | {"values": dict(self.values), "adaptive": self.adaptive}
-
-    def __str__(self) -> str:
-        return f"{_mm(self.error)} ({_mm(self.interval[0])} to {_mm(self.interval[1])})"
-
-
-@final
-@dataclass(frozen=True)
-class Verdict:
-    """The answer.
-
-    Parameters
-    ----------
-    sentence
-        In words.
-    outcome
-        worth it, not worth it, cannot tell, depends on the path, or not computed.
-    laws
-        Each law on each path.
-    paths
-        The paths on which the laws are judged, as parameters of `epicycles`, by name.
-    draws, clock, resolution
-        Number of draws, sampling period of the controllers [s], and error of the tool below which none counts [mm].
-    """
-
-    sentence: str
-    outcome: str = NOT_COMPUTED
-    laws: Sequence[Judged] = ()
-    paths: Mapping[str, Any] = field(default_factory=dict)
-    draws: int = 0
-    clock: float = 0.0
-    resolution: float = 0.0
-
-    @property
-    def summary(self) -> dict[str, Any]:
-        """Plain data for JSON."""
-        found: dict[str, Any] = {"sentence": self.sentence, "outcome": self.outcome}
-        if self.outcome == NOT_COMPUTED:
-            return found | {"laws": []}
-        found |= {"laws": [judged.summary for judged in self.laws], "path": dict(self.paths), "draws": self.draws}
-        return found | {"clock": self.clock, "resolution": self.resolution}
+def with_verdict(
+    found: Identified, folder: Path | None = None, say: Callable[[str], None] = lambda text: None
+) -> Identified:
+    """The result with its verdict; in a folder, its files are written again."""
+    found = replace(found, verdict=verdict_of(found, folder, say=say))
+    if folder is not None:
+        written(found, folder)
+    return found
 
 
 def verdict_of(
@@ -142,9 +87,11 @@ def verdict_of(
         write_text(where / RACE, race_text(found, draws, place))
         try:
             finished = run_race(load_race(where / RACE), where / FOLDER, executor=executor, report=report)
+        except OutputError:
+            raise
         except DmframeError as error:
             return Verdict(f"not computed: the race of the laws failed: {error}")
-    return decided(finished, 1000 * place.spread * found.fit.unknowns.log.noise)
+    return decided(finished, 1000 * place.spread * noise_of(found))
 
 
 def decided(finished: Finished, resolution: float) -> Verdict:
@@ -156,7 +103,7 @@ def decided(finished: Finished, resolution: float) -> Verdict:
     Raises
     ------
     DisagreementError
-        There are fewer than `LEAST_DRAWS` draws.
+        There are fewer than `LEAST_DRAWS` draws, or a law was not tuned with as many candidates as the race prescribes.
     """
     race, paths = finished.race, dict[str, list[Row]]()
     for row in finished.rows:
@@ -164,6 +111,12 @@ def decided(finished: Finished, resolution: float) -> Verdict:
     draws = min(len(rows) for rows in paths.values())
     if draws < LEAST_DRAWS:
         raise DisagreementError(f"verdict: expected at least {LEAST_DRAWS} draws for an interval, found {draws}")
+    tried = {choice.law: len(choice.tried) for choice in finished.choices}
+    if untuned := [law for law in race.file.laws if tried.get(law) != race.file.budget]:
+        raise DisagreementError(
+            f"verdict: {untuned[0]} was not tuned by the protocol: expected {race.file.budget} candidates, found "
+            f"{tried.get(untuned[0], 0)}"
+        )
     values = {choice.law: dict(choice.best.values) for choice in finished.choices if choice.best is not None}
     laws, outcomes, texts = list[Judged](), list[str](), list[str]()
     for path, rows in paths.items():
@@ -177,9 +130,14 @@ def decided(finished: Finished, resolution: float) -> Verdict:
         laws += sorted(own.values(), key=lambda judged: judged.error)
     outcome = outcomes[0] if len(set(outcomes)) == 1 else BY_PATH
     clock = race.file.clocks[0]
-    sentence = f"{'; '.join(texts)} ({draws} draws of the identified robot, sampled at {plain(clock, 's')})"
-    judged_paths = {path: {**race.file.paths[path].parameters, "repeats": race.file.paths[path].repeats} for path in paths}
-    return Verdict(sentence, outcome, laws, judged_paths, draws, clock, resolution)
+    sentence = (
+        f"{', '.join(texts)}; RMS of the tool's error over {draws} draws of the identified robot, sampled at "
+        f"{plain(clock, 's')}; a difference below {millimetres(resolution)} mm, the position noise at the tool, "
+        "does not count"
+    )
+    drawn = {name: race.file.paths[name] for name in paths}
+    about = {name: {**path.parameters, "repeats": path.repeats} for name, path in drawn.items()}
+    return Verdict(sentence, outcome, laws, about, draws, clock, resolution)
 
 
 def outcome_of(rows: Sequence[Row], rival: str, resolution: float) -> str:
@@ -187,7 +145,7 @@ def outcome_of(rows: Sequence[Row], rival: str, resolution: float) -> str:
     gains = [_worth(row.error, row.errors[rival], resolution) for row in rows]
     if any(math.isinf(row.error) and not math.isinf(row.errors[rival]) for row in rows):
         return NOT_WORTH_IT
-    return WORTH_IT if all(gains) else CANNOT_TELL if any(gains) else NOT_WORTH_IT
+    return WORTH_IT if all(gains) else UNDECIDED if any(gains) else NOT_WORTH_IT
 
 
 def _worth(error: float, rival: float, resolution: float) -> bool:
@@ -204,11 +162,4 @@ def _text(outcome: str, entrant: Judged, rival: Judged, repeats: bool) -> str:
     """The outcome on one path in words."""
     where = "a path that repeats" if repeats else "a path that never repeats"
     advice = f": take {rival.law}" if outcome == NOT_WORTH_IT else ""
-    return (
-        f"{outcome} on {where}{advice}; the tool's error is {entrant} with {entrant.law} and {rival} with "
-        f"{rival.law}, the best of the tuned laws without a model"
-    )
-
-
-def _mm(value: float) -> str:
-    return "diverged" if math.isinf(value) else f"{value:.2g} mm"
+    return f"{outcome} on {where}{advice} ({entrant}; {rival})"

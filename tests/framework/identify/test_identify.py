@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 
 import dmframe as dm
+from dmframe.identification.drawn import thetas
 from dmframe.identification.found import Identified
 from dmframe.identification.model import model_of
+from dmframe.identification.solve import longest_step
+from dmframe.identification.twin import schedule, twins_of
 from tests.framework.identify.plants import Hidden, record, write
 
 K_P, K_I = np.array([5.0, 7.0, 9.0]), np.array([4.0, 8.0, 6.0])
@@ -32,6 +35,19 @@ def test_a_pid_servo_its_gains_and_its_delay_are_found_within_half_a_percent(tmp
     summary = found.summary
     assert set(summary) == set("servo delay friction bodies residual floor indistinguishable verdict".split())
     check_twin(found, tmp_path / "out")
+    check_draws(found)
+
+
+def check_draws(found: Identified) -> None:
+    """Twins that are drawn from the covariance of the fit leave nearly its residual."""
+    unknowns, theta = found.fit.unknowns, found.fit.theta[:, None]
+    delay = found.delay[0] * unknowns.log.period
+    plan = schedule(unknowns.log.time, delay, longest_step(unknowns, found.fit.theta))
+    numbers = unknowns.numbers(np.hstack([theta, thetas(found, 7)]), delay)
+    q = twins_of(unknowns.model).positions(plan, unknowns.log.u, numbers)
+    rms = np.sqrt(np.mean((unknowns.log.q[:, :, None] - q) ** 2, axis=0))
+    assert np.all(rms[:, 1:] < 1.1 * rms[:, :1])
+    assert np.all(rms[:, 1:] > rms[:, :1])
 
 
 def check_twin(found: Identified, out: Path) -> None:
