@@ -21,7 +21,9 @@ def identify(
     columns: Annotated[
         list[str], typer.Option(metavar="NAME=COLUMN", help="The column of a signal: q_1=shoulder; may be repeated.")
     ] = NOTHING,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", callback=home, help="Folder for identified.json.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", callback=home, help="Folder for report.html and files.")
+    ] = None,
     no_verdict: Annotated[
         bool,
         typer.Option(

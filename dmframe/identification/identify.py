@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
@@ -50,7 +51,8 @@ def identify(
     columns
         ``name=column`` for columns whose names are not guessed.
     out
-        Folder to which ``identified.json``, the robot ``twin.urdf`` and the graph ``twin.yaml`` are written.
+        Folder to which ``identified.json``, the page ``report.html``, the robot ``twin.urdf`` and the graph
+        ``twin.yaml`` are written.
     verdict
         Whether an adaptive law is compared with tuned laws without a model on the identified robot, which takes about a
         minute; with `out`, the comparison is kept there as a race, ``verdict.yaml``.
@@ -74,7 +76,10 @@ def identify(
     record, notices = checked_log(signals, chain, table.name)
     twins = twins_of(model_of(chain))
     choice = chosen(twins, record, say)
+    given = chain.name if isinstance(robot, SerialChain) else robot
+    options = [word for column in columns for word in ("--columns", column)]
     about = {
+        "command": shlex.join(["dmframe", "identify", str(log), given, *options, "--out", str(out or "identified")]),
         "dmframe": version(),
         "python": platform.python_version(),
         "log": table.name,

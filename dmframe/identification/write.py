@@ -14,21 +14,24 @@ from dmframe.files import write_text, writing
 from dmframe.identification.drawn import WHOLE, bodies_of, plain, servo_of
 from dmframe.identification.found import Identified
 from dmframe.identification.model import Array
+from dmframe.identification.page import as_html
 from dmframe.identification.robot_file import TOOL, urdf_text
 
 RESULT: Final = "identified.json"
 ROBOT: Final = "twin.urdf"
 GRAPH: Final = "twin.yaml"
+PAGE: Final = "report.html"
 
 
 def written(found: Identified, folder: Path) -> tuple[Path, ...]:
-    """Write `identified.json` and, for a known servo, `twin.urdf` and `twin.yaml`; returns their paths."""
+    """Write the numbers, the page and, for a known servo, the robot and the graph of its twin; returns their paths."""
     with writing(folder, "folder"):
         folder.mkdir(parents=True, exist_ok=True)
     texts = {RESULT: json.dumps({**found.summary, "record": found.record}, indent=2) + "\n"}
     if found.known:
         bodies, _ = bodies_of(found.fit.unknowns, found.number("beta")[0])
         texts |= {ROBOT: urdf_text(found.fit.unknowns.model.chain, bodies), GRAPH: graph_text(found)}
+    texts[PAGE] = as_html(found)
     for name, text in texts.items():
         write_text(folder / name, text)
     return tuple(folder / name for name in texts)

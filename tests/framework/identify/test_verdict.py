@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import html
 import json
 import math
 import sys
 from collections.abc import Mapping
 from dataclasses import replace
+from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -26,6 +28,7 @@ from dmframe.identification.found import Identified
 from dmframe.identification.identify import chain_of
 from dmframe.identification.log import Log
 from dmframe.identification.model import model_of
+from dmframe.identification.page import as_html
 from dmframe.identification.race_text import clock_of, noise_of, not_applicable, packaged, place_in, race_text, settings
 from dmframe.identification.robot_file import urdf_text
 from dmframe.identification.solve import Fit
@@ -236,6 +239,50 @@ def test_the_command_prints_the_identification_also_without_a_verdict(
     found = json.loads(capsys.readouterr().out)
     assert found["servo"]["class"] == "pid"
     assert found["verdict"]["sentence"] == sentence
+
+
+class _Tags(HTMLParser):
+    """Texts by heading, and addresses outside of the page."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.outside, self.open = list[str](), list[str]()
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.outside += [
+            str(value) for name, value in attrs if name in ("src", "href") and not str(value).startswith("#")
+        ]
+        self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def test_the_page_has_the_verdict_the_parameters_and_a_panel_for_each_joint_and_needs_no_other_file() -> None:
+    verdict = decided(finished(rows([0.5] * 8, [1.0] * 8)), 0.1)
+    found = replace(
+        known(), verdict=verdict, notices=("a <b>notice</b>",), record={"log": "<i>.csv", "command": "dmframe"}
+    )
+    page = as_html(found)
+    tags = _Tags(page)
+    assert not tags.outside
+    assert not tags.open
+    assert f"Verdict: {html.escape(verdict.sentence)}." in page
+    assert "a &lt;b&gt;notice&lt;/b&gt;" in page
+    assert "&lt;i&gt;.csv" in page
+    assert page.count("<svg") == 2
+    low, high = found.positive("k_P")[1][0]
+    assert f"{low:.4g} to {high:.4g}" in page
+
+
+def test_the_page_of_an_unknown_servo_has_no_parameters() -> None:
+    found = known()
+    page = as_html(replace(found, choice=Choice(found.choice.fits, found.choice.floor * 0.01)))
+    assert "Unknown servo" in page
+    assert "Base parameters" not in page
+    assert "K_P" not in page
+    assert "Residual" in page
 
 
 def test_six_joints_and_an_unknown_servo_have_no_verdict_and_the_reason() -> None:
