@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
@@ -15,6 +16,8 @@ from dmframe.identification.unknowns import SERVOS, Unknowns
 
 NARROW: Final = 0.05
 """Two standard deviations of a delay below which it is not drawn [samples]."""
+MOST_SAMPLES: Final = 4.0
+"""Longest delay of a graph, in samples of its clock."""
 WHOLE: Final = 0.02
 """Deviation from a whole number of samples below which a delay is rounded."""
 
@@ -144,6 +147,11 @@ def thetas(found: Identified, count: int, seed: int = 0) -> Array:
 def whole(samples: float) -> float:
     """A delay, rounded if it is near a whole number of samples."""
     return float(round(samples)) if abs(samples - round(samples)) < WHOLE else samples
+
+
+def periods(found: Identified, least: float = 0.0) -> int:
+    """The fewest periods of the log that are at least `least` [s] and in which the delay is at most 4 samples."""
+    return math.ceil(max(least / found.fit.unknowns.log.period - 1e-6, found.delay[1][1] / MOST_SAMPLES, 1.0))
 
 
 def plain(values: Sequence[float] | Array) -> list[float]:

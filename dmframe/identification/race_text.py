@@ -11,7 +11,7 @@ import numpy as np
 
 from dmframe.catalogue import find_twin
 from dmframe.errors import MissingError
-from dmframe.identification.drawn import Plant, plain, thetas, whole
+from dmframe.identification.drawn import MOST_SAMPLES, Plant, periods, plain, thetas, whole
 from dmframe.identification.found import Identified
 from dmframe.identification.robot_file import TOOL
 from dmframe.identification.tool_path import Place, place_of
@@ -22,8 +22,6 @@ FIT: Final = "best_fit"
 LEAST_CLOCK: Final = 0.008
 """Shortest sampling period of the controllers [s]."""
 LONGEST_CLOCK: Final = 0.1
-MOST_DELAY: Final = 4.0
-"""Longest delay of the plant, in samples of the controllers."""
 MOST_JOINTS: Final = 3
 SERVO: Final = {"pi": "pi_servo", "pid": "pid_servo", "p_pi": "p_pi_servo"}
 FORGETTING: Final = 20.0
@@ -60,11 +58,11 @@ def clock_of(found: Identified) -> float:
         There is none.
     """
     period, delay = round(found.fit.unknowns.log.period, 9), found.delay[1][1]
-    count = math.ceil(max(LEAST_CLOCK / period - 1e-6, delay / MOST_DELAY, 1.0))
+    count = periods(found, LEAST_CLOCK)
     if count * period > LONGEST_CLOCK:
         raise MissingError(
-            f"expected a delay below {MOST_DELAY:g} samples at a sampling period of at most {LONGEST_CLOCK:g} s, found "
-            f"{1000 * delay * period:.3g} ms at {1000 * period:.3g} ms"
+            f"expected a delay below {MOST_SAMPLES:g} samples and a sampling period of at most {LONGEST_CLOCK:g} s, "
+            f"found {1000 * delay * period:.3g} ms at {1000 * period:.3g} ms"
         )
     return count * period
 

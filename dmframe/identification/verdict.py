@@ -23,17 +23,17 @@ from dmframe.identification.answer import (
     Verdict,
     millimetres,
 )
-from dmframe.identification.drawn import bodies_of
 from dmframe.identification.found import Identified
-from dmframe.identification.race_text import noise_of, not_applicable, place_in, race_text
-from dmframe.identification.robot_file import urdf_text
-from dmframe.identification.write import ROBOT, written
+from dmframe.identification.race_text import FIT, noise_of, not_applicable, place_in, race_text
+from dmframe.identification.write import ROBOT, robot_text, written
 from dmframe.race.compute import Heat
+from dmframe.race.plan import Run
 from dmframe.race.protocol import Row
 from dmframe.race.read import load_race
 from dmframe.race.run import Finished, run_race
 from dmframe.study.execute import State
 from dmframe.study.executor import Executor
+from dmframe.study.packing import write_graph
 from dmframe.units import plain
 
 DRAWS: Final = 20
@@ -80,10 +80,9 @@ def verdict_of(
     def report(stage: str, state: State) -> None:
         say(f"verdict, {stage}: {state.kept} of {state.runs} runs after {state.seconds:.0f} s")
 
-    chain = found.fit.unknowns.model.chain
     with tempfile.TemporaryDirectory() as temporary:
         where = folder or Path(temporary)
-        write_text(where / ROBOT, urdf_text(chain, bodies_of(found.fit.unknowns, found.number("beta")[0])[0]))
+        write_text(where / ROBOT, robot_text(found))
         write_text(where / RACE, race_text(found, draws, place))
         try:
             finished = run_race(load_race(where / RACE), where / FOLDER, executor=executor, report=report)
@@ -91,7 +90,18 @@ def verdict_of(
             raise
         except DmframeError as error:
             return Verdict(f"not computed: the race of the laws failed: {error}")
+        _write_graphs(finished, where / FOLDER)
     return decided(finished, 1000 * place.spread * noise_of(found))
+
+
+def _write_graphs(finished: Finished, folder: Path) -> None:
+    """Write each tuned law on the best fit as a graph, on the first of the paths on which the laws are judged."""
+    race = finished.race
+    cell = replace(race.held_out[0], plant=FIT)
+    for choice in finished.choices:
+        if choice.best is not None:
+            graph = race.graph(Run(choice.law, cell, choice.best.values, race.file.seed + 1))
+            write_graph(graph.set({"arm.bodies": None}), folder / f"{choice.law}.yaml")  # those of the robot's file
 
 
 def decided(finished: Finished, resolution: float) -> Verdict:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import dmframe as dm
@@ -21,7 +22,11 @@ def test_the_predicted_errors_and_the_winner_are_those_on_the_true_robot(tmp_pat
     log, _, delay, plant = recorded(1)
     found = dm.identify(write(tmp_path / "log.csv", *log), "ur10_slow")
     verdict = verdict_of(found, tmp_path, draws=8)
-    assert (tmp_path / FOLDER / "report.html").exists()
+    again = dm.load(tmp_path / FOLDER / "level.yaml").run(progress=False)
+    level = next(judged for judged in verdict.laws if (judged.law, judged.path) == ("level", "wander"))
+    error = 1e3 * again.recording["arm.x"] - 1e3 * again.recording["path.x_d"]
+    last = np.linalg.norm(error[-(len(error) // 8) :], axis=1)
+    assert np.sqrt(np.mean(last**2)) == pytest.approx(level.error, rel=0.1)
     race, errors = load_race(tmp_path / RACE), dict[str, float]()
     for judged in verdict.laws:
         if judged.path == "wander" and judged.law in ("inverse", "level", "experts"):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
 
 import dmframe as dm
 from dmframe.identification.drawn import thetas
@@ -59,7 +60,10 @@ def check_twin(found: Identified, out: Path) -> None:
     assert beta.base.kept == found.fit.unknowns.model.base.kept
     assert beta.nominal + rotors == pytest.approx(found.number("beta")[0], abs=1e-5)
     assert 1 / value["servo.K_D"] == pytest.approx(found.servo["w"][0])
-    assert {"servo.K_D", "arm.viscous"} <= set(graph.intervals())
+    assert {"servo.K_D", "arm.viscous", "arm.rotor"} <= set(graph.intervals())
+    low, high = np.array(YAML().load(out / "twin.yaml")["uncertain"]["servo.K_D"], dtype=float)
+    assert np.all((low < value["servo.K_D"]) & (value["servo.K_D"] < high))
+    assert np.all(high < 1.05 * low)  # at the scale of the torques that the robot of the graph has
     assert graph.run("0.5 s", progress=False).recording.divergence is None
     assert json.loads((out / "identified.json").read_text())["record"]["sha256"]
 

@@ -34,6 +34,7 @@ from dmframe.identification.robot_file import urdf_text
 from dmframe.identification.solve import Fit
 from dmframe.identification.unknowns import Unknowns
 from dmframe.identification.verdict import DRAWS, decided, outcome_of
+from dmframe.identification.write import graph_text
 from dmframe.race.plan import Cell, Race, Run
 from dmframe.race.protocol import Choice as Tuned
 from dmframe.race.protocol import Row, Tried
@@ -200,6 +201,12 @@ def test_the_sampling_period_is_a_multiple_of_the_logs_that_the_laws_and_the_del
     assert clock_of(known(period=0.002)) == 0.008
     assert clock_of(known(delay=6.0, period=0.008)) == 0.016
     assert "expected a delay below 4 samples" in not_applicable(known(delay=7.5, period=0.06))
+
+
+def test_the_graph_of_a_twin_with_a_long_delay_has_a_longer_clock() -> None:
+    data = YAML().load(graph_text(known(delay=6.0)))
+    assert data["clock"] == 0.016
+    assert data["blocks"]["delay"] == {"type": "transport_delay", "samples": 3}
 
 
 def test_settings_follow_the_rules_of_the_page_for_another_clock() -> None:
