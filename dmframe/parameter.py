@@ -95,9 +95,9 @@ def Around(shape: str = "", unit: str = "") -> Any:
     return _field(Spec(shape, unit, "", "ball"), None)
 
 
-def Rows(columns: str, unit: str = "", *, default: Any = ...) -> Any:
-    """Rows of numbers, each as long as the letter says; their count is free."""
-    return _field(Spec(f"* {columns}", unit, "", "table"), default)
+def Rows(columns: str, unit: str = "", *, count: str = "*", default: Any = ...) -> Any:
+    """Rows of numbers, each as long as the letter says; their count is free, or the letter `count`."""
+    return _field(Spec(f"{count} {columns}", unit, "", "table"), default)
 
 
 def _field(spec: Spec, default: Any) -> Any:

@@ -21,10 +21,12 @@ from dmframe.block import (
     Output,
     Positive,
     Real,
+    Rows,
     Scalar,
     Side,
     Signals,
     Square,
+    Table,
     Vector,
     named,
     operation,
@@ -60,6 +62,9 @@ class LoadedManipulator(AbstractBlock):
     payload_at : list, s
         Increasing start times of the masses; there is no mass before the first. With ``payload: [2, 0]`` and
         ``payload_at: [10, 20]`` the load is 2 kg from 10 s to 20 s.
+    bodies : one row a link, (10,)
+        Inertial parameters of the plant's links instead of those of the robot's file, which controllers read; without a
+        proof. A row is m, m r and the inertia xx, xy, yy, xz, yz, zz about the joint's origin, in its frame's axes.
     viscous : diagonal (n,), N m s/rad, >= 0
         Viscous friction of the joints.
     coulomb : diagonal (n,), N m, >= 0
@@ -93,6 +98,7 @@ class LoadedManipulator(AbstractBlock):
 
     payload: Vector | None = Real("*", "kg", default=None, spread=False)
     payload_at: Vector | None = Real("*", "s", default=None, spread=False)
+    bodies: Table | None = Rows("10", count="n", default=None)
     viscous: Diagonal = NonNegative("n", "N m s/rad", default=0.0)
     coulomb: Diagonal = NonNegative("n", "N m", default=0.0)
     rotor: Diagonal | None = NonNegative("n", "kg m^2", default=None)
@@ -138,8 +144,8 @@ class LoadedManipulator(AbstractBlock):
         )
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
-        """That of `manipulator` with a constant load; none for point masses, whose steps are not a signal."""
-        if "payload" in p:
+        """That of `manipulator` with a constant load; none for `payload`, whose steps are not a signal, or `bodies`."""
+        if "payload" in p or "bodies" in p:
             return None
         robot, (_, a) = p.robot, self._loaded(u, p)
         true = {"momentum": moved(p, x.q, a) @ x.dq, "a_held": u.a_load}
@@ -159,7 +165,7 @@ class LoadedManipulator(AbstractBlock):
 
     def _loaded(self, u: Signals, p: Signals) -> tuple[SX, SX]:
         """The load's mass, and the robot's inertial parameters with it."""
-        inertia, load = p.robot.inertia, u.a_load[0]
+        inertia, load = ca.vec(p.bodies.T) if "bodies" in p else p.robot.inertia, u.a_load[0]
         a = with_body(inertia, u.a_load)
         if "payload" in p:
             mass = at_time(u.t, p.payload, p.payload_at)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -20,17 +21,34 @@ def identify(
     columns: Annotated[
         list[str], typer.Option(metavar="NAME=COLUMN", help="The column of a signal: q_1=shoulder; may be repeated.")
     ] = NOTHING,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", callback=home, help="Folder for identified.json.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", callback=home, help="Folder for report.html and files.")
+    ] = None,
+    no_verdict: Annotated[
+        bool,
+        typer.Option(
+            "--no-verdict", help="Do not compare control laws on the identified robot, which takes one to two minutes."
+        ),
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
     """Identify a closed servo, the delay, friction and base parameters from a log, with intervals.
 
+    The verdict compares an adaptive law with tuned laws without a model on the identified robot.
+
     Exit status 1 if no class of servo explains the log.
     """
+    from dmframe.cli import STOPPED
     from dmframe.graph.progress import progress_line
+    from dmframe.identification.answer import INTERRUPTED
     from dmframe.identification.identify import identify as identified
+    from dmframe.identification.verdict import with_verdict
 
     with progress_line(log) as say:
         found = identified(log, robot, columns=columns, out=out, say=say)
+        try:
+            found = found if no_verdict else with_verdict(found, out, say)
+        except KeyboardInterrupt:
+            found = replace(found, verdict=INTERRUPTED)
     tell(json.dumps(found.summary, indent=2) if as_json else str(found))
-    return 0 if found.known else UNKNOWN
+    return STOPPED if found.verdict is INTERRUPTED else 0 if found.known else UNKNOWN

@@ -8,12 +8,12 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from dmframe.identification.answer import NOT_REQUESTED, Verdict
 from dmframe.identification.choose import Choice
 from dmframe.identification.model import Array
 from dmframe.identification.solve import Fit
 from dmframe.identification.unknowns import SERVOS
 
-NOT_COMPUTED: Final = "not computed: this version does not compare control laws on the identified twin"
 ALWAYS: Final = (
     "absolute gains K and inertia: positions determine them relative to one another; the robot's file gives the scale",
     "inertia of rotor and link where a base parameter contains both",
@@ -39,11 +39,14 @@ class Identified:
         Remarks on the log and on the engine.
     record
         How to repeat it: versions, digest of the log, options.
+    verdict
+        Whether an adaptive law is worth it.
     """
 
     choice: Choice
     notices: tuple[str, ...]
     record: dict[str, Any]
+    verdict: Verdict = NOT_REQUESTED
 
     @property
     def fit(self) -> Fit:
@@ -67,16 +70,17 @@ class Identified:
         columns = np.hstack([fit.theta[:, None], fit.theta[:, None] + step * np.eye(len(fit.theta))])
         p = fit.unknowns.numbers(columns, 0.0)
         slopes = (p[:, 1:] - p[:, :1]) / step
-        return p[:, 0], self._wider * np.sqrt(np.einsum("ij,jk,ik->i", slopes, fit.covariance, slopes))
+        return p[:, 0], self.wider * np.sqrt(np.einsum("ij,jk,ik->i", slopes, fit.covariance, slopes))
 
     @property
-    def _wider(self) -> float:
+    def wider(self) -> float:
+        """Factor of the standard deviations of the class."""
         return _WIDER.get(self.choice.best, 1.0)
 
     def positive(self, name: str) -> tuple[Array, Array]:
         """Values of an unknown that is fitted as a logarithm, and (n, 2) limits of two standard deviations."""
         at = self.fit.unknowns.places[name]
-        value, deviation = self.fit.theta[at], self._wider * np.sqrt(np.diag(self.fit.covariance)[at])
+        value, deviation = self.fit.theta[at], self.wider * np.sqrt(np.diag(self.fit.covariance)[at])
         limits = np.column_stack([value - 2 * deviation, value + 2 * deviation])
         return np.exp(value), np.exp(np.clip(limits, -50, 50))
 
@@ -109,7 +113,7 @@ class Identified:
     def delay(self) -> tuple[float, tuple[float, float]]:
         """Delay from command to servo, and its limits [samples]."""
         at = self.fit.unknowns.places["delay"].start
-        value, deviation = float(self.fit.theta[at]), self._wider * float(np.sqrt(self.fit.covariance[at, at]))
+        value, deviation = float(self.fit.theta[at]), self.wider * float(np.sqrt(self.fit.covariance[at, at]))
         return value, (max(0.0, value - 2 * deviation), value + 2 * deviation)
 
     @property
@@ -156,7 +160,7 @@ class Identified:
             "residual": self.fit.rms.tolist(),
             "floor": self.choice.floor.tolist(),
             "indistinguishable": list(self.indistinguishable),
-            "verdict": NOT_COMPUTED,
+            "verdict": self.verdict.summary,
         }
 
     def __str__(self) -> str:
@@ -171,13 +175,13 @@ class Identified:
                 "payload, and use a "
                 "log with velocity steps that begins at rest"
             )
-            return "\n".join(lines)
+            return "\n".join([*lines, f"verdict: {self.verdict.sentence}"])
         value, limits = self.delay
         lines.append(f"servo: {self.kind}")
         lines.append(f"delay: {value:.3f} samples ({limits[0]:.3f} to {limits[1]:.3f})")
         lines += [_line(name, own) for name, own in (self.servo | self.friction).items()]
         lines += [f"not separable: {text}" for text in self.indistinguishable]
-        return "\n".join([*lines, f"verdict: {NOT_COMPUTED}"])
+        return "\n".join([*lines, f"verdict: {self.verdict.sentence}"])
 
 
 def _limits(pair: Any) -> list[float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
@@ -16,6 +17,7 @@ from dmframe.identification.found import Identified
 from dmframe.identification.model import model_of
 from dmframe.identification.table import read_table
 from dmframe.identification.twin import twins_of
+from dmframe.identification.verdict import with_verdict
 from dmframe.identification.write import written
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.library import load
@@ -31,6 +33,7 @@ def identify(
     *,
     columns: Sequence[str] = (),
     out: str | Path | None = None,
+    verdict: bool = False,
     say: Callable[[str], None] = lambda text: None,
 ) -> Identified:
     """Identify a robot's closed servo from a log of commands and positions.
@@ -48,7 +51,11 @@ def identify(
     columns
         ``name=column`` for columns whose names are not guessed.
     out
-        Folder to which ``identified.json``, the robot ``twin.urdf`` and the graph ``twin.yaml`` are written.
+        Folder to which ``identified.json``, the page ``report.html``, the robot ``twin.urdf`` and the graph
+        ``twin.yaml`` are written.
+    verdict
+        Whether an adaptive law is compared with tuned laws without a model on the identified robot, which takes about a
+        minute; with `out`, the comparison is kept there as a race, ``verdict.yaml``.
     say
         Called with a line of progress.
 
@@ -69,7 +76,10 @@ def identify(
     record, notices = checked_log(signals, chain, table.name)
     twins = twins_of(model_of(chain))
     choice = chosen(twins, record, say)
+    given = chain.name if isinstance(robot, SerialChain) else robot
+    options = [word for column in columns for word in ("--columns", column)]
     about = {
+        "command": shlex.join(["dmframe", "identify", str(log), given, *options, "--out", str(out or "identified")]),
         "dmframe": version(),
         "python": platform.python_version(),
         "log": table.name,
@@ -86,7 +96,7 @@ def identify(
     _determined(found, table.name)
     if out is not None:
         written(found, Path(out))
-    return found
+    return with_verdict(found, None if out is None else Path(out), say) if verdict else found
 
 
 def chain_of(robot: str) -> SerialChain:

@@ -155,6 +155,9 @@ class PlantSection(BaseModel):
     __pydantic_extra__: dict[str, dict[str, Any]]
 
     wires: dict[str, str] = Field({}, description="input: output, where the names differ, with this plant alone")
+    transport_delay: Annotated[float, Field(strict=True, ge=0)] = Field(
+        0.0, description="transport delay of this plant in samples, in addition to that of the reality"
+    )
 
     @property
     def blocks(self) -> dict[str, dict[str, Any]]:

@@ -198,12 +198,13 @@ class Race:
         """The document of a run's graph; each value names its place in the race's file or in the law's."""
         law, plant = self.laws[run.law, run.cell.clock], dict(_entries(self._entry("plants", run.cell.plant)))
         wires = {**law.wires, **_entries(plant.pop("wires", (None, _node({})))[1])}
+        plant.pop(DELAY, None)
         node = self._entry("paths", run.cell.path)
         path = dict(_entries(node))
         rate = path.pop(REPEATS, None)
         blocks = {PATH: (_node(PATH), replace(node, value=path)), **law.blocks, **plant}
         known: list[tuple[str, str, Any]] = [(f"tune.{label}", label, value) for label, value in run.values]
-        late = self.delays.get(run.cell.reality, 0)
+        late = self.delays.get(run.cell.reality, 0) + math.floor(self._late(run) + 0.5)
         known += [("delay", label, late) for label in law.section.delay]
         known += [("seed", label, 1 + run.seed % SEEDS) for label in law.section.seed]
         known += [("rate", label, rate[1].value) for label in law.section.rate if rate is not None]
@@ -234,6 +235,10 @@ class Race:
             found[reality] = sum(int(getattr(block, "samples", 0)) for block in blocks)
         return found
 
+    def _late(self, run: Run) -> float:
+        """Transport delay of the plant itself [samples]."""
+        return self.file.plants[run.cell.plant].transport_delay
+
     def _entry(self, section: str, name: str) -> Node:
         return _entries(self.sections[section])[name][1]
 
@@ -252,8 +257,9 @@ class Race:
         late = dict(_entries(models[DELAY][1])) if DELAY in models else {}
         more, own = self.file.margins.delay if run.margin else 0, mapping_of(_node({}, late)).get("share", 0)
         if "late" in late or not isinstance(own, int | float):  # a sample that is late by chance excludes a share
-            whole = more
+            whole = more + math.ceil(self._late(run))
         else:
+            own += self._late(run)
             whole = max(math.ceil(more + own) - 1, 0)
             late["share"] = (_node("share"), _node(more + own - whole))
         late["samples"] = (_node("samples"), self._stamped(self.delays[name] + whole, "margins", "delay"))

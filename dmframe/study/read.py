@@ -115,6 +115,9 @@ def _written(data: Mapping[str, Any]) -> str:
 def _checked(document: Document) -> tuple[StudyFile, list[DmframeError]]:
     """Validate the file against the grammar, and find unknown keys; names of parameters are checked later."""
     faults, data = list[DmframeError](), dict(document.data)
+    if "dmframe" in data and "dmframe-study" not in data:
+        name = Path(document.name).name
+        raise ValueFault(f"{document.name}: expected a study, found a graph; write a study with the key graph: {name}")
     for section in ("sample", "tune"):
         found = document.data.get(section)
         entries = found if isinstance(found, dict) else {}

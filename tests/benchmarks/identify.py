@@ -58,8 +58,8 @@ def servo_of(seed: int, rng: np.random.Generator) -> tuple[Servo, dict[str, Arra
     return servo, {"k_P": p + i, "k_I": p * i} if f == 1 else {"k_p": p, "k_i": i, "f": np.full(3, f)}
 
 
-def recorded(seed: int) -> tuple[tuple[Array, Array, Array], dict[str, Array], int]:
-    """Log, true parameters, and delay of a hidden robot."""
+def recorded(seed: int) -> tuple[tuple[Array, Array, Array], dict[str, Array], int, Plant]:
+    """Log, true parameters, delay [samples] and plant of a hidden robot."""
     rng = np.random.default_rng(seed)
     servo, true = servo_of(seed, rng)
     T, delay, stribeck = (0.008, 0.002)[rng.integers(2)], int(rng.integers(4)), rng.random() < 0.5
@@ -85,7 +85,7 @@ def recorded(seed: int) -> tuple[tuple[Array, Array, Array], dict[str, Array], i
         return u[min(k, len(u) - 1)] if k >= 0 else np.zeros(3)
 
     motion = plant.run(command, np.array([1.4, -1.1, 1.2]) + rng.uniform(-0.3, 0.3, 3), T, 20.0)
-    return (motion.time[:-1], np.round(motion.q[:-1] / QUANTUM) * QUANTUM, u), true, delay
+    return (motion.time[:-1], np.round(motion.q[:-1] / QUANTUM) * QUANTUM, u), true, delay, plant
 
 
 def main(first: int, last: int) -> None:
@@ -93,7 +93,7 @@ def main(first: int, last: int) -> None:
     right = unknown = inside = covered = count = 0
     errors, seconds = list[float](), list[float]()
     for seed in range(first, last):
-        log, true, delay = recorded(seed)
+        log, true, delay, _ = recorded(seed)
         begun = time.process_time()
         with tempfile.TemporaryDirectory() as place:
             found = dm.identify(write(Path(place) / "log.csv", *log), "ur10_slow")

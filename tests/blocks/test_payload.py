@@ -87,6 +87,35 @@ def test_the_loaded_robot_accelerates_as_pinocchios_does() -> None:
             assert ddq[k] == pytest.approx(pin.aba(robot, data, q[k], dq[k], torque), rel=1e-6, abs=1e-6)
 
 
+def test_a_plant_with_bodies_of_its_own_accelerates_as_the_robot_with_them_does() -> None:
+    graph = dm.load("ur10_payload").set({"blocks.load": None, "duration": "0.3 s"})
+    own = [[1.3 * float(x) for x in row] for row in graph.diagram.robot.inertia]
+    run = graph.set({"arm.bodies": own}).run(judge=False, progress=False)
+    q, dq, u, ddq = signals(run, "arm.q", "arm.dq", "servo.u", "arm.ddq")
+    bare, heavy = model(), pin.Model(model())
+    for j in range(1, heavy.njoints):
+        heavy.inertias[j] = pin.Inertia(
+            1.3 * bare.inertias[j].mass, bare.inertias[j].lever, 1.3 * bare.inertias[j].inertia
+        )
+    data, other = heavy.createData(), bare.createData()
+    for k in range(0, len(q), 10):
+        carried = pin.computeGeneralizedGravity(bare, other, q[k])  # the maker's servo carries the robot of the file
+        torque = u[k] + carried - B * dq[k] - D * np.tanh(dq[k] / V_0)
+        assert ddq[k] == pytest.approx(pin.aba(heavy, data, q[k], dq[k], torque), rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("rows", "text"),
+    [
+        ([[1.0] * 10], r"arm.bodies: expected \[6, 10\] numbers"),
+        ([[1.0] * 9] * 6, "expected rows of 10 numbers, found 9"),
+    ],
+)
+def test_bodies_are_a_row_of_ten_numbers_for_each_link(rows: list[list[float]], text: str) -> None:
+    with pytest.raises(dm.DmframeError, match=text):
+        _ = dm.load("ur10_payload").set({"arm.bodies": rows}).diagram
+
+
 def by_least_squares(run: dm.Run, start: float, end: float) -> Array:
     """The load's ten parameters, from the true torque of the motors by Pinocchio's regressor."""
     part = slice(*np.searchsorted(run.time, [start, end]), 10)

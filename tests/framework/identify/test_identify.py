@@ -7,10 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
 
 import dmframe as dm
+from dmframe.identification.drawn import thetas
 from dmframe.identification.found import Identified
 from dmframe.identification.model import model_of
+from dmframe.identification.solve import longest_step
+from dmframe.identification.twin import schedule, twins_of
 from tests.framework.identify.plants import Hidden, record, write
 
 K_P, K_I = np.array([5.0, 7.0, 9.0]), np.array([4.0, 8.0, 6.0])
@@ -32,6 +36,19 @@ def test_a_pid_servo_its_gains_and_its_delay_are_found_within_half_a_percent(tmp
     summary = found.summary
     assert set(summary) == set("servo delay friction bodies residual floor indistinguishable verdict".split())
     check_twin(found, tmp_path / "out")
+    check_draws(found)
+
+
+def check_draws(found: Identified) -> None:
+    """Twins that are drawn from the covariance of the fit leave nearly its residual."""
+    unknowns, theta = found.fit.unknowns, found.fit.theta[:, None]
+    delay = found.delay[0] * unknowns.log.period
+    plan = schedule(unknowns.log.time, delay, longest_step(unknowns, found.fit.theta))
+    numbers = unknowns.numbers(np.hstack([theta, thetas(found, 7)]), delay)
+    q = twins_of(unknowns.model).positions(plan, unknowns.log.u, numbers)
+    rms = np.sqrt(np.mean((unknowns.log.q[:, :, None] - q) ** 2, axis=0))
+    assert np.all(rms[:, 1:] < 1.1 * rms[:, :1])
+    assert np.all(rms[:, 1:] > rms[:, :1])
 
 
 def check_twin(found: Identified, out: Path) -> None:
@@ -43,7 +60,10 @@ def check_twin(found: Identified, out: Path) -> None:
     assert beta.base.kept == found.fit.unknowns.model.base.kept
     assert beta.nominal + rotors == pytest.approx(found.number("beta")[0], abs=1e-5)
     assert 1 / value["servo.K_D"] == pytest.approx(found.servo["w"][0])
-    assert {"servo.K_D", "arm.viscous"} <= set(graph.intervals())
+    assert {"servo.K_D", "arm.viscous", "arm.rotor"} <= set(graph.intervals())
+    low, high = np.array(YAML().load(out / "twin.yaml")["uncertain"]["servo.K_D"], dtype=float)
+    assert np.all((low < value["servo.K_D"]) & (value["servo.K_D"] < high))
+    assert np.all(high < 1.05 * low)  # at the scale of the torques that the robot of the graph has
     assert graph.run("0.5 s", progress=False).recording.divergence is None
     assert json.loads((out / "identified.json").read_text())["record"]["sha256"]
 

@@ -164,6 +164,22 @@ def test_the_margins_add_a_delay_and_a_gain_to_a_reality(race: Make, reality: st
     assert several == models
 
 
+def test_the_delay_of_a_plant_is_added_and_the_law_is_given_the_nearest_whole_one(race: Make, tmp_path: Path) -> None:
+    late = ("first:  {servo:", "first:  {transport_delay: 1.6, servo:")
+    found = race(late, ("realities: {ideal: {}}", "realities: {ideal: {transport_delay: {samples: 1, share: 0.25}}}"))
+    runs = list(found.trials("tuned", 0.02, found.candidates("tuned", 0.02)[0]))
+    delays = [found.graph(run).blocks["transport_delay"] for run in runs]
+    assert [delay.samples for delay in delays] == [2, 3]
+    assert [delay.share for delay in delays] == pytest.approx([0.85, 0.85])
+    (tmp_path / "law.yaml").write_text((tmp_path / "law.yaml").read_text().replace("command}", "command, delay: 0}"))
+    knows = found.file.laws["tuned"].model_copy(update={"delay": ("inverse.delay",)})
+    law = replace(found.laws["tuned", 0.02], section=knows)
+    found = replace(found, laws={**found.laws, ("tuned", 0.02): law})
+    document = found.document_of(runs[0])
+    assert document.data["blocks"]["inverse"]["delay"] == 1 + 2
+    assert "transport_delay" not in document.data["blocks"]
+
+
 def test_a_law_is_given_the_rate_at_which_the_path_repeats_and_keeps_its_own_on_others(
     race: Make, tmp_path: Path
 ) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from dmframe.errors import DmframeError
+from dmframe.study.read import load_study
 
 TEXT = (Path(__file__).parent / "bad_studies.txt").read_text(encoding="utf-8")
 CASES = [case.split("\n", 1) for case in TEXT.removeprefix("== ").split("\n== ")]
@@ -27,3 +28,9 @@ def test_a_bad_study_is_refused_with_the_place_and_the_remedy_of_each_fault(
         study(text + "\n").check()
     found = str(caught.value).replace(f"{arm.parent}/", "")
     assert found.split("\n") == [line for line in lines if line and not line.startswith("|")], name
+
+
+def test_a_graph_in_place_of_a_study_is_one_fault(arm: Path) -> None:
+    with pytest.raises(DmframeError) as caught:
+        load_study(arm)
+    assert str(caught.value) == f"{arm}: expected a study, found a graph; write a study with the key graph: {arm.name}"
