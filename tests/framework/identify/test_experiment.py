@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -115,7 +114,7 @@ def test_a_folder_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     (tmp_path / "e").write_text("a file")
     with pytest.raises(OutputError):
         dm.experiment("pendulum", out=tmp_path / "e", seconds=6)
-    assert os.listdir(tmp_path) == ["e"]
+    assert [path.name for path in tmp_path.iterdir()] == ["e"]
 
 
 LIMITS = """
