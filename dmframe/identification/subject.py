@@ -84,7 +84,7 @@ def subject_of(name: str) -> Subject:
     if name.endswith((".yaml", ".yml")) or name in graphs():
         return _of_graph(name, Graph.read(name), find_graph(name).parent, {}, None, own=True)
     if not is_robot(name):
-        raise UnknownNameError(name, "graph or robot", name, [*graphs(), *robots()], spelling=False)
+        raise UnknownNameError(name, "graph or robot", name, sorted({*graphs(), *robots()}), spelling=False)
     with tempfile.TemporaryDirectory() as place:
         made = first_graph(name, Path(place))
         for model, text in made.robot.items():

@@ -12,7 +12,7 @@ from virtual_robots import robot, runs
 import dmframe as dm
 from dmframe.errors import DmframeError, OutputError
 from dmframe.identification.excitation import Excitation, Room, excitation
-from dmframe.identification.joint_box import CLEARANCE, Obstacles
+from dmframe.identification.joint_box import Obstacles
 from dmframe.identification.subject import subject_of
 from tests.framework.identify.plants import START, Hidden, record, write
 
@@ -84,9 +84,8 @@ def test_a_start_in_collision_and_a_floor_are_refused() -> None:
     folded = "ur10"
     with pytest.raises(DmframeError, match=r"the robot collides there \(.*link and .*link\)"):
         dm.experiment(folded, start=[0, -1, 3.0, 0, 0, 0])
-    with pytest.raises(DmframeError, match="collides there .the floor"):
+    with pytest.raises(DmframeError, match=r"collides there \(the floor\)"):
         dm.experiment("ur10_slow", floor=0.9)
-    assert CLEARANCE > 0
 
 
 @pytest.mark.parametrize(
@@ -106,7 +105,7 @@ def test_options_out_of_range_are_refused(options: dict[str, object], text: str)
 
 
 def test_an_unknown_robot_is_refused() -> None:
-    with pytest.raises(DmframeError, match="ur11: expected a graph or robot|ur11"):
+    with pytest.raises(DmframeError, match="ur11: unknown graph or robot"):
         dm.experiment("ur11")
 
 
