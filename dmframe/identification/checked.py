@@ -22,7 +22,7 @@ Refuse = Callable[[str], ValueFault]
 LAGS: Final = 30
 """Samples by which a position may follow its command."""
 SHORTEST: Final = 5.5
-"""Shortest log [s]: a log of 3 s gave k_P 5 % beside its interval."""
+"""Shortest log [s]: a log of 3 s gave a k_P with an error of 5 %, outside its interval."""
 CHANGES: Final = 8
 """Least number of quick changes of a joint's velocity command."""
 QUICK: Final = 0.1
