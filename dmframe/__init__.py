@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from dmframe.graph.shelf import blocks, graphs, robots
     from dmframe.graph.shortcuts import analyse, draw, run, verify
     from dmframe.graph.sweep import sweep
+    from dmframe.identification.experiment import experiment
     from dmframe.identification.identify import identify
     from dmframe.results.run import Run
     from dmframe.study.read import load_study
@@ -44,6 +45,7 @@ _HOMES: Final = {
     "blocks": "graph.shelf",
     "compare": "graph.runs",
     "draw": "graph.shortcuts",
+    "experiment": "identification.experiment",
     "fitted_delay": "analysis.delay",
     "graphs": "graph.shelf",
     "identify": "identification.identify",
@@ -67,6 +69,7 @@ __all__ = [
     "blocks",
     "compare",
     "draw",
+    "experiment",
     "fitted_delay",
     "graphs",
     "identify",

@@ -30,6 +30,7 @@ from dmframe.cli.arguments import (
     robot_names,
 )
 from dmframe.cli.catalogue import blocks, graphs, learn, new, robots, schema
+from dmframe.cli.experiment import experiment
 from dmframe.cli.identify import identify
 from dmframe.cli.races import race
 from dmframe.cli.robots import drive, export, rehearse, replay, robot
@@ -251,7 +252,7 @@ def delay(
     return delay_of(one_graph(graph, overrides, trust=trust), duration=duration, as_json=as_json)
 
 
-for command in (identify, rehearse, drive, replay, export, robot):
+for command in (experiment, identify, rehearse, drive, replay, export, robot):
     app.command()(command)
 
 

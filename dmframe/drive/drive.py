@@ -94,7 +94,7 @@ def driven(
         if why := refusal(graph.name, parts, duration):
             raise DriveError(f"{graph.name}: {why}")
     with SYMBOLIC:
-        start = _start(graph)
+        start = start_angles(graph)
     options = Options(duration, engine, max(limits.deceleration, limits.halt), patience)
     driver = kind.make(rest, graph, options)
     plan = Plan(duration, start, ramp, shadow)
@@ -125,7 +125,7 @@ def _check_acceleration(limits: Limits) -> None:
         )
 
 
-def _start(graph: BaseGraph) -> np.ndarray | None:
+def start_angles(graph: BaseGraph) -> np.ndarray | None:
     """Initial joint angles of the graph's plant."""
     column, loop = start_state(graph.diagram, graph.start), graph.diagram.loop
     own = {variable.label for variable in loop.plant}

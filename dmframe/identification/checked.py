@@ -21,6 +21,15 @@ GAP: Final = 3.5
 Refuse = Callable[[str], ValueFault]
 LAGS: Final = 30
 """Samples by which a position may follow its command."""
+SHORTEST: Final = 5.5
+"""Shortest log [s]: a log of 3 s gave a k_P with an error of 5 %, outside its interval."""
+CHANGES: Final = 8
+"""Least number of quick changes of a joint's velocity command."""
+QUICK: Final = 0.1
+"""Duration of a quick change [s]."""
+SIZE: Final = 0.15
+"""Least size of a change, and of a velocity in each direction, relative to the range of the joint's commands."""
+REMEDY: Final = "record the steps that dmframe experiment ROBOT writes: 20 s, every joint, both directions"
 
 
 def checked_log(signals: dict[str, Array], chain: SerialChain, where: str) -> tuple[Log, tuple[str, ...]]:
@@ -56,12 +65,7 @@ def checked_log(signals: dict[str, Array], chain: SerialChain, where: str) -> tu
     else:
         u = dq_c[:-1]
     _units(t, q, u, chain, refuse)
-    for j in range(chain.n):
-        if np.ptp(q[:, j]) < 0.01 or np.ptp(u[:, j]) < 0.02:
-            raise refuse(
-                f"joint {j + 1}: the log excites it too little ({np.ptp(q[:, j]):.2g} rad, velocity commands within "
-                f"{np.ptp(u[:, j]):.2g} rad/s); record velocity steps of 0.1 rad/s or more on every joint, for 20 s"
-            )
+    _excited(t, q, u, refuse)
     _matched(t, q, u, refuse)
     if q_c is not None and dq_c is not None:
         u, text = _consistent(t, dq_c, q_c, refuse)
@@ -111,6 +115,38 @@ def _units(t: Array, q: Array, u: Array, chain: SerialChain, refuse: Refuse) -> 
                 f"joint {j + 1}: commands reach {speed[j]:.3g} per s and positions {np.max(np.abs(q[:, j])):.3g}, "
                 f"beyond the robot's limits: they seem to be in {unit}"
             )
+
+
+def _excited(t: Array, q: Array, u: Array, refuse: Refuse) -> None:
+    """Refuse a log that is too short, or a joint that hardly moves, in one direction, or without quick changes."""
+    lasting = float(t[-1] - t[0])
+    if lasting < SHORTEST:
+        raise refuse(
+            f"the log lasts {lasting:.3g} s, and excites the joints too little: expected {SHORTEST:g} s; {REMEDY}"
+        )
+    for j in range(q.shape[1]):
+        what, span = "", float(np.ptp(u[:, j]))
+        count = _changes(u[:, j], max(1, round(QUICK / float(np.median(np.diff(t))))), SIZE * span)
+        if np.ptp(q[:, j]) < 0.01 or span < 0.02:
+            what = f"{np.ptp(q[:, j]):.2g} rad, velocity commands within {span:.2g} rad/s"
+        elif max(u[:, j]) < SIZE * span or min(u[:, j]) > -SIZE * span:
+            what = "it moves in one direction only"
+        elif count < CHANGES:
+            what = (
+                f"its velocity command changes quickly {count} times, expected {CHANGES}: slow or few changes do not "
+                "separate delay, gains and friction"
+            )
+        if what:
+            raise refuse(f"joint {j + 1}: the log excites it too little ({what}); {REMEDY}")
+
+
+def _changes(u: Array, window: int, size: float) -> int:
+    """Number of changes by `size` within `window` samples, without overlap."""
+    places, count, after = np.flatnonzero(np.abs(u[window:] - u[:-window]) >= size), 0, -1
+    for k in places:
+        if k > after:
+            count, after = count + 1, int(k) + window
+    return count
 
 
 def _matched(t: Array, q: Array, u: Array, refuse: Refuse) -> None:

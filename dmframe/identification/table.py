@@ -1,4 +1,4 @@
-"""Columns of a log file: CSV with the standard library and NumPy, Parquet with polars."""
+"""Columns of a log: CSV with the standard library and NumPy, Parquet with polars, results of a drive."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from dmframe.errors import MissingError, ValueFault
 from dmframe.files import expanded
+from dmframe.identification.drive_log import drive_columns, is_drive
 from dmframe.seal import digest
 
 LARGEST: Final = 2**30
@@ -30,7 +31,7 @@ class LogTable:
 
 
 def read_table(path: str | Path) -> LogTable:
-    """Read a CSV or Parquet file.
+    """Read a CSV or Parquet file, or the results of ``dmframe drive``.
 
     Raises
     ------
@@ -40,6 +41,9 @@ def read_table(path: str | Path) -> LogTable:
         It is empty or too large, its header has duplicates or no names, or a cell is not a number.
     """
     file = expanded(path)
+    if is_drive(file):
+        source, columns = drive_columns(file)
+        return LogTable(str(file), columns, digest(source.read_bytes()))
     if not file.is_file():
         raise MissingError("expected a log file, found none", location=str(file))
     if file.stat().st_size > LARGEST:

@@ -91,6 +91,14 @@ def test_waypoints_are_met_at_rest_and_passed_half_way_at_half_time() -> None:
     close(answer("waypoints", given, t=1.5)["q_d"], [2 * quarter, 1 + 4 * quarter])
 
 
+def test_velocity_steps_change_at_their_times_and_ramps_after_them() -> None:
+    given = {"times": [1, 3], "speeds": [[0.2, -0.4], [0, 0.1]]}
+    for t, dq_r in ((0.0, [0, 0]), (0.999, [0, 0]), (1.0, [0.2, -0.4]), (2.999, [0.2, -0.4]), (9.0, [0, 0.1])):
+        close(answer("velocity_steps", given, t=t)["dq_r"], dq_r)
+    for t, dq_r in ((1.0, [0, 0]), (1.5, [0.1, -0.1]), (3.0, [0.2, -0.4]), (3.5, [0.1, -0.275]), (9.0, [0, 0.1])):
+        close(answer("velocity_steps", given | {"ramp": [1, 2]}, t=t)["dq_r"], dq_r)
+
+
 def test_epicycles_add_circles_whose_time_stops_at_each_interval() -> None:
     given = {"center": [1, 2, 3], "radius": [0.5, 0.1], "rate": [2, -1], "phase": [0.3, 1], "plane": "xz"}
 

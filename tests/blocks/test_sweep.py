@@ -63,6 +63,11 @@ EXAMPLES["epicycles"] = EXAMPLES["setpoint"].replace(
 EXAMPLES["turning"] = (
     EXAMPLES["setpoint"] + "  attitude: {type: turning, orientation: [0, 90 deg, 0], axis: [1, 0, 0]}\n"
 )
+EXAMPLES["velocity_steps"] = (
+    EXAMPLES["setpoint"]
+    .replace("setpoint, x_d: [0.5, 0.4]", "velocity_steps, times: [0.1, 0.6], speeds: [[-0.3, 0.2], [0, 0]]")
+    .replace("  geometry: {type: kinematics}\n  task:     {type: known_tracking, gamma: 1}\n", "")
+)
 EXAMPLES["force_sensor"] = (
     EXAMPLES["setpoint"]
     + "  wall:     {type: wall, point: [0, 0.45], normal: [0, -1], stiffness: 100}\n"

@@ -33,6 +33,24 @@ def still(t: np.ndarray, q: np.ndarray, u: np.ndarray) -> Columns:
     return t, q * [1, 0, 1], u * [1, 0, 1]
 
 
+def moved(u: np.ndarray) -> Columns:
+    """A log of commands that positions follow after 24 ms."""
+    return 0.008 * np.arange(len(u)), 1.0 + np.cumsum(np.roll(u, 3, axis=0), axis=0) * 0.008, u
+
+
+def circle(t: np.ndarray, q: np.ndarray, u: np.ndarray) -> Columns:
+    return moved(np.sin(0.5 * t[:, None] + [0, 1, 2]) * np.minimum(t, 1)[:, None] * 0.2)
+
+
+def one_step(t: np.ndarray, q: np.ndarray, u: np.ndarray) -> Columns:
+    begun = np.array([1.0, 4.0, 7.0])
+    return moved(0.3 * ((t[:, None] > begun) * (t[:, None] < begun + 1)))
+
+
+def one_way(t: np.ndarray, q: np.ndarray, u: np.ndarray) -> Columns:
+    return moved(u * [1, 1, 0] + np.abs(u) * [0, 0, 1])
+
+
 FAULTS: dict[str, tuple[Callable[..., Columns], str]] = {
     "nan": (nan, "q_2: expected finite numbers, found 1 others, the first in row 9"),
     "swapped": (lambda t, q, u: (t, q[:, [1, 0, 2]], u), "position 1 follows command 2"),
@@ -43,6 +61,10 @@ FAULTS: dict[str, tuple[Callable[..., Columns], str]] = {
     "repeated time": (lambda t, q, u: (np.minimum(t, 5), q, u), "time does not increase in row"),
     "backwards": (lambda t, q, u: (t, u.cumsum(0) * 0.008 + 1, np.roll(u, 3, axis=0)), "positions lead their commands"),
     "still joint": (still, "joint 2: the log excites it too little"),
+    "circle": (circle, "joint 1: the log excites it too little (its velocity command changes quickly"),
+    "one step": (one_step, "joint 1: the log excites it too little (it moves in one direction only)"),
+    "one way": (one_way, "joint 3: the log excites it too little (it moves in one direction only)"),
+    "3 s": (lambda t, q, u: moved(u[:375]), "the log lasts 2.99 s, and excites the joints too little: expected 5.5 s"),
     "short": (lambda t, q, u: (t[:90], q[:90], u[:90]), "expected at least 200 samples, found 90"),
     "other robot": (lambda t, q, u: (t, q + np.random.default_rng(0).normal(0, 1, q.shape), u), "do not follow"),
 }
@@ -54,6 +76,7 @@ def test_a_fault_in_the_numbers_is_found(name: str, log: Columns, tmp_path: Path
     with pytest.raises(DmframeError, match=r"log\.csv") as refused:
         identify(write(tmp_path / "log.csv", *change(*log)), chain_of("ur10_slow"))
     assert text in str(refused.value)
+    assert ("excites" in text) == ("dmframe experiment ROBOT" in str(refused.value))
 
 
 @pytest.mark.parametrize(
