@@ -11,6 +11,7 @@ import typer
 
 from dmframe.cli.arguments import NOTHING, home, robot_names
 from dmframe.cli.streams import tell
+from dmframe.errors import OutputError
 
 UNKNOWN = 1
 
@@ -50,5 +51,8 @@ def identify(
             found = found if no_verdict else with_verdict(found, out, say)
         except KeyboardInterrupt:
             found = replace(found, verdict=INTERRUPTED)
+        except OutputError:  # the identification is not lost with a full disk
+            tell(json.dumps(found.summary, indent=2) if as_json else str(found))
+            raise
     tell(json.dumps(found.summary, indent=2) if as_json else str(found))
     return STOPPED if found.verdict is INTERRUPTED else 0 if found.known else UNKNOWN

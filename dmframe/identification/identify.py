@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import platform
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
+
+import numpy as np
 
 from dmframe.catalogue import graphs
 from dmframe.errors import ValueFault
@@ -23,6 +26,8 @@ from dmframe.robot.chain import SerialChain
 from dmframe.robot.library import load
 from dmframe.version import version
 
+FAR: Final = 3.0
+"""Deviation of an inertial parameter from the robot's file, in standard deviations, above which there is a notice."""
 UNSURE: Final = 0.35
 """Largest relative standard deviation of a servo's main gain that counts as determined."""
 
@@ -90,10 +95,10 @@ def identify(
         "period": record.period,
     }
     engine = (twins.notice,) if twins.notice else ()
-    found = Identified(
-        choice, (*engine, "columns: " + ", ".join(f"{a} = {b}" for a, b in used.items()), *notices), about
-    )
+    columns_used = "columns: " + ", ".join(f"{a} = {b}" for a, b in used.items())
+    found = Identified(choice, (*engine, columns_used, *notices), about)
     _determined(found, table.name)
+    found = replace(found, notices=(*found.notices, *_doubts(found)))
     if out is not None:
         written(found, Path(out))
     return with_verdict(found, None if out is None else Path(out), say) if verdict else found
@@ -109,6 +114,16 @@ def chain_of(robot: str) -> SerialChain:
             raise ValueFault(f"{robot}: expected a graph with a robot, found none")
         return chain
     return load(robot, base=Path())
+
+
+def _doubts(found: Identified) -> Iterator[str]:
+    """A notice if the inertial parameters are far from those of the robot's file."""
+    own = found.fit.theta[found.fit.unknowns.places["beta"]]
+    if found.known and (most := float(np.max(np.abs(own)))) > FAR:
+        yield (
+            f"the inertial parameters deviate from the robot's file by {most:.2g} standard deviations (30 % of each "
+            "mass, 3 kg at the tool): check that the log is of this robot, with this tool and mounting"
+        )
 
 
 def _determined(found: Identified, where: str) -> None:

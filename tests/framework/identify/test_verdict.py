@@ -19,13 +19,13 @@ from ruamel.yaml import YAML
 
 from dmframe.catalogue import find_race
 from dmframe.cli import STOPPED, main
-from dmframe.errors import DisagreementError
+from dmframe.errors import DisagreementError, OutputError
 from dmframe.identification import verdict as verdicts
 from dmframe.identification.answer import Verdict
 from dmframe.identification.choose import Choice, floor_of
 from dmframe.identification.drawn import Plant, thetas
 from dmframe.identification.found import Identified
-from dmframe.identification.identify import chain_of
+from dmframe.identification.identify import _doubts, chain_of
 from dmframe.identification.log import Log
 from dmframe.identification.model import model_of
 from dmframe.identification.page import as_html
@@ -217,24 +217,25 @@ def test_settings_follow_the_rules_of_the_page_for_another_clock() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "stopped", "sentence", "status"),
+    ("options", "fault", "sentence", "status"),
     [
-        (["--no-verdict"], False, "not computed: it was not requested", 0),
-        ([], True, "not computed: it was interrupted", STOPPED),
-        ([], False, "worth it", 0),
+        (["--no-verdict"], None, "not computed: it was not requested", 0),
+        ([], KeyboardInterrupt, "not computed: it was interrupted", STOPPED),
+        ([], OutputError, "not computed: it was not requested", 2),
+        ([], None, "worth it", 0),
     ],
 )
 def test_the_command_prints_the_identification_also_without_a_verdict(
     options: list[str],
-    stopped: bool,
+    fault: type[BaseException] | None,
     sentence: str,
     status: int,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     def verdict(*_: object, **__: object) -> Verdict:
-        if stopped:
-            raise KeyboardInterrupt
+        if fault is not None:
+            raise fault("the disk is full")
         return Verdict("worth it", "worth it")
 
     monkeypatch.setattr("dmframe.identification.identify.identify", lambda *_, **__: known())
@@ -290,6 +291,14 @@ def test_the_page_of_an_unknown_servo_has_no_parameters() -> None:
     assert "Base parameters" not in page
     assert "K_P" not in page
     assert "Residual" in page
+
+
+def test_inertia_far_from_that_of_the_robots_file_gives_a_notice() -> None:
+    found = known()
+    assert not list(_doubts(found))
+    found.fit.theta[found.fit.unknowns.places["beta"].start] = -3.5
+    [notice] = _doubts(found)
+    assert "by 3.5 standard deviations" in notice
 
 
 def test_six_joints_and_an_unknown_servo_have_no_verdict_and_the_reason() -> None:
