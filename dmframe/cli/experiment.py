@@ -59,4 +59,5 @@ def experiment(
     tell(json.dumps(found.summary, indent=2) if as_json else str(found))
     if out is not None and not as_json:
         graph = out / "experiment.yaml"
-        tell(f"wrote {out}; try: dmframe drive {graph} --robot sim --out log; dmframe identify log {graph}")
+        more = f"; try: dmframe drive {graph} --robot sim --out log; dmframe identify log {graph}"
+        tell(f"wrote {out}{more if graph.is_file() else ''}")

@@ -168,6 +168,8 @@ def experiment(
         period = subject.period if subject.period is not None and subject.period <= PERIODS[1] else PERIOD
     _in_range("period", period, PERIODS, "s")
     _in_range("seconds", seconds, SECONDS, "s")
+    if seed < 0:
+        raise ValueFault(f"seed: expected a whole number of 0 or above, found {seed}")
     chain = subject.chain
     obstacles = Obstacles(chain, subject.shapes, floor)
     room = _room(subject, start, None if limits is None else load_limits(limits, chain), obstacles, seed)
@@ -185,10 +187,8 @@ def experiment(
     if best is None:
         raise ValueFault("start: the steps collide; choose another posture with --start, or another --seed")
     _, plan, found = best
-    made = Experiment(subject, room, plan, found, _tool_speed(subject, plan), tuple(obstacles.notes))
-    if out is not None:
-        write_experiment(subject, plan, Path(out))
-    return made
+    notes = () if out is None else write_experiment(subject, plan, Path(out))
+    return Experiment(subject, room, plan, found, _tool_speed(subject, plan), (*obstacles.notes, *notes))
 
 
 def _in_range(name: str, value: float, ends: tuple[float, float], unit: str) -> None:

@@ -10,18 +10,21 @@ from typing import Any, Final
 
 import numpy as np
 
+from dmframe.errors import DmframeError
 from dmframe.files import write_text, writing
+from dmframe.graph.graph import Graph
 from dmframe.identification.excitation import Excitation
 from dmframe.identification.subject import ARM, Subject
 from dmframe.robot.library import robots
+from dmframe.runtime.signals import velocity_command
 
 COMMANDS: Final = "experiment.csv"
 SCRIPT: Final = "experiment.script"
 GRAPH: Final = "experiment.yaml"
 
 
-def write_experiment(subject: Subject, plan: Excitation, folder: Path) -> tuple[Path, ...]:
-    """Write the files; returns their paths.
+def write_experiment(subject: Subject, plan: Excitation, folder: Path) -> tuple[str, ...]:
+    """Write the files; returns notices, such as that the source's servo does not take velocities.
 
     Raises
     ------
@@ -35,7 +38,12 @@ def write_experiment(subject: Subject, plan: Excitation, folder: Path) -> tuple[
         texts[SCRIPT] = script_text(subject, plan)
     for name, text in texts.items():
         write_text(folder / name, text)
-    return tuple(folder / name for name in texts)
+    try:
+        velocity_command(Graph.read(folder / GRAPH).diagram)
+    except DmframeError as error:
+        (folder / GRAPH).unlink()
+        return (f"no {GRAPH}: {subject.name} has no servo that takes joint velocities ({error.text})",)
+    return ()
 
 
 def commands_text(plan: Excitation) -> str:

@@ -93,6 +93,7 @@ def test_a_start_in_collision_and_a_floor_are_refused() -> None:
     [
         ({"period": 0}, "period: expected 0.0005 to 0.05 s, found 0"),
         ({"period": float("nan")}, "period: expected 0.0005 to 0.05 s, found nan"),
+        ({"seed": -1}, "seed: expected a whole number of 0 or above, found -1"),
         ({"seconds": 31}, "seconds: expected 6 to 30 s, found 31"),
         ({"start": [0, 0]}, "start: expected 3 finite joint positions"),
         ({"start": [0, float("nan"), 0]}, "start: expected 3 finite joint positions"),
@@ -114,6 +115,12 @@ def test_a_folder_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     with pytest.raises(OutputError):
         dm.experiment("pendulum", out=tmp_path / "e", seconds=6)
     assert [path.name for path in tmp_path.iterdir()] == ["e"]
+
+
+def test_a_robot_without_a_servo_of_velocities_gets_no_graph(tmp_path: Path) -> None:
+    found = dm.experiment("pd_torque", out=tmp_path, seconds=6)
+    assert any("no experiment.yaml: pd_torque has no servo that takes joint vel" in text for text in found.notices)
+    assert not (tmp_path / "experiment.yaml").exists()
 
 
 LIMITS = """
