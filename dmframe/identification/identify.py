@@ -76,7 +76,7 @@ def identify(
     >>> found.kind, found.delay                          # doctest: +SKIP
     """
     chain = robot if isinstance(robot, SerialChain) else chain_of(robot)
-    table = read_table(log)
+    table = read_table(log, chain.joint_names)
     signals, used = signals_of(table, chain.n, columns)
     record, notices = checked_log(signals, chain, table.name)
     twins = twins_of(model_of(chain))

@@ -1,9 +1,10 @@
-"""Columns of a log: CSV with the standard library and NumPy, Parquet with polars, results of a drive."""
+"""Columns of a log: CSV with NumPy, Parquet with polars, ROS 2 bags with rosbags, results of a drive."""
 
 from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
@@ -13,6 +14,7 @@ import numpy as np
 from dmframe.errors import MissingError, ValueFault
 from dmframe.files import expanded
 from dmframe.identification.drive_log import drive_columns, is_drive
+from dmframe.identification.ros_log import bag_columns, bag_files, is_bag
 from dmframe.seal import digest
 
 LARGEST: Final = 2**30
@@ -30,8 +32,13 @@ class LogTable:
     digest: str
 
 
-def read_table(path: str | Path) -> LogTable:
-    """Read a CSV or Parquet file, or the results of ``dmframe drive``.
+def read_table(path: str | Path, joints: Sequence[str]) -> LogTable:
+    """Read a CSV or Parquet file, a ROS 2 bag, or the results of ``dmframe drive``.
+
+    Parameters
+    ----------
+    joints
+        Names of the robot's joints, by which those of a bag are ordered.
 
     Raises
     ------
@@ -44,17 +51,28 @@ def read_table(path: str | Path) -> LogTable:
     if is_drive(file):
         source, columns = drive_columns(file)
         return LogTable(str(file), columns, digest(source.read_bytes()))
+    if is_bag(file):
+        content = b"".join(_content(part) for part in bag_files(file) if part.is_file())
+        return LogTable(str(file), bag_columns(file, joints), digest(content))
     if not file.is_file():
         raise MissingError("expected a log file, found none", location=str(file))
-    if file.stat().st_size > LARGEST:
-        raise ValueFault(
-            f"expected at most {LARGEST >> 30} GiB, found more; cut a part of about 30 s", location=str(file)
-        )
-    content = file.read_bytes()
+    content = _content(file)
     if not content.strip():
         raise ValueFault("expected a header and rows of numbers, found an empty file", location=str(file))
     columns = _parquet(file) if content[:4] == b"PAR1" else _csv(file, content)
     return LogTable(str(file), columns, digest(content))
+
+
+def _content(file: Path) -> bytes:
+    """Bytes of a file that is not too large."""
+    try:
+        if file.stat().st_size > LARGEST:
+            raise ValueFault(
+                f"expected at most {LARGEST >> 30} GiB, found more; cut a part of about 30 s", location=str(file)
+            )
+        return file.read_bytes()
+    except OSError as error:
+        raise MissingError(f"expected a readable log file: {error.strerror}", location=str(file)) from None
 
 
 def _parquet(file: Path) -> dict[str, np.ndarray]:
