@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from dmframe.build.compiler import find_compiler
-from dmframe.errors import DisagreementError, DmframeError, OutputError
+from dmframe.errors import DisagreementError, DmframeError, OutputError, ValueFault
 from dmframe.files import write_text
 from dmframe.identification.answer import (
     BY_PATH,
@@ -41,6 +41,8 @@ LEAST_DRAWS: Final = 8
 """Fewest draws whose range counts as an interval."""
 WORTH: Final = 0.2
 """Least decrease of the error, relative to that of the best rival, that is worth an adaptive law."""
+LEAST: Final = 1e-3
+"""Smallest resolution: of a log without noise [mm]."""
 RACE: Final = "verdict.yaml"
 FOLDER: Final = "verdict"
 
@@ -71,7 +73,14 @@ def verdict_of(
         Where the race is kept, as ``verdict.yaml`` with its results in ``verdict/``; a temporary one by default.
     executor
         Makes what computes the runs, as in `run_race`.
+
+    Raises
+    ------
+    ValueFault, OutputError
+        Too few draws, or a folder that cannot be written.
     """
+    if draws < LEAST_DRAWS:
+        raise ValueFault(f"draws: expected at least {LEAST_DRAWS} for an interval, found {draws}")
     why = not_applicable(found) or ("" if find_compiler() else "there is no C compiler, without which it takes hours")
     place = None if why else place_in(found)
     if place is None:
@@ -91,7 +100,7 @@ def verdict_of(
         except DmframeError as error:
             return Verdict(f"not computed: the race of the laws failed: {error}")
         _write_graphs(finished, where / FOLDER)
-    return decided(finished, 1000 * place.spread * noise_of(found))
+    return decided(finished, max(LEAST, 1000 * place.spread * noise_of(found)))
 
 
 def _write_graphs(finished: Finished, folder: Path) -> None:

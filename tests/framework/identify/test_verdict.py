@@ -19,7 +19,7 @@ from ruamel.yaml import YAML
 
 from dmframe.catalogue import find_race
 from dmframe.cli import STOPPED, main
-from dmframe.errors import DisagreementError, OutputError
+from dmframe.errors import DisagreementError, OutputError, ValueFault
 from dmframe.identification import verdict as verdicts
 from dmframe.identification.answer import Verdict
 from dmframe.identification.choose import Choice, floor_of
@@ -189,6 +189,8 @@ def test_a_law_that_diverged_is_null_in_json() -> None:
 def test_the_interval_of_one_draw_is_refused() -> None:
     with pytest.raises(DisagreementError, match="expected at least 8 draws for an interval, found 1"):
         decided(finished(rows([0.5], [1.0])), 0.1)
+    with pytest.raises(ValueFault, match="draws: expected at least 8 for an interval, found 1"):
+        verdicts.verdict_of(known(), draws=1)
 
 
 @pytest.mark.parametrize("tuned", [{"experts": 4, "level": 1, "inverse": 4}, {"experts": 4, "level": 4}])
@@ -207,6 +209,17 @@ def test_the_graph_of_a_twin_with_a_long_delay_has_a_longer_clock() -> None:
     data = YAML().load(graph_text(known(delay=6.0)))
     assert data["clock"] == 0.016
     assert data["blocks"]["delay"] == {"type": "transport_delay", "samples": 3}
+
+
+def test_a_delay_with_a_wide_interval_is_drawn_and_a_controller_is_configured_once(tmp_path: Path) -> None:
+    found = known(delay=1.5)
+    place = found.fit.unknowns.places["delay"].start
+    found.fit.covariance[place, place] += 0.1**2
+    race = raced(found, tmp_path, draws=8)
+    delays = [plant.transport_delay for plant in race.file.plants.values()]
+    assert delays[0] == 1.5
+    assert 0.05 < np.std(delays[1:]) < 0.2
+    assert race.file.laws["predicted"].set["task.delay"] == 2
 
 
 def test_settings_follow_the_rules_of_the_page_for_another_clock() -> None:
