@@ -73,13 +73,13 @@ def test_a_signal_brings_the_robot_to_rest_and_what_was_done_is_kept(
 def test_a_signal_before_the_way_to_the_start_moves_nothing(dmframe: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     from dmframe.drive import drive
 
-    started, moved, begin = np.array([1.0, -1.0, 1.0]), list[Any](), drive._start
+    started, moved, begin = np.array([1.0, -1.0, 1.0]), list[Any](), drive.start_angles
 
     def signalled(*given: Any) -> Any:  # while the controller is compiled
         os.kill(os.getpid(), signal.SIGINT)
         return begin(*given) + started
 
-    monkeypatch.setattr(drive, "_start", signalled)
+    monkeypatch.setattr(drive, "start_angles", signalled)
     monkeypatch.setattr(SimulatedRobot, "move", lambda *given: moved.append(given))
     said = dmframe("drive", "ur10_fast", "--robot", "sim", "--seconds", "1 s", "--out", "log", "--no-plots")
     assert (said.status, moved) == (130, [])
