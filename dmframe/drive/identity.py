@@ -199,7 +199,9 @@ def _file(name: str) -> Path | None:
 
 
 def _is_library(path: Path) -> bool:
-    return any(path.is_relative_to(sysconfig.get_path(kind)) for kind in ("purelib", "platlib"))
+    """Whether a file is an installed package's, of this environment or of one that it sees (`--system-site-packages`)."""
+    installed = any(path.is_relative_to(sysconfig.get_path(kind)) for kind in ("purelib", "platlib"))
+    return installed or bool({"site-packages", "dist-packages"} & set(path.parts))
 
 
 def _imported(name: str, content: bytes) -> Iterator[str]:

@@ -79,7 +79,21 @@ def robots_in(folder: Path) -> list[RobotSource]:
     RobotError
         A `robot.toml` cannot be read, or has unexpected keys or types.
     """
-    return [_read_source(file) for file in sorted(folder.glob("*/robot.toml"))]
+    return [_source_of(file) for file in sorted(folder.glob("*/robot.toml"))]
+
+
+def _source_of(file: Path) -> RobotSource:
+    """The robot of a file, read once per version of the file."""
+    try:
+        status = file.stat()
+    except OSError:  # the message is that of the reading
+        return _read_source(file)
+    return _read_version(file, status.st_mtime_ns, status.st_size)
+
+
+@functools.lru_cache(maxsize=256)
+def _read_version(file: Path, changed: int, size: int) -> RobotSource:
+    return _read_source(file)
 
 
 def find_robot(name_or_path: str, base: Path | None = None) -> RobotSource:

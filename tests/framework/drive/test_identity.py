@@ -285,3 +285,9 @@ def test_a_user_without_a_home_is_refused(bench: Bench, monkeypatch: pytest.Monk
     monkeypatch.setattr(kept.platformdirs, "user_state_dir", lambda *_, **__: "~")
     with pytest.raises(DriveError, match="expected a home folder"):
         bench.drive()
+
+
+@pytest.mark.parametrize("folder", ["site-packages", "dist-packages"])
+def test_a_package_of_another_environment_is_a_library_and_a_users_module_is_not(folder: str, tmp_path: Path) -> None:
+    assert identity._is_library(tmp_path / folder / "numpy" / "__init__.py")
+    assert not identity._is_library(tmp_path / "numpy" / "__init__.py")

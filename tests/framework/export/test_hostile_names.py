@@ -121,10 +121,11 @@ def words_of(names: list[str]) -> dict[str, str]:
     return found
 
 
-def test_names_of_graphs(tmp_path: Path) -> None:
+@pytest.mark.parametrize("every", [4, 1])
+def test_names_of_graphs(every: int, tmp_path: Path) -> None:
     words = words_of(NAMES)
     assert set(NAMES) - set(words) == {"..", "-", "--><"}
-    compile_all([replace(program(), name=word, title=name) for name, word in words.items()], tmp_path)
+    compile_all([replace(program(), name=word, title=name) for name, word in [*words.items()][::every]], tmp_path)
 
 
 def test_titles(tmp_path: Path) -> None:
@@ -178,11 +179,13 @@ def package(found: Program, joints: list[str], folder: Path, monkeypatch: pytest
     return folder
 
 
-def test_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("every", [4, 1])
+def test_packages(every: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     words = words_of(NAMES)
     given = [(replace(program(), name=word, title=name), list[str]()) for name, word in words.items()]
     given += [(replace(program(), name=f"t{k}", title=title), []) for k, title in enumerate(TITLES)]
     given += [(replace(program(), name=f"j{k}"), [joint, "other"]) for k, joint in enumerate(JOINTS)]
+    given = given[::every]
     given += [(labelled(["interfaces.position"], "own", ("parameters",)), [])]
     folders, refused = list[Path](), set[str]()
     for k, (found, joints) in enumerate(given):
@@ -202,10 +205,11 @@ def test_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     checked([str(CXX), *words_of_gcc, f"-I{STAND_INS / 'control'}", *own, "all.cpp"], tmp_path)
 
 
-def test_fmus(tmp_path: Path) -> None:
+@pytest.mark.parametrize("every", [4, 1])
+def test_fmus(every: int, tmp_path: Path) -> None:
     sources, made = list[str](), labelled(["M.PI", "st.atime"])
     names = {**words_of(NAMES), **{title: f"t{k}" for k, title in enumerate(TITLES)}}
-    for k, (name, word) in enumerate(names.items()):
+    for k, (name, word) in enumerate([*names.items()][::every]):
         unit = fmu._of_controller(replace(made, name=word, title=name))
         for fmi in fmu._TEXTS:
             described = fmu.described(unit, fmi, "token")  # type: ignore[arg-type]
