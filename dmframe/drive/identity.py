@@ -199,7 +199,7 @@ def _file(name: str) -> Path | None:
 
 
 def _is_library(path: Path) -> bool:
-    """Whether a file is an installed package's, of this environment or of one that it sees (`--system-site-packages`)."""
+    """Whether a file is of an installed package, here or in an environment that this one sees (system packages)."""
     installed = any(path.is_relative_to(sysconfig.get_path(kind)) for kind in ("purelib", "platlib"))
     return installed or bool({"site-packages", "dist-packages"} & set(path.parts))
 
