@@ -17,7 +17,7 @@ _NEWTON: Final = 4
 class Ahead(NamedTuple):
     """The samples until a new command acts.
 
-    Columns of known commands and of planned velocities, the first of the sample that is over; the delay, None if it is
+    Columns of known commands and of planned velocities, the first of the last completed sample; the delay, None if it is
     the number of the other columns; and the period.
     """
 
