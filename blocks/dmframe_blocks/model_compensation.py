@@ -57,9 +57,9 @@ class ModelCompensation(AbstractBlock):
 
     Notes
     -----
-    The model contains neither a payload nor friction: see `friction_compensation`. For a fraction of gravity alone, with
-    a proof, use `maker_gravity` of `manipulator`. Not for: a positional interface whose steps are not in the velocity
-    command.
+    The model contains neither a payload nor friction: see `friction_compensation`. For a fraction of gravity alone,
+    with a proof, use `maker_gravity` of `manipulator`. Not for: a positional interface whose steps are not in the
+    velocity command.
 
     References
     ----------

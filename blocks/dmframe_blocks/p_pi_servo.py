@@ -27,8 +27,8 @@ from dmframe.block import (
 class PPiServo(AbstractBlock):
     r"""Closed cascade servo for joint positions, P around PI: it can be neither read nor changed.
 
-    A proportional position controller and a fraction f of the velocity command, `feed_forward`, give the set-point of a PI
-    velocity controller:
+    A proportional position controller and a fraction f of the velocity command, `feed_forward`, give the set-point of a
+    PI velocity controller:
 
     .. math::
 

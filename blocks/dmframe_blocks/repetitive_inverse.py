@@ -43,8 +43,8 @@ class RepetitiveInverse(AbstractBlock):
         u_i     = clip(dq_r_i + h(phi + (1 + delay) rate T)' theta_i, u_max)
 
     with :math:`h^\top h = 1 + H`. The coefficients of joint i converge with the time constant
-    :math:`T (\nu / \Gamma + 1 + H)` if the motion of the joint lags its command at the estimated frequencies by less than
-    a quarter of a period. The block uses no model of servo or robot.
+    :math:`T (\nu / \Gamma + 1 + H)` if the motion of the joint lags its command at the estimated frequencies by less
+    than a quarter of a period. The block uses no model of servo or robot.
 
     A command acts `delay` samples later. The start of that sample, q_start, is predicted from the commands until then
     and the forecasts of the series.
