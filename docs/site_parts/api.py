@@ -1,4 +1,4 @@
-"""Pages of the Python interface: the public names, what they return, and what a block's author imports."""
+"""Pages of the Python interface: the public names, their results, and the names for authors of blocks."""
 
 from __future__ import annotations
 
