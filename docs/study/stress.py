@@ -143,7 +143,7 @@ CASES: Final[dict[str, Case]] = {
     "a drive ends at 75 of 81 N m, delay 1": Case(
         reality=LATE | {"torque_limits": {"torque": [100, 75, 100]}}, configured=1
     ),
-    "maker compensates gravity": Case({"arm.maker_gravity": 1}),
+    "manufacturer compensates gravity": Case({"arm.maker_gravity": 1}),
     "standing still": Case({"path.rate": 0}),
 }
 
