@@ -18,9 +18,12 @@ import pytest
 import dmframe
 from dmframe.analysis import linearise, linearised_period, prove_stability
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Square
+from dmframe.block.certificate import Certificate, Square
+from dmframe.block.parameter import Positive, Scalar
+from dmframe.block.port import Access, Input, Output, Side, State
 from dmframe.certify import verify
 from dmframe.certify.symbols import exact_values
+from dmframe.common.errors import DmframeError
 from dmframe.diagram import ClosedLoop, Diagram, Parameter, Variable
 from dmframe.diagram.bodies import Bodies
 from dmframe.diagram.closed_loop import Noise, Signal
@@ -28,13 +31,10 @@ from dmframe.diagram.fingerprint import fingerprint
 from dmframe.diagram.pieces import Leaf
 from dmframe.diagram.projection import Ball, Box, Projection
 from dmframe.drive.rehearse import Condition, rehearsed
-from dmframe.errors import DmframeError
 from dmframe.export.c import source
 from dmframe.export.program import program_of
 from dmframe.graph.graph import Graph
 from dmframe.page.functions import functions_of
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import Access, Input, Output, Side, State
 from dmframe.runtime import Controller
 from dmframe.simulate import simulate
 
