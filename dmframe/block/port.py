@@ -6,6 +6,8 @@ from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from typing import final
 
+from dmframe.common.names import Element as Element
+
 
 @final
 class Access(StrEnum):

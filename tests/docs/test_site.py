@@ -262,7 +262,7 @@ def test_a_formula_that_cannot_be_set_is_refused(latex: str) -> None:
 
 def test_the_python_interface_lists_all_public_modules() -> None:
     said = set(re.findall(r"(?<!`)`(dmframe\.\w+)`(?!`)", dmframe.__doc__ or ""))
-    assert len(said) > 5
+    assert "dmframe.block" in said
     texts = "\n".join(api.pages().values())
     assert [module for module in sorted(said) if f"automodule:: {module}\n" not in texts] == []
 

@@ -81,7 +81,7 @@ def every_kind(*, bodies: bool) -> ClosedLoop:
         trajectories=(Leaf("path.g", Side.SOURCE, symbol("g"), ca.sin(t)),),
         ahead=(Leaf("path.g(t + T)", Side.SOURCE, symbol("g_1"), ca.sin(t + period)),),
         noises=(Noise("law.n", n, "normal"),),
-        crossings=(Leaf("arm.y", Side.PLANT, y, 2 * w), Leaf("law.v", Side.CONTROLLER, v, -x * y)),
+        sampled_signals=(Leaf("arm.y", Side.PLANT, y, 2 * w), Leaf("law.v", Side.CONTROLLER, v, -x * y)),
         projections=(
             Projection("law.x", "law.x_box", x, -k * x, corrections[0], Box(box[0], box[1])),
             Projection("law.z", "law.z_ball", z, 0 * z, corrections[1], Ball(ca.vertcat(box), 1 + k, k)),
@@ -346,7 +346,7 @@ def differ(one: Any, other: Any) -> bool:
 
 
 @pytest.mark.parametrize("consumer", CONSUMERS)
-@pytest.mark.parametrize("field", ["controller", "crossings"])
+@pytest.mark.parametrize("field", ["controller", "sampled_signals"])
 def test_each_consumer_follows_the_model_or_refuses(consumer: str, field: str) -> None:
     experiment, diagram = arm2()
     other = changed(diagram, field)
