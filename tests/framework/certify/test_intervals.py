@@ -66,7 +66,7 @@ class Follower(AbstractBlock):
         more = (Inequality("a < 1", 1 - p.a, "test"),)
         weight = p.k * p.k - 2 * p.k + 2
         driven = (StableLinear((x.y,), ((-1,),), (x.y,), more),)
-        return Certificate((Square(e, weight),), (Square(e, weight * p.k),), driven=driven)
+        return Certificate((Square(e, weight),), (Square(e, weight * p.k),), linear=driven)
 
     def start(self, u: Any, p: Any, truth: Any) -> dict[str, Any]:
         return {"x": ca.SX(0)}

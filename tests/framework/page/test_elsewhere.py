@@ -125,7 +125,7 @@ class Toy(AbstractBlock):
         e = x.x - u.r
         more = (Inequality("a < 3/2", 1.5 - p.a, "no source"),)
         driven = (StableLinear((x.y,), ((p.a - p.b,),), (x.y,), more),)
-        return Certificate((Square(e),), (Square(e),), driven=driven)
+        return Certificate((Square(e),), (Square(e),), linear=driven)
 
 
 def built(**values: float) -> Diagram:
