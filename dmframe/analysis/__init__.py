@@ -1,4 +1,4 @@
-"""Linear analysis: the servo as transfer functions, poles of the loop, how slow its clock may be, the least K_c."""
+"""Linear analysis: servo transfer functions, poles, largest stable sampling period, least feedback gain K_c."""
 
 from __future__ import annotations
 

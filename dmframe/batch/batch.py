@@ -94,7 +94,7 @@ class Batch:
         Raises
         ------
         UnknownNameError, NeedsDiagramError, ValueFault
-            A parameter that does not exist or that shapes the diagram; columns of different lengths. (Faults of single
+            A parameter is unknown or determines the diagram's structure; columns differ in length. (Faults of single
             runs are in `Measured.faults`.)
         """
         columns = columns_of(values)
@@ -157,7 +157,7 @@ class Batch:
     @cached_property
     def _slope(self) -> Any:
         loop, step = self.diagram.loop, self.prepared.step
-        timed = ca.depends_on(stack(loop.rates_of(loop.flowing)), loop.period)  # then it is another one on each clock
+        timed = ca.depends_on(stack(loop.rates_of(loop.flowing)), loop.period)  # then it depends on the period
         return once(loop.derived, ("slope", step.period if timed else None), lambda: slope_of(step.rate))
 
     def _in_simd(self, runs: int) -> bool:

@@ -85,7 +85,7 @@ class Check:
         self._algebra = Algebra()
         self._declared = Declared(self._algebra, model, units)
         self._items = items_of(model, sizes, self._declared)
-        if _bare(model.block):
+        if _is_dimensionless(model.block):
             self._algebra.ignored = BASES
             return
         posed = model.robot is not None and not _POSES.isdisjoint(self._compiled[0].codes)
@@ -161,7 +161,7 @@ class Check:
 
     def fault(self) -> UnitError | None:
         """The first inconsistency as a fault, with the one parameter whose unit would remove it."""
-        declared = next(unlike(type(self.model.block)), None)
+        declared = next(declaration_faults(type(self.model.block)), None)
         if declared is not None:
             return UnitError(f"{self.model.name}: {declared}", path=("blocks", self.model.name))
         found = self.disagreement()
@@ -190,7 +190,7 @@ class Check:
 
     def _remedy(self, found: Disagreement, program: Program) -> str:
         if any(program.nodes[operand].code == CONST for operand in found.operands):
-            return "; a number that has a unit has to be a parameter"
+            return "; declare a number with a unit as a parameter"
         fitting = list(self._fitting())
         return f"; {fitting[0]} would agree" if len(fitting) == 1 else ""
 
@@ -207,14 +207,14 @@ class Check:
                 yield f"{parameter} in {spelled(whole)}"
 
 
-def _bare(block: AbstractBlock) -> bool:
+def _is_dimensionless(block: AbstractBlock) -> bool:
     """True if a block declares no units except those of time: all its quantities, time included, are plain numbers."""
     items: list[Signal | State] = [*block.inputs, *block.outputs, *block.states, *block.truth]
     units = {item.unit for item in items} | {spec.unit for spec in specs(type(block)).values()}
     return all(base_units(unit)[1].keys() <= {"s"} for unit in units - {ANY})
 
 
-def unlike(block: type[AbstractBlock]) -> Iterator[str]:
+def declaration_faults(block: type[AbstractBlock]) -> Iterator[str]:
     """Faults of declarations outside equations: initial values, boxes and balls of states, and derivative ports."""
     numbers = specs(block)
     for state in block.states:

@@ -96,7 +96,7 @@ def _norms(
 
 
 def log_ticks(axes: Any) -> None:
-    """Plain numbers at the decades, and between them where there are fewer than two."""
+    """Plain numbers at the decades, and between them if the axis has fewer than two decades."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     low, high = axes.get_ylim()

@@ -33,13 +33,13 @@ class Deviation:
     Parameters
     ----------
     signal
-        Its name.
+        Name of the signal.
     times
         (N,) [s].
     rms_by_eighth
-        RMS of its size over each eighth of the planned duration; None for eighths that were not reached.
+        RMS of its norm over each eighth of the planned duration; None for eighths that were not reached.
     unit
-        Of all values.
+        Unit of all values.
     """
 
     signal: str
@@ -116,7 +116,7 @@ def turn_of(loop: ClosedLoop) -> SX | None:
 
 
 def goal_of(loop: ClosedLoop) -> Followed | None:
-    """What a loop is judged by: its task where it has one, else its joints; None without a goal."""
+    """Goal by which a loop is judged: its task if it has one, else its joints; None without a goal."""
     return loop.goal
 
 

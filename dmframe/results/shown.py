@@ -65,7 +65,7 @@ class Shown:
         if self.felt is None:
             return said
         felt = ", ".join(f"{value:.3g}" for value in self.felt)
-        return f"{said}, felt as {felt if len(self.felt) == 1 else f'[{felt}]'} N m/{self.unit or '1'}"
+        return f"{said}, excitation {felt if len(self.felt) == 1 else f'[{felt}]'} N m/{self.unit or '1'}"
 
 
 def shown_by(run: Recording) -> list[Shown]:

@@ -1,4 +1,4 @@
-"""Figure of selected signals over time: a panel a signal, a curve an element and run."""
+"""Figure of selected signals over time: one panel per signal, one curve per element and run."""
 
 from __future__ import annotations
 

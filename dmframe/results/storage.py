@@ -24,7 +24,7 @@ SIGNALS: Final = ("V", "V_rate", "V_dissipation", "V_residual")
 """Labels of V, its rate, dissipation and residual; the storage function of a block is ``V.block``."""
 
 UNIT: Final = "unknown"
-"""Where V has no one unit, or none was derived."""
+"""Unit of V if it has several units or none was derived."""
 
 
 @final
@@ -37,7 +37,7 @@ class Storage:
     Parameters
     ----------
     along
-        V, its terms, dV/dt and the dissipation; over samples the residual.
+        V, its terms, dV/dt and the dissipation; in discrete time also the residual.
     """
 
     claim: Claim
@@ -63,17 +63,17 @@ class Storage:
             about = "weighted squares dissipated in dV/dt, continuous time"
             found["V_dissipation"] = ExtraSignal(along.dissipation[:, None], "", rated, about)
         if along.residual.size:
-            about = "most that V gains from this sample to the next, as the discrete-time certificate states"
+            about = "bound of the discrete-time certificate on the increase of V to the next sample"
             found["V_residual"] = ExtraSignal(along.residual[:, None], "", unit, about)
         return {label: item for label, item in found.items() if label not in self._taken}
 
     def _of_part(self, block: str) -> str:
-        """Of what a block adds to V; kappa turns the unit of one on the servo level into V's."""
+        """Unit of a block's storage function; on the servo level kappa converts it to the unit of V."""
         return self.unit.unit or ("" if self.claim.cascaded else self.unit.parts.get(block, "")) or UNIT
 
     @cached_property
     def unit(self) -> StorageUnit:
-        """V's unit, or those of its terms."""
+        """Unit of V, or the units of its terms."""
         return storage_unit(self.claim)
 
     @property
@@ -83,7 +83,7 @@ class Storage:
 
     @cached_property
     def causes(self) -> Mapping[str, str]:
-        """Differences between this run and the theorem, by keyword: possible, not computed causes of a rise of V."""
+        """Possible causes of a rise of V by keyword: differences between this run and the theorem, not computed."""
         return dict(_causes(self.claim, self.along, self.recording))
 
     @property
@@ -105,7 +105,7 @@ class Storage:
             if self.along.about:
                 notes.append(f"V is evaluated {self.along.about}")
             if "sampling" in self.causes:
-                notes.append("whether a shorter period removes the rise was not computed: run it with another `clock`")
+                notes.append("the effect of a shorter period was not computed: run it with another `clock`")
         if jumps:
             where = listed([f"{jump.change:.3g} at t = {jump.time:.6g} s" for jump in jumps[:3]])
             more = f" and {len(jumps) - 3} more times" if len(jumps) > 3 else ""
@@ -114,7 +114,7 @@ class Storage:
 
     @property
     def _instants(self) -> str:
-        return "kept instants" if self.recording.clock is None or "log" in self.causes else "samples"
+        return "recorded instants" if self.recording.clock is None or "log" in self.causes else "samples"
 
     @property
     def summary(self) -> dict[str, Any]:

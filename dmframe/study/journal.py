@@ -1,4 +1,4 @@
-"""Journal of a study's folder: ``study.lock.json``, which study it holds, and ``chunks.jsonl``, a line per chunk."""
+"""Journal of a study's folder: ``study.lock.json`` with its identity, and ``chunks.jsonl``, a line per chunk."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _SHOWN: Final = 4
 
 @final
 @dataclass(frozen=True)
-class Kept:
+class ChunkEntry:
     """A chunk that was written: one line of ``chunks.jsonl``."""
 
     file: str
@@ -33,16 +33,16 @@ class Kept:
     made: Mapping[str, str]
 
 
-def kept_in(folder: Path) -> dict[str, Kept]:
-    """The last line of each file; an incomplete line is of a process that was ended."""
-    found = dict[str, Kept]()
+def entries_in(folder: Path) -> dict[str, ChunkEntry]:
+    """Last line of each file; an incomplete line was left by a process that was ended."""
+    found = dict[str, ChunkEntry]()
     try:
         text = (folder / CHUNKS).read_text(encoding="utf-8", errors="replace")
     except FileNotFoundError:
         return found
     for line in text.splitlines():
         try:
-            kept = Kept(**json.loads(line))
+            kept = ChunkEntry(**json.loads(line))
         except (ValueError, TypeError):
             continue
         found[kept.file] = kept
@@ -82,13 +82,13 @@ def read_lock(path: Path) -> dict[str, Any] | None:
         return None
     except (OSError, ValueError, TypeError, AttributeError):
         raise OutputError(
-            f"{path / LOCK}: expected what a study has written, found something else; name another folder"
+            f"{path / LOCK}: expected the record of a study, found something else; name another folder"
         ) from None
     return dict(lock)
 
 
-def begun_as(path: Path) -> str:
-    """Name of the study that a folder holds; empty if it holds none."""
+def study_name_in(path: Path) -> str:
+    """Name of the study in a folder; empty if there is none."""
     try:
         name = json.loads((path / LOCK).read_text(encoding="utf-8"))["study"]
     except (OSError, ValueError, KeyError, TypeError):
@@ -108,7 +108,7 @@ def _checked(lock: Mapping[str, Any]) -> None:
 
 
 def difference(lock: Mapping[str, Any], identity: Mapping[str, Any]) -> str:
-    """What has changed since a study was begun, in one sentence; empty if nothing has."""
+    """Changes since a study was started, in one sentence; empty if there are none."""
     old = _leaves(lock["identity"]) | _leaves(lock["versions"], "versions.")
     now = _leaves(plain(identity)) | _leaves(dict(versions()), "versions.")
     changed = [name for name in {**old, **now} if old.get(name) != now.get(name)]

@@ -66,7 +66,7 @@ class Tuning:
     Parameters
     ----------
     study
-        With all signals measured that objectives and constraints need.
+        Study that measures all signals of the objectives and constraints.
     factors
         Searched quantities.
     """
@@ -201,8 +201,8 @@ class Tuning:
         """Run the hardest plants first, and the others unless the candidate is already dominated or infeasible."""
         size, ran = self.study.runs, list[int]()
         order, best = hardest(search, size), feasible(search)
-        share = self.section.screen
-        first = size if share is None or size < 8 else max(1, math.ceil(share * size))
+        fraction = self.section.screen
+        first = size if fraction is None or size < 8 else max(1, math.ceil(fraction * size))
         parts = [dict[str, Any]()]
         for chunk in (order[place : place + first] for place in range(0, size, first)):
             parts.append(rows_of_runs(candidate, chunk, self.threads))
@@ -240,7 +240,7 @@ def load_tuning(source: str | Path | Mapping[str, Any] | Study, *, threads: int 
     Parameters
     ----------
     source, options
-        As of `load_study`.
+        As in `load_study`.
     threads
         Number of threads; by default all cores.
 
@@ -280,7 +280,7 @@ def load_tuning(source: str | Path | Mapping[str, Any] | Study, *, threads: int 
 
 
 def _measuring(study: Study, section: TuneSection) -> Study:
-    """The study with all signals measured that objectives and constraints need."""
+    """Study that measures all signals of the objectives and constraints."""
     texts = (*section.minimise, *section.subject_to)
     needed = [signal for text in texts for signal in signals_of(text)]
     if any(text.partition("<")[0].split()[-1:] == [EFFORT] for text in texts):
@@ -347,7 +347,7 @@ def tune(
 
 
 def _own(each: Factor, study: Study) -> list[float] | None:
-    """The values of a factor that do not change the graph."""
+    """Values of a factor at which the graph is unchanged."""
     if each.how != "value":
         return [1.0 if each.how == "scale" else 0.0] * len(each.columns)
     found = dict[str, np.ndarray]()

@@ -78,7 +78,7 @@ HELD: dict[str, Way] = {
 @pytest.mark.parametrize("name", HELD)
 def test_a_path_that_can_be_followed_lies_where_it_is_claimed_to_lie(name: str) -> None:
     found = follow(HELD[name])
-    assert (found.leave, found.doubt, found.until) == (None, None, DURATION)
+    assert (found.path_exit, found.unproved, found.until) == (None, None, DURATION)
     assert found.apart is not None
     assert np.max(found.apart) < 0.1 * TUBE
     if found.span:
@@ -96,9 +96,9 @@ def test_a_path_that_can_be_followed_lies_where_it_is_claimed_to_lie(name: str) 
 )
 def test_a_short_way_out_of_reach_between_two_rests_is_found(way: Way, when: float) -> None:
     found = follow(way)
-    assert found.leave is not None
-    assert (found.leave.time, found.until) == (pytest.approx(when, abs=1), 0)
-    assert found.leave.distance > 1e-9
+    assert found.path_exit is not None
+    assert (found.path_exit.time, found.until) == (pytest.approx(when, abs=1), 0)
+    assert found.path_exit.distance > 1e-9
 
 
 @pytest.mark.parametrize(
@@ -112,15 +112,15 @@ def test_a_short_way_out_of_reach_between_two_rests_is_found(way: Way, when: flo
 )
 def test_a_path_that_jumps_has_no_joint_path(way: Way, when: float) -> None:
     found = follow(way)
-    assert found.leave is not None
-    assert (found.leave.time, found.until) == (pytest.approx(when, rel=1e-4), 0)
-    assert found.leave.jump > 0.01
+    assert found.path_exit is not None
+    assert (found.path_exit.time, found.until) == (pytest.approx(when, rel=1e-4), 0)
+    assert found.path_exit.jump > 0.01
 
 
 def test_what_has_no_enclosure_is_not_proved_and_the_reason_is_reported() -> None:
     found = follow(lambda t: 0.01 * ca.log(1 + t), duration=5.0)
-    assert found.doubt is not None
-    assert (found.doubt.reason, found.until) == (
+    assert found.unproved is not None
+    assert (found.unproved.reason, found.until) == (
         "path: expected operations of which an enclosure is known, found log",
         0,
     )

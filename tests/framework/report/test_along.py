@@ -74,5 +74,5 @@ def test_a_v_that_never_rises_has_no_increase(V):
 def test_a_run_of_other_blocks_is_refused(proved, failing):
     with pytest.raises(ValueFault) as caught:
         along(proved.verdict.claim, run_of(failing, 0.1))
-    expected = "V along a run: expected a run of the claim's own blocks, with 22 of dynamics.a_d_hat, found 11 of"
+    expected = "V along a run: expected a run of the certificate's blocks, with 22 of dynamics.a_d_hat, found 11 of"
     assert caught.value.text == expected
