@@ -245,8 +245,8 @@ def _why(linear: Linear, loop: EnclosedLoop, clock: float | None, radius: float 
     """Reason for a missing bound or period."""
     if period is not None and (clock is None or radius is not None):
         return ""
-    if linear.drifting > loop.kept:
-        return f"it has {linear.drifting - loop.kept} ramp modes without a restoring term"
+    if linear.ramp_modes > loop.kept:
+        return f"it has {linear.ramp_modes - loop.kept} ramp modes without a restoring term"
     more = linear.at_rest - len(linear.states) + loop.moving + loop.kept
     if more > 0:
         return f"in floating point it has {more} more equilibrium directions, which do not follow from its equations"

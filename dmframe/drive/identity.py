@@ -199,7 +199,7 @@ def _file(name: str) -> Path | None:
 
 
 def _is_library(path: Path) -> bool:
-    """True for a file of an installed package, also in an environment that is visible from this one (system packages)."""
+    """True for a file of an installed package, of this environment or one visible from it (system packages)."""
     installed = any(path.is_relative_to(sysconfig.get_path(kind)) for kind in ("purelib", "platlib"))
     return installed or bool({"site-packages", "dist-packages"} & set(path.parts))
 

@@ -227,8 +227,8 @@ def influence(factor: str, draws: np.ndarray, values: np.ndarray, *, independent
         S = 1 - (1 - \eta^2) \frac{N - 1}{N - M},
 
     where S excludes the fraction that M bins explain by chance. Ranks are used because an error spans decades; a run
-    that diverged has the last rank. Without any influence, :math:`(N - 1) \eta^2` is the statistic of Kruskal and Wallis,
-    which is chi-squared with M - 1 degrees of freedom.
+    that diverged has the last rank. Without any influence, :math:`(N - 1) \eta^2` is the statistic of Kruskal and
+    Wallis, which is chi-squared with M - 1 degrees of freedom.
 
     Parameters
     ----------
