@@ -167,7 +167,7 @@ def _read_as_xml(name: str, file: str, words: dict[str, str]) -> str:
     except (ElementTree.ParseError, UnicodeEncodeError):
         found = ""
     if not found.startswith(unescape(words["DM_TITLE"])):
-        raise EngineError(f"{name}: {file} reads back as something else; expected a title of printable characters")
+        raise EngineError(f"{name}: {file} is not recovered by a parser; expected a title of printable characters")
     return text
 
 

@@ -129,7 +129,7 @@ def _run(
     if plan.start is not None and np.max(np.abs(sample.q - plan.start)) > AT_START:
         if plan.shadow:
             return Stop("start", "the robot is not at the graph's start pose, and a shadow drive does not move it")
-        if stop := _way(robot, gate, plan.start, stop_requested):
+        if stop := _move_to_start(robot, gate, plan.start, stop_requested):
             return stop
         sample = robot.read()
         if stop := gate.admit(sample):
@@ -145,7 +145,7 @@ def _run(
     return _loop(steered, robot, gate, plan, stop_requested, journal, sample)
 
 
-def _way(robot: Robot, gate: Gate, start: np.ndarray, stop_requested: Callable[[], str]) -> Stop | None:
+def _move_to_start(robot: Robot, gate: Gate, start: np.ndarray, stop_requested: Callable[[], str]) -> Stop | None:
     """Move to the start, with the gate's checks of samples; return why the motion was stopped, or None."""
     if text := stop_requested():  # also before the motion
         return Stop("requested", text)
@@ -196,7 +196,7 @@ def _loop(
             robot.command(sent)
         journal.answered(time.perf_counter() - arrived)
         before, sample = sample, robot.read()
-        lost = int(sample.time <= before.time)  # the same sample again, or an older one
+        lost = int(sample.time <= before.time)  # a repeated or older sample
         while 0 < lost <= gate.limits.lost and sample.time <= before.time:
             sample = robot.read()
             lost = lost + 1 if sample.time <= before.time else 0

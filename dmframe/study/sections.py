@@ -245,8 +245,8 @@ def _influence(t: ReportData, pictures: Pictures) -> Iterator[Part]:
             f"at most {BINS} bins of each quantity, without what so many bins explain by chance. Ranks are used, as "
             "an error spans decades; a run that diverged has the last rank. “By chance” is the probability of so large "
             "a fraction if the quantity has no influence (Kruskal and Wallis, adjusted for the number of quantities "
-            "after Holm); a design that spreads its points has none. Interactions, and effects within a bin, are in the "
-            "last row only; with fewer runs the bins are coarser."
+            "after Holm); a design that spreads its points has none. Interactions, and effects within a bin, are in "
+            "the last row only; with fewer runs the bins are coarser."
         ),
         note=True,
     )

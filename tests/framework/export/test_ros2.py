@@ -394,5 +394,5 @@ def test_a_title_reads_back_as_it_is_whatever_it_looks_like(file: str, title: st
 
 @pytest.mark.parametrize("title", ["<x>", "a & b", "bell\a"])
 def test_a_title_that_is_no_xml_is_refused(title: str) -> None:
-    with pytest.raises(EngineError, match=r"graph: package\.xml reads back as something else"):
+    with pytest.raises(EngineError, match=r"graph: package\.xml is not recovered by a parser"):
         _read_as_xml("graph", "package.xml", {"DM_PACKAGE": "own", "DM_TITLE": title})

@@ -240,7 +240,7 @@ def test_a_graph_with_one_scalar_state_and_nothing_to_measure_runs(tank: Callabl
 @pytest.mark.parametrize(
     ("dissipated", "begins", "outcome"),
     [
-        ("p.rate", "Proved over what was drawn; of 20", "proved"),
+        ("p.rate", "Proved over the sampled box; of 20", "proved"),
         ("2 * p.rate", "The proof is refuted; of 20", "refuted"),
     ],
 )
