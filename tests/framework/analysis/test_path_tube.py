@@ -201,8 +201,8 @@ def test_a_reach_between_two_rests_leaves_no_region(far: float, holds: bool, tmp
 @pytest.mark.parametrize(
     ("name", "why"),
     [
-        ("ur10_paced", r"path\.x_d, whose time is not that of the run: it moves with pace\.t_path"),
-        ("ur10_admittance", "which a block of the controller makes of"),
+        ("ur10_paced", r"path\.x_d, which also depends on pace\.t_path"),
+        ("ur10_admittance", "which a controller block computes from"),
         ("ur10_pose", r"found path\.p_d too"),
     ],
 )

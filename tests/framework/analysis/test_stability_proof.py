@@ -255,7 +255,7 @@ def test_a_split_that_forgets_a_signal_is_refused(monkeypatch: pytest.MonkeyPatc
     assert split_moves(still, linear.point, p, ball(T)).count == 3
     found = Cut.found
     monkeypatch.setattr(Cut, "found", lambda self: (found(self)[0][1:], {}))
-    with pytest.raises(UndecidedError, match="not seen to vanish"):
+    with pytest.raises(UndecidedError, match="do not vanish structurally"):
         split_moves(still, linear.point, p, ball(T))
 
 
@@ -366,7 +366,7 @@ def test_where_a_slope_does_not_bound_what_is_near_or_comes_later_nothing_is_pro
 
 def test_a_number_that_grows_otherwise_or_falls_is_no_count() -> None:
     assert not proved_schur(switching("no count"))
-    with pytest.raises(EngineError, match=r"found none; law\.n still moves at -1"):
+    with pytest.raises(EngineError, match=r"found none; law\.n still changes by -1"):
         switching("downwards")
 
 

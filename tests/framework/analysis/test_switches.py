@@ -128,7 +128,7 @@ def test_where_the_slope_alone_jumps_the_numbers_are_of_one_side_and_nothing_is_
         linear, proved = proof(loop(rule))
         assert linear.kinks == (kink,)
         assert (proved.radius, proved.period) == (None, None)
-        assert "turns" in proved.reason
+        assert "switches" in proved.reason
 
 
 class Rounding(AbstractBlock):
