@@ -138,7 +138,7 @@ class JointPath:
 
 @final
 @dataclass(frozen=True)
-class Reach:
+class ToolPath:
     """Tool position s(q), its Jacobian, and desired position s_d(t), as arrays."""
 
     actual: Callable[[Array], Array]
@@ -147,7 +147,7 @@ class Reach:
 
 
 def joint_path(
-    reach: Reach,
+    reach: ToolPath,
     start: Array,
     duration: float,
     period: float | None,
@@ -259,7 +259,7 @@ def _undecided(walk: _Walk, reason: str) -> float:
     return 0.0
 
 
-def _approach(reach: Reach, start: Array, stride: float) -> tuple[list[Array], PathExit | None]:
+def _approach(reach: ToolPath, start: Array, stride: float) -> tuple[list[Array], PathExit | None]:
     """Approach from the start to the path, the tool on a straight line or, past a singularity, the joints."""
     first, onto = reach.actual(start), reach.goal(0.0)
     if np.linalg.norm(first - onto) <= REACHED:
@@ -276,7 +276,7 @@ def _approach(reach: Reach, start: Array, stride: float) -> tuple[list[Array], P
 
 
 def _follow(
-    reach: Reach,
+    reach: ToolPath,
     curve: Callable[[float], Array],
     walk: _Walk,
     end: float,
@@ -312,7 +312,7 @@ def _follow(
 
 
 def _exit_at(
-    reach: Reach, curve: Callable[[float], Array], time: float, pose: Array, then: float, end: float
+    reach: ToolPath, curve: Callable[[float], Array], time: float, pose: Array, then: float, end: float
 ) -> PathExit:
     """Reason why no pose near the last one follows the path."""
     jump = float(np.linalg.norm(curve(then) - curve(time)))
@@ -326,7 +326,7 @@ def _exit_at(
     return PathExit(time, pose, later, curve(later), distance)
 
 
-def _newton(reach: Reach, q: Array, goal: Array) -> tuple[Array, float]:
+def _newton(reach: ToolPath, q: Array, goal: Array) -> tuple[Array, float]:
     best, least = q, math.inf
     for _ in range(_NEWTON):
         missing = goal - reach.actual(q)
@@ -340,7 +340,7 @@ def _newton(reach: Reach, q: Array, goal: Array) -> tuple[Array, float]:
     return best, least
 
 
-def _nearest(reach: Reach, q: Array, goal: Array) -> tuple[Array, float]:
+def _nearest(reach: ToolPath, q: Array, goal: Array) -> tuple[Array, float]:
     """Pose whose tool is nearest to the goal, searched from q and then from random poses; and its distance."""
     from scipy.optimize import least_squares
 

@@ -28,7 +28,7 @@ import casadi as ca
 import numpy as np
 from flint import arb
 
-from dmframe.analysis.least_cut import ITSELF, LEAST, Cut, vanishing
+from dmframe.analysis.minimum_cut import ITSELF, LEAST, Cut, vanishing
 from dmframe.analysis.set_point import at_set_point, counts, moves, undrawn
 from dmframe.analysis.sums import Sum, conserved, scaled, sums_of
 from dmframe.analysis.switches import chosen, distinct, numbers_of, values_of

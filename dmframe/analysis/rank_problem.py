@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from dmframe.analysis.joint_path import Reach, period_of
+from dmframe.analysis.joint_path import ToolPath, period_of
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
 from dmframe.certify.true_values import true_values
@@ -75,7 +75,7 @@ class RankProblem:
     estimate: Array | None
     names: tuple[str, ...]
     start: Array
-    reach: Reach | None = None
+    reach: ToolPath | None = None
     path: tuple[Any, ...] = ()
     period: float | None = None
 
@@ -219,12 +219,12 @@ def _timed(loop: ClosedLoop, label: str, desired: SX) -> SX:
     return wanted
 
 
-def _reach(loop: ClosedLoop, desired: SX, actual: SX, joints: Variable) -> Reach:
+def _reach(loop: ClosedLoop, desired: SX, actual: SX, joints: Variable) -> ToolPath:
     p = loop.p_values
     values = ca.Function("actual", [joints.symbol, loop.p], [ca.vec(actual)])
     slopes = ca.Function("slope", [joints.symbol, loop.p], [ca.jacobian(ca.vec(actual), joints.symbol)])
     goal = ca.Function("goal", [loop.time, loop.p], [ca.vec(desired)])
-    return Reach(
+    return ToolPath(
         lambda q: np.asarray(values(q, p).full().ravel()),
         lambda q: np.asarray(slopes(q, p).full()),
         lambda t: np.asarray(goal(t, p).full().ravel()),

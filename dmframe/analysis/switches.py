@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from dmframe.analysis.least_cut import LEAST, SMALL
+from dmframe.analysis.minimum_cut import LEAST, SMALL
 from dmframe.certificate import SX
 from dmframe.exact.balls import UndecidedError
 from dmframe.program import (

@@ -10,7 +10,7 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from dmframe.batch.figures import ERROR, TURN, Figures, FigureTable, Measured, Wanted
+from dmframe.batch.figures import ERROR, TURN, Figures, FigureTable, Measured, MeasuredSignals
 from dmframe.batch.groups import SimdRunner, slope_of, speeds_of
 from dmframe.batch.simd import SimdLoop, compiled
 from dmframe.batch.starts import starts_of
@@ -43,7 +43,7 @@ class Batch:
 
     diagram: Diagram
     duration: float
-    wanted: Wanted
+    wanted: MeasuredSignals
     settings: Mapping[str, Any]
     choice: Choice
     threads: int | None
@@ -55,7 +55,7 @@ class Batch:
         diagram: Diagram,
         duration: float,
         *,
-        wanted: Wanted | None = None,
+        wanted: MeasuredSignals | None = None,
         engine: Choice = "auto",
         threads: int | None = None,
         **settings: Any,
@@ -69,7 +69,7 @@ class Batch:
         """
         if threads is not None and threads < 1:
             raise ValueFault(f"threads: expected at least 1, found {threads}")
-        wanted, loop = wanted or Wanted(), diagram.loop
+        wanted, loop = wanted or MeasuredSignals(), diagram.loop
         known = {*(signal.label for signal in loop.outputs), *(variable.label for variable in loop.variables)}
         raise_all(
             [UnknownNameError("signals", "signal", label, known) for label in wanted.signals if label not in known]
@@ -205,7 +205,7 @@ class Batch:
                 table.put(np.array([run]), result)
 
 
-def figures_of_run(run: Recording, wanted: Wanted) -> Measured:
+def figures_of_run(run: Recording, wanted: MeasuredSignals) -> Measured:
     """Reduce one recording to its figures, without units."""
     error, turn = tracking_error(run), turn_error(run)
     values = {} if error is None else {ERROR: error.norm[:, None]}

@@ -9,7 +9,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.batch.batch import figures_of_run
-from dmframe.batch.figures import ERROR, TURN, Figures, Measured, Wanted
+from dmframe.batch.figures import ERROR, TURN, Figures, Measured, MeasuredSignals
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
 from dmframe.results.metrics import EIGHTHS, TurnError, goal_of
@@ -80,7 +80,7 @@ def error_figures(label: str, figures: Figures) -> dict[str, tuple[np.ndarray, s
     return found | {f"{label}_crossed": (figures.crossed[:, 0], "s")}
 
 
-def columns_of(diagram: Diagram, wanted: Wanted) -> list[Column]:
+def columns_of(diagram: Diagram, wanted: MeasuredSignals) -> list[Column]:
     """Columns of a loop's figures."""
     found, units = [Column("diverged", ""), Column("diverged_at", "s")], units_of(diagram)
     for label in (ERROR, TURN):
@@ -121,7 +121,7 @@ def rows_of(found: Measured, columns: Sequence[Column]) -> Columns:
     return rows
 
 
-def row_of(run: Recording, wanted: Wanted, columns: Sequence[Column]) -> dict[str, Any]:
+def row_of(run: Recording, wanted: MeasuredSignals, columns: Sequence[Column]) -> dict[str, Any]:
     """Measured columns of one run."""
     rows = rows_of(figures_of_run(run, wanted), columns)
     return {column.name: rows[column.name][0].item() for column in columns}

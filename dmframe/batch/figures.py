@@ -24,7 +24,7 @@ LEAST, MOST, LAST, CROSSED = range(EIGHTHS, PER_OUTPUT)
 
 @final
 @dataclass(frozen=True)
-class Wanted:
+class MeasuredSignals:
     """What to measure in each run, in addition to the tracking error.
 
     Parameters

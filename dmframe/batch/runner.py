@@ -10,7 +10,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.batch.batch import Batch
-from dmframe.batch.figures import FigureTable, Measured, Wanted, merged
+from dmframe.batch.figures import FigureTable, Measured, MeasuredSignals, merged
 from dmframe.config import BaseGraph
 from dmframe.config.places import placed
 from dmframe.diagram import Diagram
@@ -96,7 +96,7 @@ class Runner:
     def measure(
         self,
         several: Sequence[Runs],
-        wanted: Callable[[Diagram], Wanted],
+        wanted: Callable[[Diagram], MeasuredSignals],
         *,
         engine: Choice = "compiled",
         threads: int | None = None,
@@ -163,7 +163,7 @@ class Runner:
                 group.numbers.append(numbers)
         return list(groups.values())
 
-    def _one(self, item: Runs, wanted: Callable[[Diagram], Wanted], how: Mapping[str, Any]) -> Measured:
+    def _one(self, item: Runs, wanted: Callable[[Diagram], MeasuredSignals], how: Mapping[str, Any]) -> Measured:
         """Measure one item: on a shared loop, else on its own, else with a graph per run."""
         diagram, numbers = self.loop_of(item.graph)
         found: Measured | None = None
@@ -178,7 +178,7 @@ class Runner:
         return found or self._run_by_run(item, diagram, wanted, how)
 
     def _run_by_run(
-        self, item: Runs, diagram: Diagram, wanted: Callable[[Diagram], Wanted], how: Mapping[str, Any]
+        self, item: Runs, diagram: Diagram, wanted: Callable[[Diagram], MeasuredSignals], how: Mapping[str, Any]
     ) -> Measured:
         """Measure one item with a graph per run."""
         parts, faults = list[tuple[np.ndarray, Measured]](), dict[int, DmframeError]()
@@ -199,7 +199,7 @@ class Runner:
         self,
         diagram: Diagram,
         item: Runs,
-        wanted: Callable[[Diagram], Wanted],
+        wanted: Callable[[Diagram], MeasuredSignals],
         values: Mapping[str, np.ndarray],
         count: int,
         how: Mapping[str, Any],

@@ -14,14 +14,14 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.config import BaseGraph
-from dmframe.drive.drive import steered_controller
+from dmframe.drive.drive import scaled_controller
 from dmframe.drive.log import Log, read_log
 from dmframe.drive.record import plain_signals
 from dmframe.errors import MissingError, listed
 from dmframe.runtime.driving import STILL
 from dmframe.runtime.gate import Gate, Limits
 from dmframe.runtime.robot import Sample
-from dmframe.runtime.steered import Steered
+from dmframe.runtime.scaled import ScaledController
 from dmframe.simulate.engine import Choice
 from dmframe.units import plain
 
@@ -182,69 +182,69 @@ def replayed(graph: BaseGraph, log: str | Path, *, engine: Choice = "auto") -> R
         There is no such file, a file of its folder was changed, or a measurement or a sample is missing.
     """
     diagram = graph.diagram
-    steered = steered_controller(graph, engine)
+    scaled = scaled_controller(graph, engine)
     own, states = plain_signals(diagram), {item.label: item for item in diagram.loop.controller}
     known = ["robot.time", SENT, *_USUAL, *own, *states]
-    fields = {**own, **steered.fields}
-    record = read_log(Path(log), [*steered.fields, steered.label], known, fields)
+    fields = {**own, **scaled.fields}
+    record = read_log(Path(log), [*scaled.fields, scaled.label], known, fields)
     notices = list(record.notices)
-    expected = {**steered.controller.measured, steered.label: steered.command}
+    expected = {**scaled.controller.measured, scaled.label: scaled.command}
     count = record.values["time"].size
     _check_sizes(record.values, expected, count, str(log))
     kept = [label for label in states if label in record.values]
     if lost := [label for label, item in states.items() if item.recorded and label not in record.values]:
         notices.append(f"{listed(lost)} {'are' if len(lost) > 1 else 'is'} not compared: not in the record")
-    now, refused, notice = _computed(steered, record, fields, kept, str(log))
-    units = {steered.label: "rad/s", SENT: "rad/s", **{label: item.unit for label, item in states.items()}}
+    now, refused, notice = _computed(scaled, record, fields, kept, str(log))
+    units = {scaled.label: "rad/s", SENT: "rad/s", **{label: item.unit for label, item in states.items()}}
     compared = {
         label: Compared(_rows(record.values[label], rows.shape, label, str(log)), rows, units[label])
         for label, rows in now.items()
     }
-    n = steered.command.size
+    n = scaled.command.size
     joints = tuple(map(str, range(1, n + 1)) if diagram.robot is None else diagram.robot.joint_names)
     return Replay(
         graph.name,
         str(log),
-        steered.label,
+        scaled.label,
         joints,
         record.values["time"].ravel(),
         compared,
         refused,
-        (record.engine, steered.controller.engine),
+        (record.engine, scaled.controller.engine),
         (*notices, *notice),
     )
 
 
 def _computed(
-    steered: Steered, record: Log, fields: Mapping[str, str], states: list[str], log: str
+    scaled: ScaledController, record: Log, fields: Mapping[str, str], states: list[str], log: str
 ) -> tuple[dict[str, np.ndarray], int, tuple[str, ...]]:
     """Recompute commands, commands after the gate, and states; with the number of refused samples, and notices."""
     time = record.values["time"].ravel()
-    count, n = time.size, steered.command.size
+    count, n = time.size, scaled.command.size
     scale, missed = (record.values.get(label, np.full(count, usual)).ravel() for label, usual in _USUAL.items())
     since = record.values.get("robot.time", time).ravel()
-    _check_whole(since, missed, steered.controller.clock, log)
+    _check_whole(since, missed, scaled.controller.clock, log)
     gate, ramp, notice = _gate(record, n, log)
-    now = {steered.label: np.full((count, n), np.nan)}
+    now = {scaled.label: np.full((count, n), np.nan)}
     if gate is not None:
         now[SENT] = np.full((count, n), np.nan)
-    now |= {label: np.full((count, steered.controller.states[label].size), np.nan) for label in states}
+    now |= {label: np.full((count, scaled.controller.states[label].size), np.nan) for label in states}
     sent, refused = np.zeros(n), 0
     for k in range(count):
         sample = _sample(record.values, fields, n, k, int(missed[k]))
         if k == 0:
-            steered.begin(sample, float(time[0]))
+            scaled.begin(sample, float(time[0]))
         for label in states:
-            now[label][k] = steered.controller.states[label]
+            now[label][k] = scaled.controller.states[label]
         moving = bool(scale[k] >= STILL)
-        if moving and not steered.step(sample, float(time[k]), float(scale[k])):
+        if moving and not scaled.step(sample, float(time[k]), float(scale[k])):
             refused += 1
             continue
-        now[steered.label][k] = steered.command
+        now[scaled.label][k] = scaled.command
         if gate is not None:
             own = min(1.0, (float(since[k]) + gate.period) / ramp) if ramp else 1.0
             gate.admit(sample)
-            gate.limited(own * steered.command if moving else np.zeros(n), sent, int(missed[k]))
+            gate.limited(own * scaled.command if moving else np.zeros(n), sent, int(missed[k]))
             now[SENT][k] = sent
     return now, refused, notice
 

@@ -58,7 +58,7 @@ class Law:
 
 @final
 class Rival:
-    """Replaces the `Steered` controller of `dmframe.runtime.driving.drive` by a `Law`, which has no states."""
+    """Replaces the `ScaledController` controller of `dmframe.runtime.driving.drive` by a `Law`, which has no states."""
 
     def __init__(self, law: Law, n: int, clock: float) -> None:
         self.law, self.command = law, np.zeros(n)
@@ -66,10 +66,10 @@ class Rival:
         self.lacking: tuple[str, ...] = ()
 
     def begin(self, sample: Sample, t: float = 0.0) -> None:
-        """See `Steered`."""
+        """See `ScaledController`."""
 
     def step(self, sample: Sample, t: float, scale: float) -> bool:
-        """See `Steered`."""
+        """See `ScaledController`."""
         law = self.law
         wanted, rate = (part.full().ravel() for part in law.goal(t))
         if law.shown is None:

@@ -61,7 +61,7 @@ class Jump:
 
 @final
 @dataclass(frozen=True)
-class Along:
+class StorageTrace:
     """V and its terms at every recorded instant of a run.
 
     Parameters
@@ -140,7 +140,7 @@ class Along:
         return int(np.count_nonzero(self.steps > 0))
 
 
-def along(claim: Claim, run: Recording, kappa: float = 1.0) -> Along:
+def along(claim: Claim, run: Recording, kappa: float = 1.0) -> StorageTrace:
     r"""Evaluate :math:`V = \kappa (S_1 + S_2 + \dots) + S_{cascade}` along a run.
 
     In discrete time, an unknown constant in V, such as the initial state of a servo's integrator, is identified from
@@ -166,14 +166,14 @@ def along(claim: Claim, run: Recording, kappa: float = 1.0) -> Along:
         return (_over_samples if claim.over_samples else _over_time)(claim, run, kappa)
 
 
-def _over_time(claim: Claim, run: Recording, kappa: float) -> Along:
+def _over_time(claim: Claim, run: Recording, kappa: float) -> StorageTrace:
     _check_same(claim, run)
     own = AtInstants(claim, run)
     stored = [(part.block, term.of, claim.weight(part) * term.value / 2) for part, term in _terms(claim)]
     column, V = (_weighed(claim, x, kappa) for x in (stack(value for *_, value in stored), claim.V))
     rows = own.of(column)
     dissipation, rate = _rates(own, kappa)
-    return Along(
+    return StorageTrace(
         time=run.time,
         kappa=kappa,
         V=np.sum(rows, axis=0),
@@ -186,7 +186,7 @@ def _over_time(claim: Claim, run: Recording, kappa: float) -> Along:
     )
 
 
-def _over_samples(claim: Claim, run: Recording, kappa: float) -> Along:
+def _over_samples(claim: Claim, run: Recording, kappa: float) -> StorageTrace:
     own, stored = AtInstants(claim, run), [(part.block, *term) for part in claim.parts for term in _stored(part)]
     column = stack(value / 2 for *_, value in stored)
     constants = determined(claim, column, own)
@@ -195,7 +195,7 @@ def _over_samples(claim: Claim, run: Recording, kappa: float) -> Along:
     V = claim.loop.on_path(ca.sum1(column))
     found = own.of(stack([column, _size(claim, V), gained]))
     rows, (size, *residual) = found[: len(stored)], found[len(stored) :]
-    return Along(
+    return StorageTrace(
         time=run.time,
         kappa=kappa,
         V=np.sum(rows, axis=0),

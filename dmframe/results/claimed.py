@@ -18,7 +18,7 @@ from dmframe.certify.symbols import symbols_of
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
 from dmframe.exact.rational import Interval, as_float
-from dmframe.results.along import Along, along
+from dmframe.results.along import StorageTrace, along
 from dmframe.simulate import Recording
 
 MOST = 300
@@ -27,7 +27,7 @@ MOST = 300
 
 def unproved_along(
     run: Recording, uncertain: Mapping[str, Sequence[Interval]], start: Mapping[str, Any]
-) -> Along | None:
+) -> StorageTrace | None:
     """`claimed_along`, or None if there is no V."""
     try:
         return claimed_along(run, uncertain, start)[1]
@@ -37,7 +37,7 @@ def unproved_along(
 
 def claimed_along(
     run: Recording, uncertain: Mapping[str, Sequence[Interval]], start: Mapping[str, Any]
-) -> tuple[Claim, Along]:
+) -> tuple[Claim, StorageTrace]:
     """Certificate of a run's blocks, and V along the run with the weight that a proof would choose.
 
     Assembling the certificate and deciding its conditions takes 0.3 s for a UR10, plus 20 us per instant; for the

@@ -10,7 +10,7 @@ from dmframe.names import unicode_name
 from dmframe.plotting import PAGE, POINTS, draw_curve, frame, look, names_above, page, tame, unit_text
 from dmframe.port import Access, Side
 from dmframe.results.dataset import joint_labels
-from dmframe.results.drawn_runs import (
+from dmframe.results.plotting import (
     Runs,
     joint_slides,
     last_stretch,

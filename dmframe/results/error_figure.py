@@ -20,7 +20,8 @@ from dmframe.plotting import (
     tame,
     unit_text,
 )
-from dmframe.results.drawn_runs import (
+from dmframe.results.metrics import turn_error
+from dmframe.results.plotting import (
     Runs,
     coordinate_labels,
     errors_of,
@@ -31,7 +32,6 @@ from dmframe.results.drawn_runs import (
     set_times,
     why_not_with,
 )
-from dmframe.results.metrics import turn_error
 from dmframe.simulate import Recording
 
 

@@ -24,7 +24,7 @@ from dmframe.plotting import (
 )
 from dmframe.port import Element
 from dmframe.results.dataset import elements
-from dmframe.results.drawn_runs import mark_divergence, run_label, set_times, short
+from dmframe.results.plotting import mark_divergence, run_label, set_times, short
 from dmframe.simulate import Recording
 
 WIDTH = 5.4

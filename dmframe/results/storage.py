@@ -12,7 +12,7 @@ import numpy as np
 from dmframe.certify.claim import Claim
 from dmframe.config import BaseGraph
 from dmframe.errors import DmframeError, listed
-from dmframe.results.along import Along
+from dmframe.results.along import StorageTrace
 from dmframe.results.claimed import claimed_along
 from dmframe.results.storage_unit import StorageUnit, storage_unit
 from dmframe.simulate import Recording
@@ -41,7 +41,7 @@ class Storage:
     """
 
     claim: Claim
-    along: Along
+    along: StorageTrace
     recording: Recording
 
     @cached_property
@@ -169,7 +169,7 @@ def with_storage(recording: Recording, storage: Storage | None) -> Recording:
     return recording if storage is None else replace(recording, beside={**recording.beside, **storage.signals})
 
 
-def _causes(claim: Claim, along: Along, run: Recording) -> Iterator[tuple[str, str]]:
+def _causes(claim: Claim, along: StorageTrace, run: Recording) -> Iterator[tuple[str, str]]:
     if claim.over_samples:
         yield _over_samples(claim, along)
     else:
@@ -194,7 +194,7 @@ def _causes(claim: Claim, along: Along, run: Recording) -> Iterator[tuple[str, s
             yield "log", f"one of {apart} samples was recorded; V between them is not evaluated"
 
 
-def _over_samples(claim: Claim, along: Along) -> tuple[str, str]:
+def _over_samples(claim: Claim, along: StorageTrace) -> tuple[str, str]:
     violated = "so this run violates one of its assumptions"
     if not claim.left:
         return "assumption", f"the discrete-time certificate excludes a rise of V, {violated}"

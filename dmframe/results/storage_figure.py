@@ -10,8 +10,8 @@ import numpy as np
 
 from dmframe.errors import DmframeError
 from dmframe.plotting import draw_curve, frame, look, page, span, tame, verbatim
-from dmframe.results.along import Along
-from dmframe.results.drawn_runs import note_below, run_label
+from dmframe.results.along import StorageTrace
+from dmframe.results.plotting import note_below, run_label
 from dmframe.results.run import Run
 from dmframe.simulate import Recording
 
@@ -38,7 +38,7 @@ def storage_figure(name: str, run: Run) -> Any:
 
 
 def storage_picture(
-    found: Along, names: Sequence[str], run: Recording, title: str = "", note: str = "", unit: str = ""
+    found: StorageTrace, names: Sequence[str], run: Recording, title: str = "", note: str = "", unit: str = ""
 ) -> Any:
     """Draw V above and its largest terms below on a logarithmic axis; the largest rise of V is shaded.
 

@@ -19,8 +19,8 @@ import numpy as np
 from dmframe.errors import OutputError
 from dmframe.files import encoded, forced, reason, sync
 from dmframe.runtime.robot import Sample
+from dmframe.runtime.scaled import ScaledController
 from dmframe.runtime.signals import FIELDS
-from dmframe.runtime.steered import Steered
 from dmframe.seal import SEAL, digest
 
 BLOCK: Final = 512
@@ -57,11 +57,11 @@ class Columns:
         return found
 
     @classmethod
-    def of(cls, steered: Steered, sample: Sample) -> Columns:
+    def of(cls, scaled: ScaledController, sample: Sample) -> Columns:
         """Columns of a drive with this first sample."""
         shown = {name: getattr(sample, name) for name in FIELDS}
-        states = {f"state:{label}": values.size for label, values in steered.controller.states.items()}
-        n = steered.command.size
+        states = {f"state:{label}": values.size for label, values in scaled.controller.states.items()}
+        n = scaled.command.size
         return cls(
             dict.fromkeys(NUMBERS, 1)
             | {name: 0 if values is None else values.size for name, values in shown.items()}
@@ -213,10 +213,10 @@ class Journal:
         """Reason for which recording failed; empty if it works."""
         return self.spool.fault if self.spool is not None else ""
 
-    def begin(self, sample: Sample, steered: Steered, since: float, reference: float, scale: float) -> None:
+    def begin(self, sample: Sample, scaled: ScaledController, since: float, reference: float, scale: float) -> None:
         """Begin a row with a sample, and the controller's states before its step."""
         if not self._slices:
-            self.columns = Columns.of(steered, sample)
+            self.columns = Columns.of(scaled, sample)
             self._slices = self.columns.slices()
             if self.spool is not None:
                 self.spool.open(self.columns)
@@ -228,7 +228,7 @@ class Journal:
         for name in FIELDS:
             values = getattr(sample, name)
             row[at[name]] = np.nan if values is None else values
-        for label, values in steered.controller.states.items():
+        for label, values in scaled.controller.states.items():
             row[at[f"state:{label}"]] = values
 
     def commanded(self, command: np.ndarray, sent: np.ndarray) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 
 from dmframe.batch.columns import Column, Columns, columns_of, joined, limits_in, row_of, rows_of, units_of
-from dmframe.batch.figures import ERROR, TURN, Wanted
+from dmframe.batch.figures import ERROR, TURN, MeasuredSignals
 from dmframe.batch.runner import Runner, Runs
 from dmframe.config.document import Document
 from dmframe.diagram import Diagram
@@ -175,13 +175,13 @@ class Study:
                 found.setdefault(column.name, column)
         return tuple(found.values())
 
-    def wanted(self, diagram: Diagram) -> Wanted:
+    def wanted(self, diagram: Diagram) -> MeasuredSignals:
         """What to measure of a loop: the signals of the study's file that it has, and limits in their units."""
         units, section = units_of(diagram), self.file.measure
         limits, faults = limits_in(units, section.limits, "measure.limits")
         raise_placed(faults, self.document)
         signals = dict.fromkeys([*(label for label in section.signals if label in units), *limits])
-        return Wanted(tuple(label for label in signals if label not in (ERROR, TURN)), limits)
+        return MeasuredSignals(tuple(label for label in signals if label not in (ERROR, TURN)), limits)
 
     @cached_property
     def key(self) -> str:

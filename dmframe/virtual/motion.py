@@ -125,7 +125,7 @@ class Servo(Motion):
 
 
 @final
-class Along(Motion):
+class PathMotion(Motion):
     """``movej`` and ``movel``: along a path from rest to rest, with a trapezoidal speed profile.
 
     Parameters

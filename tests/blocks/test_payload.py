@@ -22,7 +22,7 @@ from dmframe.errors import DmframeError
 from dmframe.graph.graph import Graph
 from dmframe.port import TIME, Output, Side
 from dmframe.results.along import along
-from dmframe.results.shown import felt
+from dmframe.results.reported import felt
 from dmframe.robot.library import find_robot
 from dmframe_blocks._loads import with_body, with_held
 from dmframe_blocks.loaded_manipulator import LoadedManipulator

@@ -291,7 +291,10 @@ def test_a_state_of_another_size_is_refused() -> None:
 
 def test_estimates_that_are_no_states_are_refused() -> None:
     diagram, _ = packaged("pendulum")
-    with pytest.raises(ValueFault, match=r"estimates.arm.q: expected one number, or one per element, .*; its states are dynamics.a_d_hat, "):
+    with pytest.raises(
+        ValueFault,
+        match=r"estimates.arm.q: expected one number, or one per element, .*; its states are dynamics.a_d_hat, ",
+    ):
         equilibrium(frozen(diagram), {"arm.q": 0})
 
 
@@ -302,9 +305,7 @@ def test_a_loop_without_an_equilibrium_is_reported() -> None:
 
 
 def test_a_search_that_overflows_is_reported_as_a_loop_without_an_equilibrium() -> None:
-    with pytest.raises(
-        EngineError, match=r"found none; .* in the search, the rate of leak\.h or its slope overflows"
-    ):
+    with pytest.raises(EngineError, match=r"found none; .* in the search, the rate of leak\.h or its slope overflows"):
         equilibrium(frozen(Diagram.build({"leak": Leak()})))
 
 

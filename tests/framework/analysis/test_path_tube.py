@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from dmframe.analysis import rank_region
-from dmframe.analysis.joint_path import JointPath, Reach, joint_path, period_of
+from dmframe.analysis.joint_path import JointPath, ToolPath, joint_path, period_of
 from dmframe.analysis.path_tube import PathTube, path_tube
 from dmframe.errors import MissingError
 from dmframe.exact.enclosure import Enclosure
@@ -34,7 +34,7 @@ def follow(way: Way, tube: float = TUBE, duration: float = DURATION) -> JointPat
     goal = ca.vertcat(FIRST[0] + way(t), FIRST[1])
     functions = [ca.Function("f", [of], [value]) for of, value in ((q, x), (q, ca.jacobian(x, q)), (t, goal))]
     actual, slope, wanted = (lambda at, f=f: f(at).full() for f in functions)
-    reach = Reach(lambda at: actual(at).ravel(), slope, lambda at: wanted(at).ravel())
+    reach = ToolPath(lambda at: actual(at).ravel(), slope, lambda at: wanted(at).ravel())
     proof = path_tube((x, q, goal, t, p, []), tube)
     return joint_path(reach, START, duration, period_of(goal, t), tube / 2, proof)
 

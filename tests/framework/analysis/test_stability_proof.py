@@ -19,8 +19,8 @@ from dmframe.analysis import (
     tick_jacobian,
 )
 from dmframe.analysis.enclosed import EnclosedLoop
-from dmframe.analysis.least_cut import Cut
 from dmframe.analysis.memory import without_memory
+from dmframe.analysis.minimum_cut import Cut
 from dmframe.analysis.moves import split_moves
 from dmframe.analysis.set_point import frozen
 from dmframe.block import AbstractBlock, Equations, Signals

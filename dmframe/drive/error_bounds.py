@@ -62,7 +62,7 @@ class Measured:
 
 @final
 @dataclass(frozen=True)
-class Bar:
+class ErrorBounds:
     """Reference values of the errors.
 
     Parameters

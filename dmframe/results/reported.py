@@ -39,7 +39,7 @@ SMALL: Final = 1e-9
 
 @final
 @dataclass(frozen=True)
-class Shown:
+class ReportedEstimate:
     """Reported output of a block, over the last eighth of a run.
 
     Parameters
@@ -68,7 +68,7 @@ class Shown:
         return f"{text}, excitation {felt if len(self.felt) == 1 else f'[{felt}]'} N m/{self.unit or '1'}"
 
 
-def shown_by(run: Recording) -> list[Shown]:
+def reported_estimates(run: Recording) -> list[ReportedEstimate]:
     """Reported outputs in diagram order; empty for a run that did not reach its last eighth."""
     last = np.flatnonzero(run.time >= run.duration * (1 - 1 / EIGHTHS))
     if (
@@ -77,12 +77,12 @@ def shown_by(run: Recording) -> list[Shown]:
         or not set(run.states) >= {v.label for v in run.diagram.loop.variables}
     ):
         return []
-    chosen, found = last[np.unique(np.linspace(0, last.size - 1, MOST).astype(int))], list[Shown]()
+    chosen, found = last[np.unique(np.linspace(0, last.size - 1, MOST).astype(int))], list[ReportedEstimate]()
     for signal, words in _showing(run.diagram):
         values = _at(run, signal.expression, chosen).mean(axis=0)
         felt = _felt(run, signal, chosen)
         effect = None if felt is None else tuple(map(float, felt))
-        found.append(Shown(signal.label, words, signal.unit, tuple(map(float, values.ravel())), effect))
+        found.append(ReportedEstimate(signal.label, words, signal.unit, tuple(map(float, values.ravel())), effect))
     return found
 
 

@@ -30,7 +30,7 @@ Gain = float | Fraction | tuple[float, float] | Interval
 
 @final
 @dataclass(frozen=True)
-class TieGain:
+class ReferenceGain:
     """K_c of one joint, and the least K_c with M_bar >= 0, rounded upwards [1/s].
 
     Parameters
@@ -156,7 +156,9 @@ def _interval(name: str, gain: Gain, *, positive: bool) -> Interval:
     return found
 
 
-def tie_gains(diagram: Diagram, uncertain: Mapping[str, Sequence[Interval]] | None = None) -> tuple[TieGain, ...]:
+def reference_gains(
+    diagram: Diagram, uncertain: Mapping[str, Sequence[Interval]] | None = None
+) -> tuple[ReferenceGain, ...]:
     """K_c of each PID inverse and its least admissible value for the servo, by joint.
 
     A PID inverse is a block with a parameter K_c whose certificate reads K_D, K_P, K_I, B and K of the plant.
@@ -170,7 +172,7 @@ def tie_gains(diagram: Diagram, uncertain: Mapping[str, Sequence[Interval]] | No
     return tuple(gain for name in diagram.blocks for gain in _ties(diagram, name, uncertain or {}))
 
 
-def _ties(diagram: Diagram, name: str, uncertain: Mapping[str, Sequence[Interval]]) -> Iterator[TieGain]:
+def _ties(diagram: Diagram, name: str, uncertain: Mapping[str, Sequence[Interval]]) -> Iterator[ReferenceGain]:
     model = diagram.models[name]
     if GAIN not in model.parameters or not {*GAINS} <= {port.name for port in model.block.truth}:
         return
@@ -185,7 +187,7 @@ def _ties(diagram: Diagram, name: str, uncertain: Mapping[str, Sequence[Interval
     for joint, k, *gains_of_joint in zip(names, own, *gains, strict=True):
         K_D, K_P, K_I, B, K = gains_of_joint
         K_c = Interval.of(k).lower  # a controller gain, so never an interval
-        yield TieGain(
+        yield ReferenceGain(
             block=name,
             joint=joint,
             own=K_c,
