@@ -121,9 +121,9 @@ def fitted_delay(q: Any, dq_c: Any, period: float) -> FittedDelay:
     fits = [_best(u, v, float(d), period) for d in _DELAYS]
     sums = np.array([np.sum(left**2, axis=0) for left, _, _ in fits])
     rows = fits[0][0].shape[0]
-    excess = rows * np.sum(np.log(sums + 1e-30), axis=1)  # -2 log likelihood
-    place = int(np.argmin(excess))
-    likely = _DELAYS[excess - excess[place] < 4]
+    deviance = rows * np.sum(np.log(sums + 1e-30), axis=1)  # -2 log likelihood
+    place = int(np.argmin(deviance))
+    likely = _DELAYS[deviance - deviance[place] < 4]
     left, lags, ratios = fits[place]
     d, step = float(_DELAYS[place]), float(_DELAYS[1])
     first, second = (np.median(np.abs(np.diff(u, order, axis=0)), axis=0) for order in (1, 2))

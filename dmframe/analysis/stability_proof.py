@@ -53,7 +53,7 @@ _ROUNDING: Final = 1e-7
 _OTHER: Final = 1e-3
 """Largest difference of two spectral radii of one loop, above the splitting of a multiple eigenvalue."""
 
-_ELSEWHERE: Final = 1e-3
+_EQUILIBRIUM_TOLERANCE: Final = 1e-3
 """Largest distance between the floating-point and the enclosed equilibrium."""
 
 _INTEGRATED: Final = 1e-2
@@ -215,7 +215,7 @@ def _compare(
     if not proved:
         return
     own, _ = proved[0]
-    if not loop.at(own).within <= _ELSEWHERE:
+    if not loop.at(own).within <= _EQUILIBRIUM_TOLERANCE:
         raise _disagreement(own, f"the enclosed equilibrium is {loop.at(own).within:.2g} from the floating-point one")
     found = linear.spectral_radius(own)
     if linear.at_rest == len(linear.states) - loop.moving - loop.kept:  # otherwise the omitted directions differ

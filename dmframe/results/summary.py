@@ -53,7 +53,10 @@ def summary(name: str, run: Recording, out: str | None = None) -> dict[str, Any]
         ],
         "shown": [
             {"signal": item.label, "says": item.words, "unit": item.unit}
-            | {"values": list(map(_number, item.values)), "felt": item.felt and list(map(_number, item.felt))}
+            | {
+                "values": list(map(_number, item.values)),
+                "felt": item.excitation and list(map(_number, item.excitation)),
+            }
             for item in reported_estimates(run)
         ],
         "engine": run.engine,

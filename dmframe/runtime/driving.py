@@ -92,7 +92,7 @@ def drive(
     LostError
         The robot does not answer at the beginning.
     """
-    journal, begun, limits = Journal(spool), time.perf_counter(), gate.limits
+    journal, started, limits = Journal(spool), time.perf_counter(), gate.limits
     halt = max(limits.deceleration, limits.halt)
     with closing(journal), closing(robot):  # the robot comes to rest first
         robot.connect()
@@ -114,7 +114,7 @@ def drive(
             except LostError as fault:
                 before = f"{stop}; " if stop is not None else ""
                 stop = Stop("lost link", f"{before}the stop command was not sent: {fault.text}")
-    return DriveResult(journal, stop, dict(gate.cuts), time.perf_counter() - begun)
+    return DriveResult(journal, stop, dict(gate.cuts), time.perf_counter() - started)
 
 
 def _run(

@@ -96,7 +96,7 @@ class Bound:
         """The constraint in words."""
         return f"{self.statistic.text} {'>=' if self.above else '<='} {plain(self.limit, self.statistic.unit, 4)}"
 
-    def excess(self, value: float) -> float:
+    def violation(self, value: float) -> float:
         """Violation relative to the limit; at most zero if the constraint holds."""
         beyond = self.limit - value if self.above else value - self.limit
         return min(beyond / (abs(self.limit) or 1.0), 1e6)

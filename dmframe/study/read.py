@@ -84,7 +84,7 @@ def load_study(
 
 
 def _name(path: Path | None) -> str:
-    """The file's name without its ending; in a folder of results, the name under which the study was begun."""
+    """The file's name without its ending; in a folder of results, the name under which the study was started."""
     if path is None:
         return TEXT
     return (study_name_in(path.parent) if path.name == KEPT else "") or path.stem

@@ -67,10 +67,10 @@ class Results:
 
     @cached_property
     def name(self) -> str:
-        """Name under which the study was begun: in the folder, the file of every study has the same name."""
-        begun = study_name_in(self.folder)
-        if begun:
-            return begun
+        """Name under which the study was started: in the folder, the file of every study has the same name."""
+        name = study_name_in(self.folder)
+        if name:
+            return name
         return self.folder.resolve().name if self.study.name == STUDY else self.study.name
 
     @property

@@ -77,9 +77,9 @@ def sample_proofs_of(study: Study, index: int, diagram: Diagram, box: Box, verdi
     stated, values = graph.intervals(diagram), study.values(index, 0, count)
     found = None if box.unknown else conditions_at(diagram, graph.start, values, count, verdict, stated)
     found = np.full(count, OPEN) if found is None else found
-    begun = time.perf_counter()
+    started = time.perf_counter()
     for sample in np.flatnonzero(found == OPEN)[:SINGLE].tolist():
-        if time.perf_counter() - begun > SECONDS:
+        if time.perf_counter() - started > SECONDS:
             break
         with suppress(DmframeError):
             verdict = study.graph_of(sample * len(study.points) + index).verdict()

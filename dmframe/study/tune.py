@@ -19,7 +19,7 @@ import numpy as np
 from dmframe.errors import DmframeError, MissingError, ValueFault
 from dmframe.files import expanded
 from dmframe.simulate.many import cores
-from dmframe.study.candidate import Proofs, excess, rounded, rows_of_runs, unstable, with_tuned
+from dmframe.study.candidate import Proofs, rounded, rows_of_runs, unstable, violation, with_tuned
 from dmframe.study.grammar import TuneSection, raise_placed
 from dmframe.study.objective import (
     CONDITIONS,
@@ -186,7 +186,7 @@ class Tuning:
             for condition in self.conditions:
                 failing = self.proofs.failing(candidate, point, everywhere=condition == EVERYWHERE)
                 if failing:
-                    return None, f"refused: {failing[0].name} does not hold", condition, excess(failing)
+                    return None, f"refused: {failing[0].name} does not hold", condition, violation(failing)
             if self.period is not None:
                 beyond = unstable(candidate, point, self.period)
                 if beyond is None:
@@ -216,7 +216,7 @@ class Tuning:
             if not all(map(math.isfinite, least)) and max(least) == math.inf:
                 return None, f"{round(lost * len(ran))} of {len(ran)} runs diverged", "finite", 1.0 + lost
             for each in self.bounds:
-                beyond = each.excess(each.statistic.at_least(each.statistic.figures(rows), size))
+                beyond = each.violation(each.statistic.at_least(each.statistic.figures(rows), size))
                 if (len(ran) == size and beyond > 0) or each.broken(each.statistic.figures(rows), size):
                     return None, f"{each.text} does not hold", each.text, beyond
             if len(ran) < size and any(dominates(other, least) for other in best):

@@ -138,13 +138,13 @@ class PathMotion(Motion):
 
     def __init__(self, path: Callable[[float], np.ndarray], length: float, most: float, acceleration: float) -> None:
         self._path, self._length, self._most, self._acceleration = path, length, most, acceleration
-        self._s, self._rate, self._begun = 0.0, 0.0, False
+        self._s, self._rate, self._started = 0.0, 0.0, False
 
     def speed(self, target: Target, dt: float, scale: float) -> np.ndarray:
         """Move to the point of the path one cycle later."""
-        if not self._begun and not target.still:
+        if not self._started and not target.still:
             return ramped(target.qd, np.zeros(6), STOP * dt)
-        self._begun = True
+        self._started = True
         left = self._length - self._s
         if left <= 0:
             self.done = True

@@ -305,7 +305,7 @@ def test_a_loop_without_an_equilibrium_is_reported() -> None:
 
 
 def test_a_search_that_overflows_is_reported_as_a_loop_without_an_equilibrium() -> None:
-    with pytest.raises(EngineError, match=r"found none; .* in the search, the rate of leak\.h or its slope overflows"):
+    with pytest.raises(EngineError, match=r"found none; in the search, the rate of leak\.h or its slope overflows"):
         equilibrium(frozen(Diagram.build({"leak": Leak()})))
 
 
