@@ -10,15 +10,15 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.certify.claim import Claim
+from dmframe.common.errors import DmframeError, listed
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
-from dmframe.errors import DmframeError, listed
 from dmframe.results.along import StorageTrace
 from dmframe.results.claimed import claimed_along
 from dmframe.results.storage_unit import StorageUnit, storage_unit
 from dmframe.simulate import Recording
 from dmframe.simulate.recording import ExtraSignal
 from dmframe.simulate.warnings import between
-from dmframe.units import plain
 
 SIGNALS: Final = ("V", "V_rate", "V_dissipation", "V_residual")
 """Labels of V, its rate, dissipation and residual; the storage function of a block is ``V.block``."""

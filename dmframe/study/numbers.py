@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from dmframe.common.units import plain
 from dmframe.study.statistics import Proportion, Quantile
 from dmframe.study.varied import Factor
-from dmframe.units import plain
 
 ALMOST: Final = 0.999999
 """Largest proportion that is printed with more digits."""
