@@ -100,7 +100,7 @@ class JointPath:
         Period of the desired path and of the joint path [s]; 0 for a point, None for an aperiodic path.
     path_exit
         Where the tool cannot follow the path; None if it follows it to the end.
-    apart
+    line_distance
         (N - 1, n) proved bound on the distance of the exact joint path from each line over its whole time interval
         [rad]; 0 for the approach. None for a user's path.
     until
@@ -114,7 +114,7 @@ class JointPath:
     span: float
     period: float | None
     path_exit: PathExit | None
-    apart: Array | None = None
+    line_distance: Array | None = None
     until: float = 0.0
     unproved: Unproved | None = None
 
@@ -127,7 +127,7 @@ class JointPath:
     @property
     def has_approach(self) -> bool:
         """True if an approach connects the start to the path."""
-        return self.apart is not None and len(self.apart) > 1 and not np.any(self.apart[0])
+        return self.line_distance is not None and len(self.line_distance) > 1 and not np.any(self.line_distance[0])
 
     def distance(self, q: Array) -> Array:
         """Largest distance in any joint of each pose of q (k, n) from the path: (k,) [rad]."""
@@ -195,9 +195,11 @@ def joint_path(
         else:
             until = span if walk.unproved is None and path_exit is None else 0.0
         break
-    apart = np.vstack([np.zeros((onto, len(start))), *walk.apart])
+    line_distance = np.vstack([np.zeros((onto, len(start))), *walk.line_distance])
     times = np.array([0.0] * onto + walk.times)
-    return JointPath(times, np.array(poses[:-1] + walk.poses), span, repeats, path_exit, apart, until, walk.unproved)
+    return JointPath(
+        times, np.array(poses[:-1] + walk.poses), span, repeats, path_exit, line_distance, until, walk.unproved
+    )
 
 
 @dataclass
@@ -206,7 +208,7 @@ class _Walk:
 
     times: list[float]
     poses: list[Array]
-    apart: list[Array]
+    line_distance: list[Array]
     unproved: Unproved | None = None
 
     def proved(self, tube: PathTube | str | None, then: float, pose: Array) -> str:
@@ -218,10 +220,10 @@ class _Walk:
         found = tube.over(self.poses[-1][None], pose[None], np.array(self.times[-1:]), np.array([then]))
         return found.reason or self._take(then, pose, found.most[0])
 
-    def _take(self, then: float, pose: Array, apart: Array) -> str:
+    def _take(self, then: float, pose: Array, line_distance: Array) -> str:
         self.times.append(then)
         self.poses.append(pose)
-        self.apart.append(apart)
+        self.line_distance.append(line_distance)
         return ""
 
 
@@ -237,10 +239,10 @@ def _repeated(tube: PathTube | str, walk: _Walk, span: float, duration: float) -
         found = tube.over(rest, rest, np.zeros(1), np.array([duration]))
         if found.reason:
             return None
-        walk.apart.append(found.most[0])
+        walk.line_distance.append(found.most[0])
         walk.times, walk.poses = [0.0, 0.0], [rest[0], rest[0]]
         return duration
-    ends, poses, most = np.array(walk.times), np.array(walk.poses), np.array(walk.apart)
+    ends, poses, most = np.array(walk.times), np.array(walk.poses), np.array(walk.line_distance)
     count = min(int(np.ceil(duration / span)), max(_MOST_INTERVALS // len(most), 1))
     for turn in range(1, count):
         shifted = np.append(ends[:-1] + turn * span, (turn + 1) * span)  # the next period begins where this one ends
@@ -250,7 +252,7 @@ def _repeated(tube: PathTube | str, walk: _Walk, span: float, duration: float) -
             if found.reason:
                 return None
             most[here] = np.maximum(most[here], found.most)
-    walk.apart[:] = list(most)
+    walk.line_distance[:] = list(most)
     return min(count * span, duration)
 
 

@@ -34,7 +34,7 @@ from dmframe.exact.switching import SWITCHING, over_pieces
 
 Array = NDArray[np.float64]
 
-SHARE: Final = 0.1
+TUBE_FRACTION: Final = 0.1
 """Largest distance of the exact joint path from the lines between poses, as a fraction of the tube."""
 
 LEAST: Final = 1e-4
@@ -201,7 +201,7 @@ def path_tube(path: tuple[Any, ...], tube: float) -> PathTube | str:
     """Krawczyk's test of a path (f, q, x_d, t, p, values) in a tube of that half-width [rad], or why there is none."""
     actual, q, desired, time, p, values = path
     try:
-        return PathTube(actual, q, desired, time, p, values, max(SHARE * tube, LEAST))
+        return PathTube(actual, q, desired, time, p, values, max(TUBE_FRACTION * tube, LEAST))
     except ValueFault as fault:
         return fault.text
 
@@ -227,4 +227,4 @@ def _row_sums(parts: Array) -> Array:
     return total
 
 
-__all__ = ["LEAST", "SHARE", "LineDistance", "PathTube", "path_tube"]
+__all__ = ["LEAST", "TUBE_FRACTION", "LineDistance", "PathTube", "path_tube"]

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 MOST_BOXES: Final = 40_000
-SHARE: Final = 0.1
+LEAST_FRACTION: Final = 0.1
 """Default required singular value, as a fraction of the least one along the path."""
 
 LOST: Final = 1e-9
@@ -71,8 +71,8 @@ class RankRegion:
     of J is at least `certified` > 0. The proof uses interval arithmetic with outward rounding and covers all real q and
     :math:`a_k` there. It assumes that the robot stays in the tube and the estimate in its set (ensured by a
     projection). The joint path is exact: inverse kinematics gives poses in floating point, and for every time up to
-    `until` a pose with the tool on its path is proved to lie within `apart` of the lines between them, in each joint.
-    For a path that was given, the lines are the path.
+    `until` a pose with the tool on its path is proved to lie within `line_distance` of the lines between them, in each
+    joint. For a path that was given, the lines are the path.
 
     Parameters
     ----------
@@ -148,9 +148,13 @@ class RankRegion:
         return self.path.until
 
     @property
-    def apart(self) -> float | None:
+    def line_distance(self) -> float | None:
         """Bound on the distance of the exact joint path from the lines [rad]; None for a given path."""
-        return None if self.path.apart is None or not self.holds else float(np.max(self.path.apart, initial=0.0))
+        return (
+            None
+            if self.path.line_distance is None or not self.holds
+            else float(np.max(self.path.line_distance, initial=0.0))
+        )
 
     @property
     def radius(self) -> float:
@@ -217,7 +221,7 @@ def rank_region(
     search = RankSearch(problem, path, tube, shape, weights, boxes, tell)
     singular = search.singular(path.poses)
     nominal = float(np.min(singular))
-    required = SHARE * nominal if least is None else least
+    required = LEAST_FRACTION * nominal if least is None else least
     cover, radius, fails_at = None, 0.0, None
     loss = _unreachable(problem, path, float(singular[-1])) or _lost(search, path, nominal, int(np.argmin(singular)))
     loss = loss or _undecided(search, path)
@@ -249,7 +253,7 @@ def rank_region(
         path=path,
         boxes=0 if cover is None else len(cover.least),
         model=diagram.fingerprint,
-        redundant=search.bound.n > search.bound.rows and path.apart is not None,
+        redundant=search.bound.n > search.bound.rows and path.line_distance is not None,
         loss=loss,
     )
 

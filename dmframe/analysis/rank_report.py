@@ -13,8 +13,8 @@ PROVED: Final = (
 )
 EXACT: Final = (
     "At every time from 0 to {until:.6g} s, also between the poses, the joint path on which the tool follows its path "
-    "is proved to lie within {apart:.2g} rad of the lines between the poses, in each joint; the boxes cover the tube "
-    "about it."
+    "is proved to lie within {line_distance:.2g} rad of the lines between the poses, in each joint; the boxes cover the "
+    "tube about it."
 )
 APPROACH: Final = "The straight lines from the start onto the path are an assumption; the robot may move differently."
 MANY: Final = "The robot is redundant: this joint path is one of many, and its controller may choose another."
@@ -28,10 +28,10 @@ _MICROMETRE: Final = Decimal("0.000001")
 def proved(region: RankRegion) -> str:
     """Proved statements with their model, and assumptions."""
     parts = [PROVED.format(model=region.model[:12])]
-    if region.apart is None:
+    if region.line_distance is None:
         parts.append(GIVEN)
     else:
-        parts.append(EXACT.format(until=region.until, apart=region.apart))
+        parts.append(EXACT.format(until=region.until, line_distance=region.line_distance))
         parts += [APPROACH] * region.path.has_approach + [MANY] * region.redundant
     return " ".join([*parts, MODEL if region.option is None else KEPT])
 
@@ -79,7 +79,7 @@ def rank_summary(name: str, region: RankRegion) -> dict[str, Any]:
             "span": path.span,
             "period": path.period,
             "until": region.until,
-            "apart": region.apart,
+            "apart": region.line_distance,
         },
         "boxes": region.boxes,
         "field_hash": region.model,

@@ -98,7 +98,7 @@ class RankSearch:
     def segments(self) -> Cover:
         """Box around each segment of the path, enlarged by the tube and the distance bound of the exact path."""
         low, high = self.path.hulls
-        wide = self.tube if self.path.apart is None else up(self.tube + self.path.apart)
+        wide = self.tube if self.path.line_distance is None else up(self.tube + self.path.line_distance)
         low, high = down(low - wide), up(high + wide)
         return Cover(low, high, np.arange(len(low)), np.full(len(low), -np.inf))
 

@@ -307,8 +307,8 @@ def _port(diagram: Diagram, servo: str, inverse: str, j: int, motor: float, visc
 
 def _held(free: _System) -> _System:
     """System with its last output held at zero by its last input."""
-    share = -1 / free.D[-1, -1]
-    row, feed = share * free.C[-1:], share * free.D[-1:, :-1]
+    scale = -1 / free.D[-1, -1]
+    row, feed = scale * free.C[-1:], scale * free.D[-1:, :-1]
     return _System(
         free.A + free.B[:, -1:] @ row,
         free.B[:, :-1] + free.B[:, -1:] @ feed,

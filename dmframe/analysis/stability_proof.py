@@ -43,7 +43,7 @@ _MOST_POWER: Final = 40
 
 _HOPELESS: Final = 1e-12
 _STEPS: Final = 4
-_SHARES: Final = (0.9999, 0.999, 0.99, 0.9, 0.5)
+_FRACTIONS: Final = (0.9999, 0.999, 0.99, 0.9, 0.5)
 """Tested periods, as fractions of the largest stable one in floating point."""
 
 
@@ -259,8 +259,8 @@ def _proved_radius(loop: EnclosedLoop, clock: float) -> float | None:
     if not np.all(np.isfinite(numbers := middles(F))):
         return None
     seen = float(np.max(np.abs(np.linalg.eigvals(numbers)), initial=0.0))
-    for share in (0.001, 0.1, 0.9):
-        bound = float(np.format_float_positional(seen + share * (1 - seen), 8))
+    for fraction in (0.001, 0.1, 0.9):
+        bound = float(np.format_float_positional(seen + fraction * (1 - seen), 8))
         if seen < bound < 1 and proved_schur(F, ball(bound)):
             return bound
     return 1.0 if proved_schur(F) else None
@@ -288,8 +288,8 @@ def _longest(loop: EnclosedLoop, bracket: Bracket, own: float | None) -> float |
         while lower and upper <= LONGEST and proved(upper):
             lower, upper = upper, 2 * upper
     else:
-        for share in _SHARES if bracket.stable else ():
-            period = _short(bracket.stable * share)
+        for fraction in _FRACTIONS if bracket.stable else ():
+            period = _short(bracket.stable * fraction)
             if proved(period):
                 lower = period
                 break

@@ -174,8 +174,8 @@ def turning(expression: SX, symbols: Sequence[SX], at: Sequence[Any]) -> tuple[l
         moved.append((node.code == INPUT and node.a == 0) or any(moved[k] for k in node.operands))
         if moved[-1] and node.code in KINKS:
             kinks.add(sign_of(node.code))
-        elif moved[-1] and node.code in JUMPS and (ways := _alternatives(place, pieces, numbers)):
-            both[place] = ways
+        elif moved[-1] and node.code in JUMPS and (alternatives := _alternatives(place, pieces, numbers)):
+            both[place] = alternatives
     jumps = _jumping(pieces, symbols, at, numbers, both)
     kinks |= {sign_of(pieces.nodes[place].code) for place in both}
     return sorted(jumps), sorted(kinks - jumps)
@@ -221,10 +221,10 @@ def _jumping(
     outputs = ca.Function("outputs", [*symbols, free], [ca.vertcat(*found)])
     own = numbers[list(both)]
     here, jumps = outputs(*at, own).full(), set[str]()
-    for place, ways in both.items():
-        for way in ways:
+    for place, alternatives in both.items():
+        for alternative in alternatives:
             other = own.copy()
-            other[order[place]] = way
+            other[order[place]] = alternative
             if np.any(np.abs(outputs(*at, other).full() - here) > _JUMP * (1 + np.abs(here))):
                 jumps.add(sign_of(program.nodes[place].code))
     return jumps

@@ -109,13 +109,13 @@ class Check:
         known = [argument.symbols for argument in given]
         free = ca.Function("units", known, [column], {"allow_free": True}).free_sx()
         program = read(ca.Function("units", [*known, ca.vertcat(ca.SX(0, 1), *free)], [column], TO_READ))
-        leaves = dict[int, Leaf]()
+        leaf_units = dict[int, Leaf]()
         for place, node in enumerate(program.nodes):
             if node.code == INPUT and node.a < len(given):
-                leaves[place] = given[node.a].leaf(node.b)
+                leaf_units[place] = given[node.a].leaf(node.b)
             elif node.code == INPUT:  # an undeclared symbol is one that the block has created
-                leaves[place] = Leaf(str(free[node.b]), self._algebra.unknown())
-        return program, leaves
+                leaf_units[place] = Leaf(str(free[node.b]), self._algebra.unknown())
+        return program, leaf_units
 
     @property
     def parameters(self) -> list[str]:
@@ -124,14 +124,14 @@ class Check:
 
     def disagreement(self, parameter: str = "", times: int | None = None) -> Disagreement | None:
         """The first inconsistency, optionally with the dimension of one parameter multiplied by another."""
-        program, leaves = self._compiled
+        program, leaf_units = self._compiled
         algebra = self._algebra
         algebra.forget()
         given = {
             place: algebra.product(leaf.dimension, times)
             if times is not None and leaf.parameter == parameter
             else leaf.dimension
-            for place, leaf in leaves.items()
+            for place, leaf in leaf_units.items()
         }
         values, wrong = dimensions(program, algebra, given)
         if wrong:
@@ -167,8 +167,8 @@ class Check:
         found = self.disagreement()
         if found is None:
             return None
-        program, leaves = self._compiled
-        text = _text_of(found, program, {place: leaf.name for place, leaf in leaves.items()})
+        program, leaf_units = self._compiled
+        text = _text_of(found, program, {place: leaf.name for place, leaf in leaf_units.items()})
         return UnitError(f"{self.model.name}: {text}{self._remedy(found, program)}", path=("blocks", self.model.name))
 
     def _inside(self, program: Program, values: list[int], wrong: Contradiction) -> Disagreement:
@@ -247,9 +247,9 @@ def _text_of(found: Disagreement, program: Program, names: Mapping[int, str]) ->
         return f"{found.item.what}: expected a plain number in {where}, found {spelled(found.found[0])}"
     one, by = parts
     first, second = found.found
-    apart = product(first, second, -1)
+    ratio = product(first, second, -1)
     if first.unknowns or second.unknowns:
-        return f"{found.item.what}: {one} and {by} differ by {spelled(apart)}, and cannot be added or compared"
+        return f"{found.item.what}: {one} and {by} differ by {spelled(ratio)}, and cannot be added or compared"
     return (
         f"{found.item.what}: expected one unit in {where}, found {spelled(first)} in {one} and {spelled(second)} "
         f"in {by}"

@@ -139,7 +139,7 @@ def _certificate(certificate: Certificate, declared: Declared, sampled: bool) ->
         yield Item("an error", ca.SX(error.value))
     yield from _consumed(certificate, declared)
     for subsystem in certificate.linear:
-        yield from _driven(subsystem, declared)
+        yield from _linear_subsystem(subsystem, declared)
     for barrier in certificate.barriers:
         position = ca.SX(barrier.position - barrier.upper) + ca.SX(barrier.margin)
         own = tuple(algebra.unknown() for _ in range(position.numel()))
@@ -157,22 +157,22 @@ def _consumed(certificate: Certificate, declared: Declared) -> Iterator[Item]:
     yield Item("the terms that dominate a cascade's cross term", sum(vectors[1:], vectors[0]))
 
 
-def _driven(subsystem: StableLinear, declared: Declared) -> Iterator[Item]:
+def _linear_subsystem(subsystem: StableLinear, declared: Declared) -> Iterator[Item]:
     """The signals of each equation have their own units; a rate A_jk maps that of z_k to that of z_j per second."""
     algebra, second = declared.algebra, declared.unit("s")
     vectors = [ca.SX(vector) for vector in subsystem.vectors]
     units = [[algebra.unknown() for _ in range(vector.numel())] for vector in vectors]
     for own, vector, rates in zip(units, vectors, subsystem.rates, strict=True):
-        yield Item("a driven signal", vector, tuple(own))
+        yield Item("a signal of a stable linear subsystem", vector, tuple(own))
         for rate, other in zip(map(ca.SX, rates), units, strict=True):
             pairs = zip(own, other, strict=False)
             expected = [algebra.product(algebra.product(one, by, -1), second, -1) for one, by in pairs]
             if not rate.is_zero():
-                yield Item("the rate of a driven signal", rate, tuple(expected[: rate.numel()]))
+                yield Item("the rate of a signal of a stable linear subsystem", rate, tuple(expected[: rate.numel()]))
     for own, given in zip(units, subsystem.inputs, strict=False):
         column = ca.SX(given)
         expected = [algebra.product(one, second, -1) for one in own]
-        yield Item("the input of a driven signal", column, tuple(expected[: column.numel()]))
+        yield Item("the input of a signal of a stable linear subsystem", column, tuple(expected[: column.numel()]))
     for condition in subsystem.otherwise:
         yield from _condition(condition, declared)
 

@@ -35,7 +35,7 @@ def scaled_controller(graph: BaseGraph, engine: Choice = "auto") -> ScaledContro
     return ScaledController(graph.diagram, Controller(graph.diagram, clock_of(graph), start=graph.start, engine=engine))
 
 
-def driven(
+def run_on_robot(
     graph: BaseGraph,
     robot: str,
     *,

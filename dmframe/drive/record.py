@@ -32,7 +32,7 @@ THINNED: Final = "signals and figures have one of {every} samples; samples.bin h
 def recording_of(
     diagram: Diagram,
     scaled: ScaledController,
-    driven: DriveResult,
+    result: DriveResult,
     *,
     robot: str,
     plan: Plan,
@@ -50,7 +50,7 @@ def recording_of(
     thinned
         Decimate the samples of a long drive so that the signals fit into `MOST_BYTES`.
     """
-    journal = driven.journal
+    journal = result.journal
     if not len(journal):
         return None
     every = _every(diagram, journal) if thinned else 1
@@ -87,10 +87,10 @@ def recording_of(
         states={label: values for label, values in states.items() if label not in hidden},
         outputs=outputs,
         divergence=None,
-        interrupted=driven.stop is not None,
-        wall_time=driven.wall_time,
+        interrupted=result.stop is not None,
+        wall_time=result.wall_time,
         engine=scaled.controller.engine,
-        notices=(*_notices(driven, robot, plan.shadow, answer, missed, extra), *more),
+        notices=(*_notices(result, robot, plan.shadow, answer, missed, extra), *more),
         beside=extra,
         drive={**drive_data(robot, plan, gate), "every": every},
     )
@@ -170,7 +170,7 @@ def _without(own: list[Signal], loop: Any, plant: Any) -> tuple[list[Signal], An
 
 
 def _notices(
-    driven: DriveResult,
+    result: DriveResult,
     robot: str,
     shadow: bool,
     answer: np.ndarray,
@@ -188,7 +188,7 @@ def _notices(
         found.append(f"measured latency of commands: median {half}, maximum {worst}")
     if missed.any():
         found.append(f"{int(missed.sum())} of {int(missed.sum()) + missed.size} samples were lost")
-    found += [f"the gate limited {count} commands by {rule}" for rule, count in driven.cuts.items()]
-    if driven.stop is not None:
-        found.append(f"the robot was stopped: {driven.stop}")
+    found += [f"the gate limited {count} commands by {rule}" for rule, count in result.cuts.items()]
+    if result.stop is not None:
+        found.append(f"the robot was stopped: {result.stop}")
     return tuple(found)

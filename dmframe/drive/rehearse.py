@@ -312,7 +312,7 @@ class _Trial:
     def measured(self, condition: Condition) -> Measured:
         """Errors of the graph's controller."""
         scaled = scaled_controller(self.graph, self.engine)
-        found, robot, gate = self._driven(scaled, condition)
+        found, robot, gate = self._simulated_drive(scaled, condition)
         plan = self._plan(condition)
         recording = recording_of(
             self.graph.diagram, scaled, found, robot=robot.name, plan=plan, gate=gate, solver=robot.solver
@@ -331,7 +331,7 @@ class _Trial:
         if self.law is None:
             return None
         robot = self.graph.diagram.robot
-        found, _, _ = self._driven(Rival(self.law, robot.n, clock_of(self.graph)), condition)
+        found, _, _ = self._simulated_drive(Rival(self.law, robot.n, clock_of(self.graph)), condition)
         journal, name = found.journal, "q" if self.law.shown is None else "x"
         times, shown = journal["reference"], journal[name]
         wanted = np.array([self.law.goal(t)[0].full().ravel() for t in times])
@@ -341,7 +341,7 @@ class _Trial:
     def _plan(self, condition: Condition) -> Plan:
         return Plan(self.duration, ramp=condition.ramp)
 
-    def _driven(self, scaled: Any, condition: Condition) -> tuple[DriveResult, SimulatedRobot, Gate]:
+    def _simulated_drive(self, scaled: Any, condition: Condition) -> tuple[DriveResult, SimulatedRobot, Gate]:
         robot = simulated_robot(self.graph, self.duration, self.engine, **condition.options)
         gate = Gate(self.limits, robot.period)
         return drive(scaled, robot, gate, self._plan(condition), lambda: ""), robot, gate

@@ -25,7 +25,7 @@ from dmframe.runtime.robot import Sample
 from dmframe.runtime.scaled import ScaledController
 from dmframe.simulate.engine import Choice
 
-APART: Final = 0.4
+PERIOD_DEVIATION: Final = 0.4
 """Tolerance for the time between samples as a whole number of periods [periods]."""
 MOST_MISSED: Final = 2**31
 """Lost samples in a row above which a record is damaged."""
@@ -52,10 +52,10 @@ class Compared:
     @property
     def largest(self) -> float:
         """Largest difference."""
-        return float(np.nanmax(self.apart, initial=0.0))
+        return float(np.nanmax(self.difference, initial=0.0))
 
     @property
-    def apart(self) -> np.ndarray:
+    def difference(self) -> np.ndarray:
         """Absolute differences; NaN for two infinite numbers."""
         with np.errstate(invalid="ignore", over="ignore"):
             return np.asarray(np.abs(self.now - self.then))
@@ -156,15 +156,23 @@ class Replay:
     def _lines(self, label: str) -> list[str]:
         """First and largest difference of a signal."""
         item = self.compared[label]
-        first, apart = int(item.rows[0]), item.apart
-        names = self.joints if apart.shape[1] == len(self.joints) else tuple(map(str, range(1, apart.shape[1] + 1)))
+        first, difference = int(item.rows[0]), item.difference
+        names = (
+            self.joints
+            if difference.shape[1] == len(self.joints)
+            else tuple(map(str, range(1, difference.shape[1] + 1)))
+        )
         place = int(np.argmax(item.then[first] != item.now[first]))
-        row, most = np.unravel_index(int(np.nanargmax(apart)), apart.shape) if np.isfinite(apart).any() else (first, 0)
+        row, most = (
+            np.unravel_index(int(np.nanargmax(difference)), difference.shape)
+            if np.isfinite(difference).any()
+            else (first, 0)
+        )
         return [
             f"  {label}: first difference at t = {plain(float(self.time[first]), 's')}, {names[place]}: "
             f"recorded {item.then[first, place]:.9g}, recomputed {item.now[first, place]:.9g} [{item.unit or '1'}]",
             f"  {label}: largest difference at t = {plain(float(self.time[row]), 's')}, {names[most]}: "
-            f"{plain(float(apart[row, most]), item.unit)}",
+            f"{plain(float(difference[row, most]), item.unit)}",
         ]
 
 
@@ -296,7 +304,7 @@ def _check_whole(time: np.ndarray, missed: np.ndarray, clock: float, log: str) -
         k = int(wrong[0])
         raise MissingError(f"expected a count of lost samples, found {missed[k]:g} in sample {k + 1}", location=log)
     steps = np.diff(time)
-    odd = np.flatnonzero(~(np.abs(steps - clock * (1 + missed[1:])) <= APART * clock))
+    odd = np.flatnonzero(~(np.abs(steps - clock * (1 + missed[1:])) <= PERIOD_DEVIATION * clock))
     if odd.size:
         k = int(odd[0])
         raise MissingError(

@@ -135,7 +135,7 @@ def _climbed(found: StorageTrace) -> str:
     climb = found.climb
     if climb.since is None or climb.until is None:
         return "That is within rounding. "
-    fraction = "" if climb.share is None else f", which is {100 * climb.share:.3g} % of its fall"
+    fraction = "" if climb.fraction is None else f", which is {100 * climb.fraction:.3g} % of its fall"
     between = f"between {plain(climb.since, 's')} and {plain(climb.until, 's')}"
     jumps = f"; its {len(found.jumps)} jumps at the steps of a source are excluded" if found.jumps else ""
     return f"It rose by {climb.rise:.3g} {between}{fraction}{jumps}. "
@@ -196,7 +196,7 @@ def _v_facts(found: StorageTrace, clock: float | None) -> tuple[list[tuple[str, 
         "rises": found.rises,
         "steps": int(found.steps.size),
         "rise": climb.rise,
-        "rise_share": climb.share,
+        "rise_share": climb.fraction,
         "rise_from": climb.since,
         "rise_until": climb.until,
         "fall": climb.fall if np.isfinite(climb.fall) else None,

@@ -42,7 +42,7 @@ class Climb:
         return self.start - self.least
 
     @property
-    def share(self) -> float | None:
+    def fraction(self) -> float | None:
         """Rise as a fraction of the fall; None if V never fell."""
         return self.rise / self.fall if self.fall > 0 else None
 

@@ -111,8 +111,8 @@ def turn_of(loop: ClosedLoop) -> SX | None:
     label = apart_of(loop)
     if label is None:
         return None
-    apart = next(signal.expression for signal in loop.outputs if signal.label == label)
-    return ca.asin(ca.sqrt(ca.fmin(ca.fmax(apart / FARTHEST, 0), 1))) * (360 / np.pi)
+    distance = next(signal.expression for signal in loop.outputs if signal.label == label)
+    return ca.asin(ca.sqrt(ca.fmin(ca.fmax(distance / FARTHEST, 0), 1))) * (360 / np.pi)
 
 
 def goal_of(loop: ClosedLoop) -> Followed | None:

@@ -92,8 +92,8 @@ class Storage:
         climb, jumps = self.along.climb, [jump for jump in self.along.jumps if jump.change > 0]
         notes = list(self.along.notes)
         if climb.rise:
-            fraction = "it never fell below its start" if climb.share is None else (
-                f"{100 * climb.share:.3g} % of its fall, which is {climb.fall:.3g}"
+            fraction = "it never fell below its start" if climb.fraction is None else (
+                f"{100 * climb.fraction:.3g} % of its fall, which is {climb.fall:.3g}"
             )  # fmt: skip
             assert climb.since is not None
             assert climb.until is not None
@@ -128,7 +128,7 @@ class Storage:
             "least": _number(climb.least),
             "fall": _number(climb.fall),
             "rise": _number(climb.rise),
-            "share": None if climb.share is None else _number(climb.share),
+            "share": None if climb.fraction is None else _number(climb.fraction),
             "at": climb.since,
             "until": climb.until,
             "rises": climb.rises,
@@ -189,9 +189,9 @@ def _causes(claim: Claim, along: StorageTrace, run: Recording) -> Iterator[tuple
     if way := between(run.diagram):
         yield "channels", way
     if run.clock is not None and run.time.size > 1:
-        apart = round(float(run.time[1] - run.time[0]) / run.clock)
-        if apart > 1:
-            yield "log", f"one of {apart} samples was recorded; V between them is not evaluated"
+        every = round(float(run.time[1] - run.time[0]) / run.clock)
+        if every > 1:
+            yield "log", f"one of {every} samples was recorded; V between them is not evaluated"
 
 
 def _over_samples(claim: Claim, along: StorageTrace) -> tuple[str, str]:

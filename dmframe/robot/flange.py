@@ -102,8 +102,8 @@ def repaired(root: Element, tool: str, where: str) -> list[str]:
 
     A placeholder is a sphere of `DENSITY` times the distance to the next joint, half way to it.
     """
-    way, notes = joints_to(root, tool), list[str]()
-    on = {_base(root), *map(_child, way)}
+    chain, notes = joints_to(root, tool), list[str]()
+    on = {_base(root), *map(_child, chain)}
     lines = Lines.fromkeys(root.iter(), 0)
     for link in root.findall("link"):
         alone = ElementTree.Element("robot")
@@ -112,13 +112,13 @@ def repaired(root: Element, tool: str, where: str) -> list[str]:
         if name not in on and inertial is not None and any(faults_of(alone, lines, where)):
             link.remove(inertial)
             notes.append(f"link {name}: invalid inertia removed; the link is not between the base and {tool}")
-    moving = [place for place, joint in enumerate(way) if joint.get("type") in MOVING]
+    moving = [place for place, joint in enumerate(chain) if joint.get("type") in MOVING]
     links = {link.get("name", ""): link for link in root.findall("link")}
-    for place, following in zip(moving, [*moving[1:], len(way)][: len(moving)], strict=True):
-        group = [links[_child(joint)] for joint in way[place:following]]
+    for place, following in zip(moving, [*moving[1:], len(chain)][: len(moving)], strict=True):
+        group = [links[_child(joint)] for joint in chain[place:following]]
         if any(float(mass.get("value", "0")) > 0 for link in group for mass in link.findall("inertial/mass")):
             continue
-        steps = [_origin(joint) for joint in way[place + 1 : following + 1]]
+        steps = [_origin(joint) for joint in chain[place + 1 : following + 1]]
         reach = np.sum(steps, axis=0) if steps else np.zeros(3)
         notes.append(_placeholder(group[0], np.asarray(reach, dtype=float)))
     return notes

@@ -57,8 +57,8 @@ _OF_JOINTS: Final[Mapping[Part, tuple[str, str]]] = {
 class DynamicParameters:
     """Layout of a_d, and of the columns of its regressor.
 
-    Ten inertial parameters for each link; then, with `gravity_apart`, mass and first moments of each link for gravity;
-    then, if enabled, one parameter for each joint for the inertia of its rotor, viscous friction, Coulomb friction, and
+    Ten inertial parameters for each link; then, with `separate_gravity`, mass and first moments of each link for
+    gravity; then, if enabled, one parameter for each joint for the inertia of its rotor, viscous friction, Coulomb friction, and
     a constant torque.
 
     Parameters
@@ -67,7 +67,7 @@ class DynamicParameters:
         The robot.
     friction
         Any of "viscous", "coulomb" and "rotor", in any order: parameters of the joints.
-    gravity_apart
+    separate_gravity
         True if gravity has separate masses and first moments.
     bias
         True if each joint has a constant torque as a parameter.
@@ -77,7 +77,7 @@ class DynamicParameters:
 
     chain: SerialChain
     friction: Collection[str] = ()
-    gravity_apart: bool = False
+    separate_gravity: bool = False
     bias: bool = False
 
     def __post_init__(self) -> None:
@@ -91,7 +91,7 @@ class DynamicParameters:
         """Parts in their order."""
         enabled: dict[Part, bool] = {
             "inertial": True,
-            "weighing": self.gravity_apart,
+            "weighing": self.separate_gravity,
             "rotor": "rotor" in self.friction,
             "viscous": "viscous" in self.friction,
             "coulomb": "coulomb" in self.friction,

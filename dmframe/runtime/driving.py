@@ -134,8 +134,8 @@ def _run(
         sample = robot.read()
         if stop := gate.admit(sample):
             return stop
-        if (apart := float(np.max(np.abs(sample.q - plan.start)))) > gate.limits.deviation:
-            return Stop("start", f"the robot is {apart:.3g} rad from the start pose after its motion to it")
+        if (distance := float(np.max(np.abs(sample.q - plan.start)))) > gate.limits.deviation:
+            return Stop("start", f"the robot is {distance:.3g} rad from the start pose after its motion to it")
     if not plan.shadow:
         robot.begin()
         sample = robot.read()

@@ -155,8 +155,8 @@ class XArm:
             report = self._newest(2.0)
             if watched(self._sample(report)):
                 return
-            apart = np.max(np.abs(report.q_c[: self._axes] - goal))
-            if apart < 1e-4 and np.max(np.abs(report.dq[: self._axes])) < 1e-2:
+            distance = np.max(np.abs(report.q_c[: self._axes] - goal))
+            if distance < 1e-4 and np.max(np.abs(report.dq[: self._axes])) < 1e-2:
                 self._arm.begin()
                 return
         raise LostError(f"{self.name}: the motion to the start did not end within {most:.0f} s")

@@ -109,8 +109,8 @@ def _checked(lock: Mapping[str, Any]) -> None:
 
 def difference(lock: Mapping[str, Any], identity: Mapping[str, Any]) -> str:
     """Changes since a study was started, in one sentence; empty if there are none."""
-    old = _leaves(lock["identity"]) | _leaves(lock["versions"], "versions.")
-    now = _leaves(plain(identity)) | _leaves(dict(versions()), "versions.")
+    old = _items(lock["identity"]) | _items(lock["versions"], "versions.")
+    now = _items(plain(identity)) | _items(dict(versions()), "versions.")
     changed = [name for name in {**old, **now} if old.get(name) != now.get(name)]
     shown = [f"{name} was {_shown(old, name)}, now {_shown(now, name)}" for name in changed[:_SHOWN]]
     more = f"; and {len(changed) - _SHOWN} more" if len(changed) > _SHOWN else ""
@@ -122,12 +122,12 @@ def plain(data: Any) -> Any:
     return json.loads(json.dumps(data, default=str))
 
 
-def _leaves(data: Any, path: str = "") -> dict[str, str]:
+def _items(data: Any, path: str = "") -> dict[str, str]:
     """Each number and text in nested data, by its path."""
     if not isinstance(data, dict):
         return {path.strip("."): json.dumps(data)}
-    return {name: leaf for key, value in data.items() for name, leaf in _leaves(value, f"{path}{key}.").items()}
+    return {name: leaf for key, value in data.items() for name, leaf in _items(value, f"{path}{key}.").items()}
 
 
-def _shown(leaves: Mapping[str, str], name: str) -> str:
-    return shorten(leaves[name]) if name in leaves else "nothing"
+def _shown(items: Mapping[str, str], name: str) -> str:
+    return shorten(items[name]) if name in items else "nothing"

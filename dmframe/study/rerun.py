@@ -47,7 +47,7 @@ class Rerun:
     def difference(self) -> float:
         """Largest relative difference; infinite if only one of them diverged."""
         row = self.row or {}
-        return max((_apart(self.rerun[name], value, _size(name, row)) for name, value in row.items()), default=0.0)
+        return max((_difference(self.rerun[name], value, _size(name, row)) for name, value in row.items()), default=0.0)
 
     @property
     def alike(self) -> bool:
@@ -111,7 +111,7 @@ def _size(name: str, row: Mapping[str, Any]) -> float:
     return max((value for value in alike if math.isfinite(value)), default=0.0)
 
 
-def _apart(a: Any, b: Any, size: float = 0.0) -> float:
+def _difference(a: Any, b: Any, size: float = 0.0) -> float:
     if a == b or (a != a and b != b):  # nan equals nan
         return 0.0
     if isinstance(a, bool) or a != a or b != b:

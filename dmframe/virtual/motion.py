@@ -160,10 +160,10 @@ class PathMotion(Motion):
 
 def straight(start: np.ndarray, goal: np.ndarray) -> tuple[Callable[[float], np.ndarray], float]:
     """Straight line between joint angles, parametrized by radians of the joint that moves most, and its length."""
-    way = goal - start
-    length = float(np.max(np.abs(way)))
+    displacement = goal - start
+    length = float(np.max(np.abs(displacement)))
 
     def at(s: float) -> np.ndarray:
-        return goal.copy() if s >= length else start + way * (s / length)
+        return goal.copy() if s >= length else start + displacement * (s / length)
 
     return at, length

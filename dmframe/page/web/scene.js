@@ -112,7 +112,7 @@ class Scene {
 
   controls() {
     const { canvas, camera } = this, pointers = new Map();
-    let apart = 0;
+    let spread = 0;
     const turned = (across, up) => {
       camera.turn -= across;
       camera.lift = Math.max(-1.5, Math.min(1.5, camera.lift + up));
@@ -123,16 +123,16 @@ class Scene {
       this.changed();
     };
     this.back = () => { Object.assign(camera, this.home); this.changed(); };
-    canvas.onpointerdown = (event) => { pointers.set(event.pointerId, [event.clientX, event.clientY]); canvas.setPointerCapture(event.pointerId); apart = 0; };
-    canvas.onpointerup = canvas.onpointercancel = (event) => { pointers.delete(event.pointerId); apart = 0; };
+    canvas.onpointerdown = (event) => { pointers.set(event.pointerId, [event.clientX, event.clientY]); canvas.setPointerCapture(event.pointerId); spread = 0; };
+    canvas.onpointerup = canvas.onpointercancel = (event) => { pointers.delete(event.pointerId); spread = 0; };
     canvas.onpointermove = (event) => {
       const before = pointers.get(event.pointerId);
       if (!before) return;
       pointers.set(event.pointerId, [event.clientX, event.clientY]);
       if (pointers.size === 1) return turned((event.clientX - before[0]) * 0.008, (event.clientY - before[1]) * 0.008);
       const [first, second] = pointers.values(), now = Math.hypot(first[0] - second[0], first[1] - second[1]);
-      if (apart && now) this.zoom(apart / now);
-      apart = now;
+      if (spread && now) this.zoom(spread / now);
+      spread = now;
     };
     // without focus or Ctrl key, the wheel scrolls the page
     canvas.addEventListener("wheel", (event) => {

@@ -50,12 +50,12 @@ def exact(way: Way, times: np.ndarray) -> np.ndarray:
 
 def lies_apart(way: Way, path: JointPath, span: float | None = None) -> bool:
     """Whether the exact joint path leaves what is claimed of it, at 10 000 times."""
-    assert path.apart is not None
+    assert path.line_distance is not None
     span = path.span if span is None else span
     times = np.sort(np.concatenate([np.random.default_rng(0).uniform(0, span, 9000), np.linspace(0, span, 1000)]))
     line = np.column_stack([np.interp(times, path.times, path.poses[:, j]) for j in range(2)])
-    segment = np.clip(np.searchsorted(path.times, times) - 1, 0, len(path.apart) - 1)
-    return bool((np.abs(exact(way, times) - line) > path.apart[segment] + 1e-12).any())
+    segment = np.clip(np.searchsorted(path.times, times) - 1, 0, len(path.line_distance) - 1)
+    return bool((np.abs(exact(way, times) - line) > path.line_distance[segment] + 1e-12).any())
 
 
 def reach_out(t: Any, at: float, how_far: float, lasts: float) -> Any:
@@ -79,8 +79,8 @@ HELD: dict[str, Way] = {
 def test_a_path_that_can_be_followed_lies_where_it_is_claimed_to_lie(name: str) -> None:
     found = follow(HELD[name])
     assert (found.path_exit, found.unproved, found.until) == (None, None, DURATION)
-    assert found.apart is not None
-    assert np.max(found.apart) < 0.1 * TUBE
+    assert found.line_distance is not None
+    assert np.max(found.line_distance) < 0.1 * TUBE
     if found.span:
         assert not lies_apart(HELD[name], found)
 

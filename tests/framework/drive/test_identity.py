@@ -15,7 +15,7 @@ import pytest
 import dmframe as dm
 from dmframe.build.compiler import Compiler
 from dmframe.common.errors import DriveError
-from dmframe.drive import driven, identity, load_limits, records, rehearse, robots
+from dmframe.drive import identity, load_limits, records, rehearse, robots, run_on_robot
 from dmframe.drive.rehearse import Condition
 from dmframe.drive.robots import Kind
 
@@ -235,7 +235,7 @@ def test_what_no_file_shows_is_seen_in_the_closed_loop_that_drives(bench: Bench)
     vars(graph)["diagram"] = replace(diagram, loop=replace(loop, parameters=parameters))
     limits = load_limits(bench.limits, graph.robot)
     with pytest.raises(DriveError, match=r"Changes since its rehearsal of .*: closed loop: field"):
-        driven(graph, "real:host", limits=limits, payload=1.0, ramp=0, engine="interpreted")
+        run_on_robot(graph, "real:host", limits=limits, payload=1.0, ramp=0, engine="interpreted")
 
 
 def notes(tmp_path: Path) -> list[Path]:

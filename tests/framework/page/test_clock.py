@@ -96,5 +96,5 @@ def test_where_v_rose_is_counted_as_a_run_counts_it() -> None:
         expected = climb_of(np.arange(float(values.size)), values, off)
         assert (found["rises"], found["steps"]) == (expected.rises, expected.steps)
         assert found["rise"] == pytest.approx(expected.rise, rel=1e-12)
-        assert found["fraction"] == pytest.approx(expected.share, rel=1e-12)
+        assert found["fraction"] == pytest.approx(expected.fraction, rel=1e-12)
     assert answers[-1]["rises"] == 0
