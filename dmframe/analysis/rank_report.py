@@ -13,8 +13,8 @@ PROVED: Final = (
 )
 EXACT: Final = (
     "At every time from 0 to {until:.6g} s, also between the poses, the joint path on which the tool follows its path "
-    "is proved to lie within {line_distance:.2g} rad of the lines between the poses, in each joint; the boxes cover the "
-    "tube about it."
+    "is proved to lie within {line_distance:.2g} rad of the lines between the poses, in each joint; the boxes cover "
+    "the tube about it."
 )
 APPROACH: Final = "The straight lines from the start onto the path are an assumption; the robot may move differently."
 MANY: Final = "The robot is redundant: this joint path is one of many, and its controller may choose another."

@@ -58,8 +58,8 @@ class DynamicParameters:
     """Layout of a_d, and of the columns of its regressor.
 
     Ten inertial parameters for each link; then, with `separate_gravity`, mass and first moments of each link for
-    gravity; then, if enabled, one parameter for each joint for the inertia of its rotor, viscous friction, Coulomb friction, and
-    a constant torque.
+    gravity; then, if enabled, one parameter for each joint for the inertia of its rotor, viscous friction, Coulomb
+    friction, and a constant torque.
 
     Parameters
     ----------
