@@ -77,7 +77,7 @@ def shown_by(run: Recording) -> list[Shown]:
         or not set(run.states) >= {v.label for v in run.diagram.loop.variables}
     ):
         return []
-    chosen, found = last[np.unique(np.linspace(0, last.size - 1, MOST).astype(int))], list[Shown]()
+    chosen, found = last[sorted({*np.linspace(0, last.size - 1, MOST).astype(int).tolist()})], list[Shown]()
     for signal, words in _showing(run.diagram):
         values = _at(run, signal.expression, chosen).mean(axis=0)
         felt = _felt(run, signal, chosen)

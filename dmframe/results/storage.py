@@ -5,20 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from dmframe.certify.claim import Claim
 from dmframe.config import BaseGraph
 from dmframe.errors import DmframeError, listed
-from dmframe.results.along import Along
-from dmframe.results.claimed import claimed_along
-from dmframe.results.storage_unit import StorageUnit, storage_unit
 from dmframe.simulate import Recording
 from dmframe.simulate.recording import ExtraSignal
 from dmframe.simulate.warnings import between
 from dmframe.units import plain
+
+if TYPE_CHECKING:
+    from dmframe.certify.claim import Claim
+    from dmframe.results.along import Along
+    from dmframe.results.storage_unit import StorageUnit
 
 SIGNALS: Final = ("V", "V_rate", "V_dissipation", "V_residual")
 """Labels of V, its rate, dissipation and residual; the storage function of a block is ``V.block``."""
@@ -74,6 +75,8 @@ class Storage:
     @cached_property
     def unit(self) -> StorageUnit:
         """V's unit, or those of its terms."""
+        from dmframe.results.storage_unit import storage_unit
+
         return storage_unit(self.claim)
 
     @property
@@ -145,6 +148,8 @@ class Storage:
 
 def storage_of(recording: Recording, graph: BaseGraph) -> Storage:
     """V of a run; raises `DmframeError` if it is not defined."""
+    from dmframe.results.claimed import claimed_along  # its imports take a tenth of a second
+
     intervals = graph.intervals(recording.diagram)
     return Storage(*claimed_along(recording, intervals, graph.start), recording)
 

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dmframe.errors import DmframeError
 from dmframe.plotting import draw_curve, frame, look, page, span, tame, verbatim
-from dmframe.results.along import Along
 from dmframe.results.drawn_runs import note_below, run_label
 from dmframe.results.run import Run
 from dmframe.simulate import Recording
+
+if TYPE_CHECKING:
+    from dmframe.results.along import Along
 
 CURVES = 6
 """Number of terms of V shown."""
