@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from typing import Any, Final
 
 import numpy as np
@@ -75,12 +75,29 @@ def styled() -> Iterator[None]:
         yield
 
 
-def loaded() -> None:
-    """Import matplotlib's figures, so that copies of this process need not; a failure shows when a figure is drawn."""
-    with suppress(Exception):
+def loaded(*, documented: bool = True) -> None:
+    """Import matplotlib's figures; a failure shows when a figure is drawn.
+
+    If not `documented`, for a process that draws and ends, the classes have no docstrings: matplotlib writes them by
+    inspection of each class, which takes a third of its import.
+    """
+    with suppress(Exception), nullcontext() if documented else _undocumented():
         import matplotlib.backends.backend_agg
         import matplotlib.backends.backend_svg
         import matplotlib.figure  # noqa: F401
+
+
+@contextmanager
+def _undocumented() -> Iterator[None]:
+    """Context in which matplotlib's classes are made without their docstrings."""
+    from matplotlib.artist import Artist
+
+    written = vars(Artist)["_update_set_signature_and_docstring"]
+    Artist._update_set_signature_and_docstring = classmethod(lambda cls: None)  # type: ignore[attr-defined]
+    try:
+        yield
+    finally:
+        Artist._update_set_signature_and_docstring = written  # type: ignore[attr-defined]
 
 
 def new_figure(width: float, height: float) -> Any:

@@ -24,7 +24,8 @@ from dmframe.graph.graph import Graph
 from dmframe.graph.labels import labels_of
 from dmframe.graph.progress import Bars
 from dmframe.graph.runs import labelled
-from dmframe.results.folder import drawing, folders_of, safe_name, write_data
+from dmframe.results.drawing_process import drawing
+from dmframe.results.folder import folders_of, named, safe_name, write_data, write_figures
 from dmframe.results.place import PAGE, Place, complete, reserved
 from dmframe.results.run import Run, notes_of, numbers_of
 from dmframe.simulate.engine import Choice
@@ -61,13 +62,14 @@ def run_graphs(
         if pages:
             _check_page(graph)
     with placed_folder(out, graphs, force=force) as place:
-        found, interrupted = _run_all(graphs, engine, as_json)
-        if not found:
-            return STOPPED
-        lost = list[Exception]()
-        runs: Sequence[Run] = labelled(found)
-        say = partial(_say, lost=lost)
-        with drawing(runs if formats else (), formats) as draw:
+        with drawing(graphs, formats) as drawn:
+            found, interrupted = _run_all(graphs, engine, as_json)
+            if not found:
+                return STOPPED
+            lost = list[Exception]()
+            runs: Sequence[Run] = labelled(found)
+            say = partial(_say, lost=lost)
+            drawn.begin(named(runs))
             if not as_json:
                 say(numbers_of(runs))
             with held_off() as signals:
@@ -80,7 +82,7 @@ def run_graphs(
             if formats and not signals:
                 if not as_json and sys.stderr.isatty():
                     tell("drawing the figures", aside=True)
-                draw(place, runs)
+                write_figures(drawn, place, runs)
         for error in lost:
             raise error
         if pages and not signals:

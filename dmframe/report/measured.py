@@ -15,7 +15,7 @@ from dmframe.exact.rational import as_float
 from dmframe.plotting import figure_svg
 from dmframe.results.along import Along, along
 from dmframe.results.metrics import tracking_error, turn_error
-from dmframe.results.storage_figure import storage_picture
+from dmframe.results.storage_figure import StoragePicture, storage_picture
 from dmframe.simulate import Log, Recording
 from dmframe.units import plain
 
@@ -73,7 +73,7 @@ def measure(graph: BaseGraph, verdict: Verdict, tell: Callable[[str], None] = la
         sentence=f"{_sentence(clock, verdict)} {_judged_over_samples(found) if over else _judged(found, clock)}",
         facts=(*facts, *more),
         numbers={**numbers, **v_numbers},
-        figure=figure_svg(storage_picture(found, [rf"${term.of.latex}$ ({term.block})" for term in found.terms], run)),
+        figure=figure_svg(storage_picture(StoragePicture(found, [rf"${term.of.latex}$ ({term.block})" for term in found.terms]), run)),
         caption="$V$ along the simulated run (above), and its largest terms, each with its weight (below).",
         table=tuple((float(found.time[k]), float(found.V[k])) for k in kept),
     )
