@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from dmframe.errors import DmframeError
     from dmframe.graph.graph import Graph
     from dmframe.graph.load import load
+    from dmframe.graph.registries import blocks, graphs, robots
     from dmframe.graph.runs import Runs, compare
-    from dmframe.graph.shelf import blocks, graphs, robots
     from dmframe.graph.shortcuts import analyse, draw, run, verify
     from dmframe.graph.sweep import sweep
     from dmframe.identification.experiment import experiment
@@ -42,16 +42,16 @@ _HOMES: Final = {
     "Run": "results.run",
     "Runs": "graph.runs",
     "analyse": "graph.shortcuts",
-    "blocks": "graph.shelf",
+    "blocks": "graph.registries",
     "compare": "graph.runs",
     "draw": "graph.shortcuts",
     "experiment": "identification.experiment",
     "fitted_delay": "analysis.delay",
-    "graphs": "graph.shelf",
+    "graphs": "graph.registries",
     "identify": "identification.identify",
     "load": "graph.load",
     "load_study": "study.read",
-    "robots": "graph.shelf",
+    "robots": "graph.registries",
     "run": "graph.shortcuts",
     "sweep": "graph.sweep",
     "tune": "study.tune",

@@ -142,8 +142,8 @@ def _load(path: Path, source: bytes, where: str) -> ModuleType:
         frames = traceback.extract_tb(error.__traceback__)
         lines = [frame.lineno for frame in frames if Path(frame.filename).resolve() == path.resolve()]
         line = error.lineno if isinstance(error, SyntaxError) else (lines or [0])[-1]
-        said = error.msg if isinstance(error, SyntaxError) else (str(error).splitlines() or [""])[0]
-        raise BlockError(f"{where}: {path.name}:{line}: {type(error).__name__}: {said}") from error
+        message = error.msg if isinstance(error, SyntaxError) else (str(error).splitlines() or [""])[0]
+        raise BlockError(f"{where}: {path.name}:{line}: {type(error).__name__}: {message}") from error
     return module
 
 

@@ -161,7 +161,7 @@ def _energy(law: PrintedLaw) -> Iterator[str]:
     """Table of storage, dissipation, residual, cross term and supply rate."""
     rows = [("storage, half of", term.whole.latex) for term in law.storage]
     rows += [("dissipation", term.whole.latex) for term in law.dissipation]
-    rows += [("residual", term.whole.latex) for term in law.excess]
+    rows += [("residual", term.whole.latex) for term in law.residual]
     rows += [("cross term", law.consumption.whole.latex)] if law.consumption is not None else []
     rows += [("supply rate", law.supply.latex)] if law.supply is not None and law.supply.text != "0" else []
     if rows:

@@ -16,7 +16,6 @@ from dmframe.block import (
     Certificate,
     Condition,
     Diagonal,
-    Driven,
     Equations,
     Inequality,
     Input,
@@ -25,6 +24,7 @@ from dmframe.block import (
     Real,
     Signals,
     Square,
+    StableLinear,
     State,
     TrueValue,
     named,
@@ -193,8 +193,8 @@ class PPiInverse(AdaptingBlock):
             dissipation=(Square(u.dq - u.dq_r, K * K_v + B), Square(e, K * M_bar * p.K_c)),
             dominates=(1,),
             supply=-ca.dot(sigma, K * truth.u - u.tau_dc - B * sigma),
-            driven=(
-                Driven(
+            linear=(
+                StableLinear(
                     vectors=(x.z, u.q_c - truth.momentum / K_f),
                     rates=((0, 1), (-K_I / (K_v * f), -rest / (K_v * f))),
                     bounded=(x.z, u.q_c),

@@ -209,9 +209,9 @@ def period_of(loop: ClosedLoop, clock: float | None) -> float:
 
     Raises `EngineError` for a discrete-time loop without a clock.
     """
-    if clock is None and loop.clocked:
-        raise EngineError(f"set-point: expected a clock, found none; {loop.clocked}")
-    return clock if clock is not None and loop.clocked else 0.0
+    if clock is None and loop.discrete_time:
+        raise EngineError(f"set-point: expected a clock, found none; {loop.discrete_time}")
+    return clock if clock is not None and loop.discrete_time else 0.0
 
 
 def _unit(loop: ClosedLoop, row: int) -> str:

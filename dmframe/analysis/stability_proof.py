@@ -243,8 +243,8 @@ def _why(linear: Linear, loop: EnclosedLoop, clock: float | None, radius: float 
     """Reason for a missing bound or period."""
     if period is not None and (clock is None or radius is not None):
         return ""
-    if linear.drifting > loop.kept:
-        return f"it has {linear.drifting - loop.kept} ramp modes without a restoring term"
+    if linear.ramp_modes > loop.kept:
+        return f"it has {linear.ramp_modes - loop.kept} ramp modes without a restoring term"
     more = linear.at_rest - len(linear.states) + loop.moving + loop.kept
     if more > 0:
         return f"floats find that it rests in more directions, by {more}; its equations do not show that"

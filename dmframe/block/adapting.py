@@ -121,14 +121,14 @@ class AdaptingBlock(AbstractBlock):
         return without_numbers(self, owner_of(u))._with_nominal(u, p, truth)
 
     def _with_nominal(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
-        said = self.start(u, p, truth)
+        starts = self.start(u, p, truth)
         for item in self.estimates:
-            if item.name in said:
+            if item.name in starts:
                 raise BlockError(
                     f"{owner_of(u)}: start() sets the initial value of {item.name}, which a leak does not use; "
                     "set it in nominal()"
                 )
-        return {**said, **self._nominal(u, p)}
+        return {**starts, **self._nominal(u, p)}
 
     @final
     def composed_certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
@@ -157,9 +157,9 @@ class AdaptingBlock(AbstractBlock):
 
     def _error(self, u: Signals, x: Signals, p: Signals, stated: Equations) -> SX:
         """The error that drives the adaptation; zero for a block that names none."""
-        said = self.error(u, x, p)
-        if said is not None:
-            return said
+        starts = self.error(u, x, p)
+        if starts is not None:
+            return starts
         if self.driven_by in stated.outputs:
             return named(self.driven_by, stated.outputs[self.driven_by])
         return getattr(u, self.driven_by) if self.driven_by else ca.DM(0)
@@ -237,7 +237,7 @@ def _options(block: type[AdaptingBlock]) -> dict[str, tuple[Any, Any]]:
     }
 
 
-def options_said(block: type[AbstractBlock]) -> dict[str, str]:
+def option_descriptions(block: type[AbstractBlock]) -> dict[str, str]:
     """Description of each of these parameters, as marked text."""
     if not issubclass(block, AdaptingBlock):
         return {}
@@ -253,24 +253,24 @@ def options_said(block: type[AbstractBlock]) -> dict[str, str]:
     return {name: sets.get(name.rpartition("_")[2], robust) for name in _options(block)}
 
 
-def _known(method: str, said: Mapping[str, Any], estimates: Iterable[Adapted], owner: str) -> Mapping[str, Any]:
+def _known(method: str, starts: Mapping[str, Any], estimates: Iterable[Adapted], owner: str) -> Mapping[str, Any]:
     """The mapping that a method returned, checked against the estimates that the block declares."""
-    if not isinstance(said, Mapping):
-        raise BlockError(f"{owner}: expected {method} to return values by estimate, found {type(said).__name__}")
+    if not isinstance(starts, Mapping):
+        raise BlockError(f"{owner}: expected {method} to return values by estimate, found {type(starts).__name__}")
     known = [item.name for item in estimates]
-    for name in said:
+    for name in starts:
         if name not in known:
             raise BlockError(
                 f"{owner}: {method} returns {name}, which is none of its estimates; {nearest(name, known)}"
             )
-    return said
+    return starts
 
 
-def _hold(what: str, said: Mapping[str, Any], estimates: Iterable[Adapted], owner: str) -> None:
+def _hold(what: str, starts: Mapping[str, Any], estimates: Iterable[Adapted], owner: str) -> None:
     """Check that a method returns a value for each estimate that the block declares, and for no other name."""
-    known, names = {item.name: item for item in estimates}, list(said) if isinstance(said, Mapping) else None
+    known, names = {item.name: item for item in estimates}, list(starts) if isinstance(starts, Mapping) else None
     if names is None:
-        raise BlockError(f"{owner}: {what} {type(said).__name__}; expected values by estimate")
+        raise BlockError(f"{owner}: {what} {type(starts).__name__}; expected values by estimate")
     for name in names:
         if name not in known:
             raise BlockError(f"{owner}: {what} {name}, which is none of its estimates; {nearest(name, known)}")

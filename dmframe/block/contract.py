@@ -141,8 +141,8 @@ def breaches(block: type[AbstractBlock]) -> Iterator[str]:
             near = nearest(reader.drawn, DISTRIBUTIONS)
             yield f"the input {reader.name} is drawn from {reader.drawn}, unknown; {near}"
     for output in block.outputs:
-        for word, said, side in (("steps", output.steps, Side.SOURCE), ("is shown", output.shown, Side.CONTROLLER)):
-            if said and block.side is not side:
+        for word, declared, side in (("steps", output.steps, Side.SOURCE), ("is shown", output.shown, Side.CONTROLLER)):
+            if declared and block.side is not side:
                 yield f"declares that {output.name} {word}, but it is no output of a {side.value}; remove that"
     yield from _ahead_breaches(block)
     yield from _replacing_breaches(block)

@@ -111,7 +111,7 @@ def tubes(claim: Claim, numbers: Numbers, symbols: Symbols, start: Mapping[str, 
     V rises by a residual and at a source's steps; statements there do not hold for all times.
     """
     stated = [(part, barrier) for part in claim.parts for barrier in part.certificate.barriers]
-    if not stated or claim.cascaded or any(part.certificate.excess for part in claim.parts):
+    if not stated or claim.cascaded or any(part.certificate.residual for part in claim.parts):
         return
     resolver = claim.diagram.resolver
     if numbers.starts or any(resolver.steps(block, port) for block, port, _ in resolver.trajectories):
@@ -222,7 +222,7 @@ def _start(claim: Claim, numbers: Numbers, given: Mapping[str, Any]) -> Begin | 
         begin = start_state(claim.diagram, given)
     except DmframeError:
         return None
-    said, found, row = list[tuple[SX, SX]](), list[tuple[SX, SX]](), 0
+    own, found, row = list[tuple[SX, SX]](), list[tuple[SX, SX]](), 0
     symbols, values = list[SX](), list[float]()
 
     def unfolded(element: SX) -> SX:
@@ -241,8 +241,8 @@ def _start(claim: Claim, numbers: Numbers, given: Mapping[str, Any]) -> Begin | 
         if expression is None:
             return None
         elements = ca.vertcat(*map(unfolded, ca.vertsplit(ca.densify(expression))))
-        (said if has_own_start else found).append((ca.vec(variable.symbol), elements))
-    return Begin([*said, *found], stack(symbols), values)
+        (own if has_own_start else found).append((ca.vec(variable.symbol), elements))
+    return Begin([*own, *found], stack(symbols), values)
 
 
 def _range(claim: Claim, numbers: Numbers, begin: Begin, expression: SX) -> tuple[np.ndarray, np.ndarray]:

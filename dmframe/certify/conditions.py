@@ -19,8 +19,8 @@ from dmframe.certificate import (
     CommonLyapunov,
     Condition,
     Dissipated,
-    Gathered,
     Inequality,
+    InformationSquare,
     Lemma,
     LogDet,
     NormSquare,
@@ -63,7 +63,7 @@ def conditions_of(
     Raises `NotApplicableError` for a claim over samples, whose conditions are others (`dmframe.certify.discrete`).
     """
     if claim.over_samples:
-        raise NotApplicableError(f"{claim.loop.clocked}; a proof in continuous time does not reach it")
+        raise NotApplicableError(f"{claim.loop.discrete_time}; a proof in continuous time does not reach it")
     return sorted_out(_needed(claim, numbers, start or {}))
 
 
@@ -156,7 +156,7 @@ def _weights(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
                 yield _least(part, Text("weight of ", term.of, " in ", role), numbers, weight, strict=False)
                 text = Text(f"width of {term.phi} in the term of ", term.of, " in ", role)
                 yield _least(part, text, numbers, term.scale)
-        elif isinstance(term, Gathered):
+        elif isinstance(term, InformationSquare):
             square = Text(square_of(term.of, "G"), " in ", role)
             yield _least(part, Text("weight of ", square), numbers, weight, strict=False)
             gathered = sentence("weight of what {G} gathers for {square}", square=square)
@@ -176,14 +176,14 @@ def _weights(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
 
 def _memories(claim: Claim) -> Iterator[Assumption]:
     for part, _, term in _terms(claim):
-        if isinstance(term, Gathered):
+        if isinstance(term, InformationSquare):
             text = "{block}: {G} of {square} starts at zero, or positive semidefinite"
             yield Assumption(sentence(text, block=part.block, square=square_of(term.of, "G")), SIGNS)
 
 
 def _inside(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> Iterator[Finding]:
     """What a divergence is taken of starts positive definite; V, which does not grow, keeps it so."""
-    rising = any(part.certificate.excess for part in claim.parts)
+    rising = any(part.certificate.residual for part in claim.parts)
     for part, _, term in _terms(claim):
         if not isinstance(term, LogDet):
             continue

@@ -199,10 +199,10 @@ def _begin(claim: Claim, states: Sequence[Variable], numbers: Numbers, start: Ma
     columns = list[np.ndarray]()
     for variable in states:
         label = variable.label
-        said = start_expression(label, numbers, start) if has_start(label, numbers, start) else None
-        if said is None or not symbols_in([said]) <= numbers.known:
+        starts = start_expression(label, numbers, start) if has_start(label, numbers, start) else None
+        if starts is None or not symbols_in([starts]) <= numbers.known:
             return None
-        value = ca.Function("start", [claim.loop.p], [ca.densify(said)])(claim.loop.p_values)
+        value = ca.Function("start", [claim.loop.p], [ca.densify(starts)])(claim.loop.p_values)
         columns.append(np.broadcast_to(value.full().ravel(), (variable.symbol.numel(),)))
     return np.concatenate(columns) if columns else np.zeros(0)
 

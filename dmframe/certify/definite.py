@@ -112,7 +112,7 @@ def _kept_bodies(claim: Claim) -> Iterator[SX]:
     for projection in claim.loop.projections:
         if isinstance(projection.set, Bodies):
             yield projection.state[: projection.set.nominal.numel()]
-    if any(part.certificate.excess for part in claim.parts):
+    if any(part.certificate.residual for part in claim.parts):
         return
     for part in claim.parts:
         found = [term.matrix for term in part.certificate.storage if isinstance(term, LogDet)]

@@ -81,7 +81,7 @@ def _share(lefts: Sequence[Left]) -> np.ndarray:
 def _fitted(left: Left) -> list[np.ndarray]:
     """eta, y and h' theta_true of a motion, each less what the unknown constants can explain of it."""
     slope = left.slope.reshape(left.left.size, left.slope.shape[2])
-    columns = [np.ravel(each) for each in (left.left, left.y, left.said)]
+    columns = [np.ravel(each) for each in (left.left, left.y, left.predicted)]
     if slope.shape[1]:
         constants, *_ = np.linalg.lstsq(slope, np.column_stack(columns), rcond=None)
         columns = list((np.column_stack(columns) - slope @ constants).T)

@@ -186,7 +186,7 @@ def _measured(diagram: Diagram) -> Iterator[Assumption]:
             port = next(p for p in diagram.models[source.block].block.outputs if p.name == source.port)
             if port.access is Access.MEASURED:
                 found[f"{source.block}.{source.port}"] = None
-    for leaf in diagram.loop.crossings:  # what a derived rate needs is wired to nothing
+    for leaf in diagram.loop.sampled_signals:  # what a derived rate needs is wired to nothing
         if leaf.side is Side.PLANT:
             found[leaf.name] = None
     if found:

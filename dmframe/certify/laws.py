@@ -41,7 +41,7 @@ def check_laws(diagram: Diagram) -> tuple[str, ...]:
     """
     blocks = read_blocks(diagram)
     notices = check_docstrings(blocks)
-    if diagram.loop.clocked:
+    if diagram.loop.discrete_time:
         return tuple(notices)
     try:
         found = certificates_of(diagram)

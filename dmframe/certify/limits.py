@@ -74,7 +74,7 @@ def goals(claim: Claim, closure: Closure) -> list[Goal]:
         for term in (*part.certificate.storage, *part.certificate.errors)
         if isinstance(term, Square | Potential)
     }
-    for item in closure.driven:
+    for item in closure.linear:
         for name, vector in zip(item.of, item.bounded, strict=True):
             found.setdefault(name, Goal(name, vector))
     return list(found.values())

@@ -29,7 +29,7 @@ import numpy as np
 
 from dmframe.certificate import SX
 from dmframe.certify.checked import Checked
-from dmframe.certify.risky import instructions
+from dmframe.certify.partial_functions import instructions
 from dmframe.diagram.bodies import RIM
 from dmframe.diagram.closed_loop import ClosedLoop
 from dmframe.diagram.projection import Ball, Bodies, Box, Projection

@@ -148,22 +148,22 @@ def _still(name: str, truth: SX, numbers: Numbers) -> Iterator[Checked]:
     if symbols_in([truth]) <= numbers.known:
         return
     rate = claim.flow.D(truth, f"{name}: the true value")
-    said = Text(Label(name), ": true value stands still")
+    name_of_check = Text(Label(name), ": true value stands still")
     text = "d(true value)/dt is identically zero along the closed loop"
     uncertain = [label for label, values in numbers.values.items() if any(isinstance(v, Interval) for v in values)]
     symbols = symbols_of(claim, uncertain)
     try:
         still = symbols.vanishes("rate", rate)
     except (ValueFault, ZeroDivision) as error:
-        yield Checked(said, f"{text}; undecided: {error}", None, False, LEMMA, "undecided")
+        yield Checked(name_of_check, f"{text}; undecided: {error}", None, False, LEMMA, "undecided")
         return
-    yield Checked(said, text, None, still, LEMMA, margin=ca.SX(0, 1))
+    yield Checked(name_of_check, text, None, still, LEMMA, margin=ca.SX(0, 1))
 
 
 def _normal(name: str, askew: SX, numbers: Numbers) -> Checked:
     text = sentence("weight in {V} times adaptation gain is one number for all elements")
-    said = sentence("{name}: projected in the metric of {V}", name=Label(name))
-    return numbers.decide(said, text, LEMMA, ca.vertcat(askew, -askew), strict=False)
+    name_of_check = sentence("{name}: projected in the metric of {V}", name=Label(name))
+    return numbers.decide(name_of_check, text, LEMMA, ca.vertcat(askew, -askew), strict=False)
 
 
 def _starts(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) -> Iterator[Finding]:

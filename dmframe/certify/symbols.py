@@ -109,7 +109,9 @@ def _no_constants(claim: Claim, known: Sequence[Group], unknown: Sequence[Group]
     """Unknown constants that are a signal, a parameter, or no symbol of their own."""
     labels, loop = {group.label for group in known}, claim.loop
     sources = claim.diagram.resolver.trajectories.values()
-    taken = symbols_in([*(group.symbol for group in known), *(leaf.symbol for leaf in (*loop.crossings, *sources))])
+    taken = symbols_in(
+        [*(group.symbol for group in known), *(leaf.symbol for leaf in (*loop.sampled_signals, *sources))]
+    )
     taken |= loop.constants
     for group in unknown:
         block, _, name = group.label.partition(".")

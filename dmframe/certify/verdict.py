@@ -9,8 +9,8 @@ from typing import Final, Literal, final
 from dmframe.certificate import Assumption
 from dmframe.certify.checked import Checked
 from dmframe.certify.claim import Claim
-from dmframe.certify.excess import Bound, total_bound
 from dmframe.certify.explained import UNCHECKED
+from dmframe.certify.residual import Bound, total_bound
 from dmframe.certify.small_gain import Kappa
 from dmframe.certify.statements import Statement, States
 from dmframe.certify.states import held_in_v

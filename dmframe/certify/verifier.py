@@ -20,12 +20,12 @@ from dmframe.certify.closure import Closure
 from dmframe.certify.conditions import conditions_of, decide, remedies
 from dmframe.certify.contradicted import contradicted
 from dmframe.certify.discrete import discrete_assumptions, discrete_conditions, discrete_statements
-from dmframe.certify.excess import Bound, bounds_of
 from dmframe.certify.explained import explained
 from dmframe.certify.hypotheses import hypotheses, undefined
 from dmframe.certify.over import failing_of, over_intervals
 from dmframe.certify.positive import Signs
 from dmframe.certify.reach import reach_conditions
+from dmframe.certify.residual import Bound, bounds_of
 from dmframe.certify.small_gain import small_gain
 from dmframe.certify.smoothness import Examiner
 from dmframe.certify.statements import Statement, States, bases_of, statements_of, states_of, vanishing_of

@@ -74,8 +74,8 @@ def run_graphs(
                 say(numbers_of(runs))
             with held_off() as signals:
                 runs = _judged(runs, graphs)  # takes longer than the run
-                if not as_json and (said := notes_of(runs)):
-                    say("\n".join(said))
+                if not as_json and (notes := notes_of(runs)):
+                    say("\n".join(notes))
                 summaries = written(place, runs)
             data = json.dumps(summaries[0] if len(graphs) == 1 else summaries, indent=2)
             say(data if as_json else f"results: {place.path}")
@@ -181,4 +181,4 @@ def _judged(runs: Sequence[Run], graphs: Sequence[Graph]) -> list[Run]:
     with shared(judging, busy=True) as finished:
         for run in runs:
             _ = run.notices
-        return [run.noticed(*said) if said else run for run, said in zip(runs, finished(), strict=True)]
+        return [run.noticed(*notes) if notes else run for run, notes in zip(runs, finished(), strict=True)]

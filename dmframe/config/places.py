@@ -64,7 +64,7 @@ def _location(fault: DmframeError, document: Document, keys: Sequence[str]) -> s
     place = document.locate(path, key=key)
     if document.is_override(path, key) or (isinstance(fault, MissingError) and len(path) == 1):
         return place
-    changed = document.said_below(path)
+    changed = document.origins_below(path)
     return f"{place} with {', '.join(changed)}" if changed else place
 
 

@@ -159,9 +159,9 @@ class _Work:
         own, count = name, 1
         while own in self.blocks:
             own, count = f"{name}_{count + 1}", count + 1
-        said = node_of({"type": name, **fitting}, (), node.said).value
-        assert isinstance(said, dict)  # node_of keeps the type
-        self.blocks[own] = (replace(at, value=own), replace(node, value={**said, **given}))
+        entry = node_of({"type": name, **fitting}, (), node.origin).value
+        assert isinstance(entry, dict)  # node_of keeps the type
+        self.blocks[own] = (replace(at, value=own), replace(node, value={**entry, **given}))
         self.kinds[own] = kind
 
     def replacing(self) -> list[str]:

@@ -168,7 +168,12 @@ def _without(own: list[Signal], loop: Any, plant: Any) -> tuple[list[Signal], An
 
 
 def _notices(
-    driven: Driven, robot: str, shadow: bool, answer: np.ndarray, missed: np.ndarray, extra: dict[str, ExtraSignal]
+    driven: Driven,
+    robot: str,
+    shadow: bool,
+    answer: np.ndarray,
+    missed: np.ndarray,
+    extra: dict[str, ExtraSignal],
 ) -> tuple[str, ...]:
     found = [f"robot: {robot}, shadow drive: no command was sent" if shadow else f"robot: {robot}"]
     taken = answer[np.isfinite(answer)]

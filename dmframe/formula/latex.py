@@ -296,7 +296,7 @@ class LatexReader:
             return value
         if symbol == Symbol("I"):
             return Eye(1.0)
-        raise UnreadableLatexError(f"the name {said(symbol)} is unknown")
+        raise UnreadableLatexError(f"the name {spelled(symbol)} is unknown")
 
     def symbol(self) -> Symbol | None:
         """A name with its accents, index and start."""
@@ -382,7 +382,7 @@ def _index(words: list[str]) -> list[str]:
     return [item.removeprefix("\\") for item in text.split(",")]
 
 
-def said(symbol: Symbol) -> str:
+def spelled(symbol: Symbol) -> str:
     """A name for a message."""
     text = "_".join([symbol.letter, *symbol.index]).replace("_^", "^")
     for accent in symbol.accents:

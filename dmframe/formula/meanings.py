@@ -148,7 +148,7 @@ def energies(stated: Certificate) -> list[Any]:
     def total(terms: Sequence[Any]) -> Any:
         return sum((ca.SX(term.value) for term in terms), ca.SX(0))
 
-    claimed = total(stated.excess) - total(stated.dissipation) + ca.SX(stated.supply)
+    claimed = total(stated.residual) - total(stated.dissipation) + ca.SX(stated.supply)
     if stated.consumes is not None:
         claimed += stated.consumes.value
     return [total(stated.storage) / 2, claimed]

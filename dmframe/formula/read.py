@@ -144,7 +144,7 @@ class _Reader:
             return robot_call(called, arguments, x.shape)
         if called.function in _SIGNS:
             return _SIGNS[called.function](arguments, x.shape)
-        return Applied(called.sign, tuple(arguments), x.shape, said=called.said)
+        return Applied(called.sign, tuple(arguments), x.shape, description=called.description)
 
     def add(self, x: Any, shape: Shape) -> Node:
         """A + b, and the two halves of if_else."""

@@ -288,11 +288,11 @@ def _as_kind(stated: Certificate, convert: Callable[[Expression], Expression]) -
         stated,
         storage=terms("storage"),
         dissipation=terms("dissipation"),
-        excess=terms("excess"),
+        residual=terms("residual"),
         supply=convert(stated.supply),
         consumes=stated.consumes and Consumed(convert(stated.consumes.vector), convert(stated.consumes.c)),
         dominates=tuple(map(convert, stated.dominates)),
-        driven=terms("driven"),
+        linear=terms("linear"),
         barriers=terms("barriers"),
         truth={name: convert(value) for name, value in stated.truth.items()},
         estimates={

@@ -28,8 +28,8 @@ def doubts(graph: BaseGraph, recording: Recording) -> tuple[str, ...]:
     radius = sampled_radius(recording.diagram, graph.clock, graph.start)
     if radius is None or radius <= 1 + TOLERANCE:
         return left
-    said = (
+    remark = (
         f"with its estimates at their true values this loop is unstable near its set-point on a clock of "
         f"{plain(graph.clock, 's')}, spectral radius {radius:.4g}: a longer run may diverge; `analyse` gives details"
     )
-    return (*left, said)
+    return (*left, remark)

@@ -11,7 +11,7 @@ import numpy as np
 from dmframe.block.prose import about
 from dmframe.block.symmetric import lower_triangle
 from dmframe.certify import Verdict
-from dmframe.certify.elsewhere import claims_alike
+from dmframe.certify.parameter_margins import claims_alike
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Parameter
 from dmframe.diagram.knowledge import known_truths

@@ -286,7 +286,7 @@ class Race:
                 raise ValueFault(
                     f"wires.{end}: {node.value}: expected a block {absent[0]} in plants.{plant}, found none; name the "
                     "blocks as the law's graph does",
-                    location=node.said,
+                    location=node.origin,
                 )
             if not absent:
                 found[end] = at, node

@@ -247,8 +247,8 @@ def _law(diagram: Diagram, name: str, printed: PrintedLaw) -> BlockLaw:
 
 def _condition(checked: Checked) -> Condition:
     margin = f"{checked.value:.4g}" if checked.value is not None else "" if checked.holds else "not found"
-    said = "" if checked.expression in checked.name else Text(": ", checked.expression)
-    text, source = Text(checked.name, said), text_of(checked.source)
+    detail = "" if checked.expression in checked.name else Text(": ", checked.expression)
+    text, source = Text(checked.name, detail), text_of(checked.source)
     return Condition(text.marked, margin, checked.holds, checked.how, source.marked)
 
 

@@ -142,8 +142,8 @@ def command(found: Sequence[Verification], path: Path) -> list[str]:
         for item in (found[:1] if same else found)
         for text in item.graph.overrides
     ]
-    said = [word for text in changes for word in ("--set", text)]
-    return ["dmframe", "verify", *map(place, found), *said, "--seed", str(found[0].seed), "--report", path.name]
+    options = [word for text in changes for word in ("--set", text)]
+    return ["dmframe", "verify", *map(place, found), *options, "--seed", str(found[0].seed), "--report", path.name]
 
 
 def _again(graph: BaseGraph, verdict: bytes, seed: int, label: str) -> Verification:

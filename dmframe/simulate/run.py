@@ -306,7 +306,7 @@ def check_clock(diagram: Diagram, clock: float | None, jitter: float) -> None:
     """Reject continuous time for discrete-time blocks."""
     if clock is not None:
         return
-    why = diagram.loop.clocked or ("samples have a jitter" if jitter else "")
+    why = diagram.loop.discrete_time or ("samples have a jitter" if jitter else "")
     if why:
         text = f"clock: expected a sampling period such as 8 ms, found continuous; {why}"
         raise ValueFault(text, path=("clock",))
@@ -347,7 +347,7 @@ def moving_outputs(diagram: Diagram) -> list[Signal]:
     """Outputs to record: columns that vary or cause warnings, without states and rank-monitored matrices."""
     loop = diagram.loop
     others = {state.label for state in loop.variables} | {matrix.label for matrix in watched(diagram)}
-    leaves = (leaf.symbol for leaf in (*loop.trajectories, *loop.ahead, *loop.crossings))
+    leaves = (leaf.symbol for leaf in (*loop.trajectories, *loop.ahead, *loop.sampled_signals))
     moving = stack([loop.time, loop.drawn, loop.state, *leaves])
     warned = {signal.label for signal in warning_signals(diagram)}
     return [

@@ -26,8 +26,8 @@ def between(diagram: Diagram) -> str:
     for way in diagram.ways:
         through = tuple(wire.block for wire in way.through)
         passing.setdefault(through, []).append(f"{way.origin.block}.{way.origin.port}")
-    said = [f"{listed(signals)} through {listed(list(through))}" for through, signals in passing.items()]
-    return f"not ideal: {'; '.join(said)}" if said else ""
+    channels = [f"{listed(signals)} through {listed(list(through))}" for through, signals in passing.items()]
+    return f"not ideal: {'; '.join(channels)}" if channels else ""
 
 
 def unread(diagram: Diagram) -> list[str]:

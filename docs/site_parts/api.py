@@ -45,7 +45,7 @@ CHAPTERS: Final[Mapping[str, Chapter]] = {
             "dmframe.drawing.Drawing",
             "dmframe.page.Page",
             "dmframe.runtime.Controller",
-            "dmframe.config.named.Named",
+            "dmframe.config.registry.Registry",
         ),
     ),
     "errors": Chapter(

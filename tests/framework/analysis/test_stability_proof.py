@@ -273,7 +273,7 @@ def test_a_long_memory_is_left_out_and_a_count_and_a_drift_are_reported(monkeypa
     linear = linearise(diagram, clock=T)
     assert len(linear.states) == 65
     # resting: the sum, and the count, which stands long after the start; the bias drives the sum
-    assert (linear.at_rest, linear.drifting) == (2, 1)
+    assert (linear.at_rest, linear.ramp_modes) == (2, 1)
     whole = np.abs(np.linalg.eigvals(linear.sampled(T)))
     expected = np.max(whole[np.abs(whole - 1) > 1e-6])
     assert linear.spectral_radius(T) == pytest.approx(expected, abs=1e-9)

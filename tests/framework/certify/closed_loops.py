@@ -379,7 +379,7 @@ def true_in_numbers(diagram: Diagram, claim: Claim, tolerance: float = 1e-8) -> 
 
     V = of_time(claim.V)
     slopes = [ca.gradient(V, loop.state), ca.gradient(V, loop.time)]
-    left = [claim.weight(part) * part.excess for part in claim.parts]
+    left = [claim.weight(part) * part.residual for part in claim.parts]
     rest = ca.vertcat(
         *(of_time(term) for term in spent), -of_time(claim.consumption), -of_time(ca.sum1(ca.vertcat(*left)))
     )

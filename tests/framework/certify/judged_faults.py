@@ -82,9 +82,9 @@ def unlabelled(stated: Mapping[str, Certificate], laws: Any) -> dict[str, Certif
 
     def counted(certificate: Certificate) -> Certificate:
         driven = tuple(
-            replace(item, of=tuple(Text(str(k)) for k in range(len(item.bounded)))) for item in certificate.driven
+            replace(item, of=tuple(Text(str(k)) for k in range(len(item.bounded)))) for item in certificate.linear
         )
-        return replace(certificate, driven=driven)
+        return replace(certificate, linear=driven)
 
     return {name: counted(certificate) for name, certificate in stated.items()}
 
@@ -174,7 +174,7 @@ def _stated(loop: Built, name: str, block: AbstractBlock) -> tuple[Any, Any, Any
     u, x, p, truth = _signals(loop, name)
     certificate = block.composed_certificate(u, x, p, truth)
     fields = {} if certificate is None else dict(vars(certificate))
-    driven = fields.pop("driven", ())
+    driven = fields.pop("linear", ())
     equations, conditions = block.composed_equations(u, x, p), list(block.composed_conditions(p, truth))
     return stated_equations(equations), (fields, conditions, block.composed_start(u, p, truth)), driven
 

@@ -125,7 +125,7 @@ def test_a_false_statement_of_how_sigma_is_composed_is_refuted_and_blamed() -> N
     def certificate(self: Any, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         honest = block.certificate(self, u, x, p, truth)
         assert honest is not None
-        return replace(honest, dominates=(ca.SX(1), 2 * p.K_c), driven=())
+        return replace(honest, dominates=(ca.SX(1), 2 * p.K_c), linear=())
 
     false = type(block)(block.__name__, (block,), {"__module__": block.__module__, "certificate": certificate})
     verdict = verify(diagram_with("PID", {"pid_inverse": false}))

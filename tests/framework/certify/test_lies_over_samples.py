@@ -61,7 +61,7 @@ class Remembers(AbstractBlock):
         return Certificate(
             delay_lines=(DelayLine("f", u.y),),
             dissipation=(Square(u.y, self.lost),) if self.lost else (),
-            excess=(Square(u.y, self.gained),) if self.gained else (),
+            residual=(Square(u.y, self.gained),) if self.gained else (),
         )
 
 

@@ -111,7 +111,7 @@ def test_what_prints_as_a_word_takes_the_parameters_that_it_says():
 
 def test_a_start_that_is_the_truth_and_an_error_leaves_the_error():
     law = law_of_type(KINDS["adaptive_kinematics"], leak=0.1)
-    assert [term.whole.text for term in law.excess] == ["|start_error|^2_(task_weight leak/(2 Gamma_k))"]
+    assert [term.whole.text for term in law.residual] == ["|start_error|^2_(task_weight leak/(2 Gamma_k))"]
 
 
 def test_one_function_has_one_sign():

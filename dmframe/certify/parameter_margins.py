@@ -36,7 +36,7 @@ Intervals = Mapping[str, Sequence[Interval]]
 
 @final
 @dataclass(frozen=True)
-class Elsewhere:
+class ParameterMargin:
     """One thing that numbers decide, at any numbers and any starts.
 
     Judge it like this. With a `margin`: evaluate that; it holds where the least element is above zero, or, where
@@ -64,9 +64,9 @@ class Elsewhere:
     opens: bool = False
 
 
-def elsewhere(
+def parameter_margins(
     conditions: Sequence[Checked], claim: Claim | None, uncertain: Intervals, starts: Container[str] = ()
-) -> list[Elsewhere]:
+) -> list[ParameterMargin]:
     """The conditions of a verdict, in their order, and then what is tacit.
 
     Parameters
@@ -80,7 +80,7 @@ def elsewhere(
     if claim is None:
         return []
     inside = _inside(claim, uncertain)
-    found = [Elsewhere(item, *_margin(claim, item, inside, starts), opens=item.sufficient) for item in conditions]
+    found = [ParameterMargin(item, *_margin(claim, item, inside, starts), opens=item.sufficient) for item in conditions]
     return [*found, *_tacit(claim, uncertain, inside, starts)]
 
 
@@ -146,17 +146,17 @@ def _margin(
 
 def _tacit(
     claim: Claim, uncertain: Intervals, inside: Mapping[int, tuple[float, float]], starts: Container[str]
-) -> Iterator[Elsewhere]:
+) -> Iterator[ParameterMargin]:
     for item in tacit(claim, Numbers(claim, uncertain)):
         margin, reads = _margin(claim, item, inside, starts)
         checked = replace(item, margin=margin, reads=reads, begun=None, sufficient=False)
-        yield Elsewhere(checked, margin, reads, tacit=True, opens=item.sufficient)
+        yield ParameterMargin(checked, margin, reads, tacit=True, opens=item.sufficient)
     for parameter in claim.loop.parameters:
         if parameter.label in uncertain:
             text = Text(Label(parameter.label), " lies in the interval that the graph gives")
             margin = _room(stack([parameter.symbol]), inside)
             checked = Checked(text, "", None, True, "", strict=False, margin=margin)
-            yield Elsewhere(checked, margin, tacit=True)
+            yield ParameterMargin(checked, margin, tacit=True)
 
 
 def _room(symbols: SX, inside: Mapping[int, tuple[float, float]]) -> SX:
