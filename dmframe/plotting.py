@@ -93,11 +93,11 @@ def _undocumented() -> Iterator[None]:
     from matplotlib.artist import Artist
 
     written = vars(Artist)["_update_set_signature_and_docstring"]
-    Artist._update_set_signature_and_docstring = classmethod(lambda cls: None)  # type: ignore[attr-defined]
+    Artist._update_set_signature_and_docstring = classmethod(lambda cls: None)
     try:
         yield
     finally:
-        Artist._update_set_signature_and_docstring = written  # type: ignore[attr-defined]
+        Artist._update_set_signature_and_docstring = written
 
 
 def new_figure(width: float, height: float) -> Any:

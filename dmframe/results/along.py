@@ -16,8 +16,6 @@ import casadi as ca
 import numpy as np
 
 from dmframe.certificate import SX, Square, Stored
-from dmframe.certify.assumed import assumed_positive
-from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim, Part, total
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import ValueFault
@@ -141,7 +139,7 @@ class Along:
         return int(np.count_nonzero(self.steps > 0))
 
 
-def along(claim: Claim, run: Recording, kappa: float = 1.0) -> Along:
+def along(claim: Claim, run: Recording, kappa: float = 1.0, *, assumed: bool = True) -> Along:
     r"""Evaluate :math:`V = \kappa (S_1 + S_2 + \dots) + S_{cascade}` along a run.
 
     Over samples, an unknown constant in V, such as where a servo's integrator started, has the value that the run
@@ -154,6 +152,8 @@ def along(claim: Claim, run: Recording, kappa: float = 1.0) -> Along:
         Of the diagram that was run, or of one of the same blocks and parameters' sizes.
     kappa
         Above the least value of the small-gain condition (`Verdict.kappa`); without a cascade it has no effect.
+    assumed
+        Whether the claim may assume that weights are positive; if not, none is looked for.
 
     Raises
     ------
@@ -164,10 +164,10 @@ def along(claim: Claim, run: Recording, kappa: float = 1.0) -> Along:
         recomputed.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        return (_over_samples if claim.over_samples else _over_time)(claim, run, kappa)
+        return _over_samples(claim, run, kappa) if claim.over_samples else _over_time(claim, run, kappa, assumed)
 
 
-def _over_time(claim: Claim, run: Recording, kappa: float) -> Along:
+def _over_time(claim: Claim, run: Recording, kappa: float, assumed: bool) -> Along:
     _check_same(claim, run)
     own = AtInstants(claim, run)
     stored = [(part.block, term.of, claim.weight(part) * term.value / 2) for part, term in _terms(claim)]
@@ -183,7 +183,7 @@ def _over_time(claim: Claim, run: Recording, kappa: float) -> Along:
         rate=rate,
         rounding=_rounding(own, V),
         jumps=_jumps(own, V),
-        notes=tuple(_notes(own)),
+        notes=tuple(_notes(own)) if assumed else (),
     )
 
 
@@ -232,6 +232,9 @@ def _stored(part: Part) -> Iterator[tuple[Text, SX]]:
 
 def _notes(own: AtInstants) -> Iterator[str]:
     """Where along the run a weight is not above zero that the claim assumes to be."""
+    from dmframe.certify.assumed import assumed_positive  # most claims assume none
+    from dmframe.certify.checked import Numbers
+
     for item in assumed_positive(own.claim, Numbers(own.claim, {})):
         least = np.min(own.of(own.claim.loop.projected([item.column])[0]), axis=0)
         wrong = np.flatnonzero(~(least > 0))

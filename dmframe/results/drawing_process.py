@@ -12,6 +12,7 @@ from dmframe.config import BaseGraph
 from dmframe.copies import Later, shared
 from dmframe.errors import DmframeError
 from dmframe.plotting import files_of, loaded
+from dmframe.remembered.recorder import end
 from dmframe.results.figures import makers
 from dmframe.results.place import FIGURES
 from dmframe.results.run import Run
@@ -76,19 +77,26 @@ class Drawing:
 
     def _early(self, number: int) -> dict[str, bytes]:
         """The files of one of the figures without V."""
-        loaded(documented=os.getpid() == self._process)
+        self._load()
         wanted = [item for item in makers(self._runs()).items() if item[1].func is not storage_figure]
         return self._files(*wanted[number]) if number < len(wanted) else {}
 
     def _stored(self, number: int) -> dict[str, bytes]:
         """The files of the figure of V of a run."""
-        loaded(documented=os.getpid() == self._process)
+        self._load()
         runs, pictures = self._runs(), self._pictures.take()
         wanted = [name for name, make in makers(runs).items() if make.func is storage_figure]
         name = list(runs)[number] if number < len(runs) else ""
         if name not in pictures:
             return {}
         return self._files(wanted[number], partial(storage_picture, pictures[name], runs[name].recording))
+
+    def _load(self) -> None:
+        """Import matplotlib; what a process reads to draw is no input of what a run concludes."""
+        here = os.getpid() == self._process
+        if not here:
+            end()
+        loaded(documented=here)
 
     def _files(self, name: str, make: Callable[[], Any]) -> dict[str, bytes]:
         figure = make()

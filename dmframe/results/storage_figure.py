@@ -63,8 +63,7 @@ class StoragePicture:
     def of(cls, name: str, run: Run) -> StoragePicture:
         """That of a run by the name of its curve; raises `DmframeError` without a certificate."""
         storage = run.storage
-        names = [f"{term.of.unicode} ({verbatim(term.block)})" for term in storage.along.terms]
-        return cls(storage.along, names, run_label(name, run.recording), storage.notice, storage.unit.unit)
+        return cls(storage.along, storage.names, run_label(name, run.recording), storage.notice, storage.unit.unit)
 
 
 def storage_picture(shown: StoragePicture, run: Recording) -> Any:
