@@ -16,22 +16,22 @@ from pathlib import Path
 from typing import Any, Final
 
 from dmframe.block import AbstractBlock, AdaptingBlock
+from dmframe.block.condition import Assumption, Inequality
+from dmframe.block.parameter import PAIRS, Spec, specs
+from dmframe.block.port import Access, Input, Output, Side, Signal
 from dmframe.block.prose import about
 from dmframe.catalogue import block_modules, block_types, graphs
 from dmframe.certify.certificates import certificates_of
 from dmframe.certify.form import NotApplicableError
 from dmframe.certify.wording import relation
-from dmframe.condition import Assumption, Inequality
+from dmframe.common.names import latex_name
+from dmframe.common.text import text_of
 from dmframe.diagram.view import view
 from dmframe.formula import Formula, Line, PrintedLaw, printed
 from dmframe.formula.alone import in_yaml, options_of, plainest
 from dmframe.formula.tree import Sum
 from dmframe.formula.where import sizes_show, where
-from dmframe.names import latex_name
-from dmframe.parameter import PAIRS, Spec, specs
-from dmframe.port import Access, Input, Output, Side, Signal
 from dmframe.report.references import reference
-from dmframe.text import text_of
 
 sys.path.insert(0, str(Path(__file__).parent))
 from block_examples import Example, diagram_of, example, loaded, trials

@@ -27,10 +27,10 @@ from dmframe.analysis.set_point import (
     undrawn,
 )
 from dmframe.analysis.switches import turning
+from dmframe.common.errors import EngineError, ShapeError, listed
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.pieces import rows_of
-from dmframe.errors import EngineError, ShapeError, listed
 from dmframe.simulate import Solver
 from dmframe.simulate.instants import DRAWN
 from dmframe.simulate.step import build_step

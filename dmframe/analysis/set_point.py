@@ -9,12 +9,12 @@ from typing import Any, Final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
 from dmframe.certify.true_values import true_values
+from dmframe.common.errors import EngineError, ValueFault
 from dmframe.diagram import ClosedLoop, Diagram, Variable
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import EngineError, ValueFault
 from dmframe.program import EDGES, JUMPS, KINKS, codes
 from dmframe.simulate import start_state
 

@@ -27,8 +27,8 @@ from dmframe.analysis.linear import Linear, tick_jacobian
 from dmframe.analysis.moves import SplitMoves
 from dmframe.analysis.period import LONGEST, SHORTEST, Bracket
 from dmframe.analysis.set_point import LARGE, MOST, at_rest
+from dmframe.common.errors import DisagreementError, DmframeError, EngineError
 from dmframe.diagram import Diagram
-from dmframe.errors import DisagreementError, DmframeError, EngineError
 from dmframe.exact.ball_matrix import exactly, identity, middles, positive_definite, scaled
 from dmframe.exact.balls import ball, precise
 from dmframe.exact.rounded import Rounded, falls, gram, similar

@@ -9,10 +9,7 @@ from typing import Any, final
 import casadi as ca
 
 from dmframe.block.base import Signals
-from dmframe.block.faults import fault_context
-from dmframe.block.model import BlockModel, symbol
-from dmframe.block.sizes import Sizes
-from dmframe.certificate import (
+from dmframe.block.certificate import (
     SX,
     Certificate,
     CommonLyapunov,
@@ -21,8 +18,11 @@ from dmframe.certificate import (
     LogDet,
     StableLinear,
 )
+from dmframe.block.faults import fault_context
+from dmframe.block.model import BlockModel, symbol
+from dmframe.block.sizes import Sizes
+from dmframe.common.errors import DmframeError
 from dmframe.dimensions.declared import Declared
-from dmframe.errors import DmframeError
 
 STORED = ("the storage S", "the weight of a storage term")
 """Items that have the unit of a block's storage."""

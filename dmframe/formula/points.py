@@ -11,7 +11,7 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact import zero_test
 from dmframe.program import OPERATIONS, codes, read, run
 

@@ -17,7 +17,7 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from dmframe.errors import RobotError
+from dmframe.common.errors import RobotError
 from dmframe.robot.chain import Joint, SerialChain, pin_configuration
 from dmframe.robot.convert import FORMATS, read_any, way_to, written
 from dmframe.robot.flange import MOVING, flange_of, repaired

@@ -9,7 +9,7 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX
+from dmframe.block.certificate import SX
 from dmframe.certify import Verdict
 from dmframe.certify.checked import Checked
 from dmframe.certify.claim import Claim

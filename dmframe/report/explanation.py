@@ -10,26 +10,26 @@ from functools import cached_property
 from html import escape
 from typing import Any, Final, NamedTuple, final
 
-from dmframe import notebook
+from dmframe.block.parameter import specs
+from dmframe.block.port import Access, Side
 from dmframe.certify import Verdict
-from dmframe.columns import page_width
+from dmframe.common import notebook
+from dmframe.common.columns import page_width
+from dmframe.common.errors import listed
+from dmframe.common.names import unicode_name
+from dmframe.common.text import text_of
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
 from dmframe.config.about import AboutGraph
 from dmframe.diagram.knowledge import WORDS
-from dmframe.errors import listed
 from dmframe.exact.rational import as_float
 from dmframe.formula.unmarked import unmarked
 from dmframe.formula.wrap import wrapped
-from dmframe.names import unicode_name
-from dmframe.parameter import specs
-from dmframe.port import Access, Side
 from dmframe.report.command import command
 from dmframe.report.explained import BlockFacts, exchange, facts_of
 from dmframe.report.sentences import Said, described, signal, supplies
 from dmframe.report.verdict_text import HARD
 from dmframe.report.words import everywhere, meaning_of
-from dmframe.text import text_of
-from dmframe.units import plain
 
 _INDENT: Final = 2
 _UNIT: Final = re.compile(r" \[[^\]]*\]")

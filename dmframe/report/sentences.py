@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Final, NamedTuple, final
 
-from dmframe.errors import listed
+from dmframe.block.port import Side
+from dmframe.common.errors import listed
+from dmframe.common.names import unicode_name
 from dmframe.formula import Line, PrintedLaw
-from dmframe.names import unicode_name
-from dmframe.port import Side
 from dmframe.report.explained import BlockFacts, Estimated
 from dmframe.report.flow import Taken
 from dmframe.report.terms import names_in, shown

@@ -15,18 +15,18 @@ from typing import final
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX, Square, Stored
+from dmframe.block.certificate import SX, Square, Stored
 from dmframe.certify.claim import Claim, Part, total
+from dmframe.common.errors import ValueFault
+from dmframe.common.slices import slices
+from dmframe.common.text import UNNAMED, Text
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import ValueFault
 from dmframe.formula import Formula, tree
 from dmframe.formula.tree import SCALAR, Name
 from dmframe.results.at_instants import AtInstants
 from dmframe.results.climb import Climb, climb_of
 from dmframe.results.constants import determined, notes_on, residual_of
 from dmframe.simulate import Recording
-from dmframe.slices import slices
-from dmframe.text import UNNAMED, Text
 
 LOOKED_AT = 128
 """Instants at which the rounding error of V is bounded; between two of them the larger bound is taken."""

@@ -15,8 +15,8 @@ from dmframe.certify.residual import bounds_of
 from dmframe.certify.small_gain import small_gain
 from dmframe.certify.smoothness import smoothness
 from dmframe.certify.symbols import symbols_of
+from dmframe.common.errors import DmframeError
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError
 from dmframe.exact.rational import Interval, as_float
 from dmframe.results.along import Along, along
 from dmframe.simulate import Recording

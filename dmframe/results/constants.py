@@ -18,13 +18,13 @@ from typing import Final, final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
 from dmframe.certify.claim import Claim, NotApplicableError, total
+from dmframe.common.errors import listed, summarised
+from dmframe.common.slices import slices
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import listed, summarised
 from dmframe.results.at_instants import AtInstants
-from dmframe.slices import slices
 
 SINGULAR: Final = 1e-9
 """Eigenvalues of the scaled sum of r'' up to this say nothing of their direction."""

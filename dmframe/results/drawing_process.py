@@ -8,10 +8,10 @@ from contextlib import ExitStack, contextmanager
 from functools import partial
 from typing import Any, final
 
+from dmframe.common.copies import Later, shared
+from dmframe.common.errors import DmframeError
+from dmframe.common.plotting import files_of, loaded
 from dmframe.config import BaseGraph
-from dmframe.copies import Later, shared
-from dmframe.errors import DmframeError
-from dmframe.plotting import files_of, loaded
 from dmframe.remembered.recorder import end
 from dmframe.results.figures import makers
 from dmframe.results.place import FIGURES

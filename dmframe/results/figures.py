@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, final
 
 from dmframe import notebook
-from dmframe.errors import OutputError
-from dmframe.files import expanded, write_bytes, writing
-from dmframe.plotting import FORMATS, checked_formats, files_of
+from dmframe.common.errors import OutputError
+from dmframe.common.files import expanded, write_bytes, writing
+from dmframe.common.plotting import FORMATS, checked_formats, files_of
 from dmframe.results.command_figure import command_figure
 from dmframe.results.drawn_runs import Runs
 from dmframe.results.effort_figure import effort_figure

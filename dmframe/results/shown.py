@@ -21,14 +21,14 @@ import numpy as np
 
 from dmframe.block import AdaptingBlock
 from dmframe.block.model import symbols_in
+from dmframe.block.naming import reading
 from dmframe.block.numberless import without_numbers
+from dmframe.common.units import plain
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal
 from dmframe.diagram.view import view
-from dmframe.naming import reading
 from dmframe.results.metrics import EIGHTHS
 from dmframe.simulate import Recording
-from dmframe.units import plain
 
 MOST: Final = 400
 """Maximum number of instants at which W is evaluated."""

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from dmframe.common.errors import UnknownNameError, raise_all
+from dmframe.common.plotting import PAGE, POINTS, draw_curve, frame, look, page, tame, unit_text
 from dmframe.diagram.closed_loop import Signal, Variable
-from dmframe.errors import UnknownNameError, raise_all
-from dmframe.plotting import PAGE, POINTS, draw_curve, frame, look, page, tame, unit_text
 from dmframe.results.dataset import elements
 from dmframe.results.drawn_runs import Runs, mark_divergence, run_label, set_times
 from dmframe.results.estimate_figure import element

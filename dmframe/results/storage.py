@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
+from dmframe.common.errors import DmframeError, listed
+from dmframe.common.plotting import verbatim
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
-from dmframe.errors import DmframeError, listed
-from dmframe.plotting import verbatim
 from dmframe.results.decided import Decided, StorageUnit
 from dmframe.simulate import Recording
 from dmframe.simulate.recording import ExtraSignal
 from dmframe.simulate.warnings import between
-from dmframe.units import plain
 
 if TYPE_CHECKING:
     from dmframe.certify.claim import Claim

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from dmframe.errors import DmframeError
-from dmframe.plotting import draw_curve, frame, look, page, span, tame, verbatim
+from dmframe.common.errors import DmframeError
+from dmframe.common.plotting import draw_curve, frame, look, page, span, tame, verbatim
 from dmframe.results.drawn_runs import note_below, run_label
 from dmframe.results.run import Run
 from dmframe.simulate import Recording

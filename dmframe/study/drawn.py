@@ -13,17 +13,17 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.model import SYMBOLIC, symbols_in
+from dmframe.block.parameter import PAIRS, specs
 from dmframe.certify import Verdict
 from dmframe.certify.begun import START
 from dmframe.certify.claim import Claim
 from dmframe.certify.over import NEEDED, failing_of
 from dmframe.certify.parameter_margins import Intervals, ParameterMargin, claims_alike, parameter_margins
+from dmframe.common.errors import DmframeError, ValueFault
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.values import with_values
-from dmframe.errors import DmframeError, ValueFault
 from dmframe.exact.rational import evaluate
-from dmframe.parameter import PAIRS, specs
 from dmframe.robot.rational import decimal
 from dmframe.study.box import Box, label_of
 

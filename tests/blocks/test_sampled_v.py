@@ -15,7 +15,7 @@ from test_sampled_by_hand import K_D, K_I, K_P, PATH, START, T, inertial, ur10
 
 import dmframe as dm
 from dmframe.certify import verify
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.report.measured import measure
 from dmframe.results.along import Along
 from dmframe.results.claimed import claimed_along

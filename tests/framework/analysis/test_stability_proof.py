@@ -24,13 +24,13 @@ from dmframe.analysis.memory import without_memory
 from dmframe.analysis.moves import split_moves
 from dmframe.analysis.set_point import frozen
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.parameter import Box, Interval, Real, Scalar
+from dmframe.block.port import PERIOD, Access, Input, Output, Side, State
+from dmframe.common.errors import EngineError
 from dmframe.diagram import Diagram
-from dmframe.errors import EngineError
 from dmframe.exact.ball_matrix import exactly, middles, radii
 from dmframe.exact.balls import UndecidedError, ball
 from dmframe.graph.graph import Graph
-from dmframe.parameter import Box, Interval, Real, Scalar
-from dmframe.port import PERIOD, Access, Input, Output, Side, State
 from dmframe.simulate import Solver
 
 States = ClassVar[tuple[State, ...]]

@@ -14,18 +14,18 @@ from pydantic import model_validator
 
 import dmframe as dm
 from dmframe.block import AbstractBlock, Equations
-from dmframe.certificate import Certificate, Clipped, Inequality, Square, StableLinear
+from dmframe.block.certificate import Certificate, Clipped, Inequality, Square, StableLinear
+from dmframe.block.parameter import Positive, Scalar
+from dmframe.block.port import TIME, Input, Output, Side, State
+from dmframe.block.terms import clip
 from dmframe.certify import Verdict, verify
 from dmframe.certify.parameter_margins import parameter_margins
+from dmframe.common.text import Text
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
 from dmframe.exact.ends import enclosing
 from dmframe.exact.rational import Interval, evaluate
 from dmframe.page.sliders import sliders_of
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import TIME, Input, Output, Side, State
-from dmframe.terms import clip
-from dmframe.text import Text
 
 FILE = "The proof does not apply at these values"
 
@@ -125,7 +125,7 @@ class Toy(AbstractBlock):
         e = x.x - u.r
         more = (Inequality("a < 3/2", 1.5 - p.a, "no source"),)
         driven = (StableLinear((x.y,), ((p.a - p.b,),), (x.y,), more),)
-        return Certificate((Square(e),), (Square(e),), driven=driven)
+        return Certificate((Square(e),), (Square(e),), linear=driven)
 
 
 def built(**values: float) -> Diagram:

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
+from dmframe.common.plotting import files_of
 from dmframe.graph.load import load
-from dmframe.plotting import files_of
 from dmframe.results import drawing_process
 from dmframe.results.drawing_process import drawing
 from dmframe.results.figures import figures_of
@@ -39,7 +39,7 @@ def test_processes_draw_the_same_bytes_as_this_one(
     two: list[Run], cores: int, large: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also runs that are too large to be copied, and where there is no process."""
-    monkeypatch.setattr("dmframe.copies._cores", lambda: cores)
+    monkeypatch.setattr("dmframe.common.copies._cores", lambda: cores)
     monkeypatch.setattr(drawing_process, "LARGE", 0 if large else drawing_process.LARGE)
     with drawing([run.graph for run in two], ["svg"]) as drawn:
         drawn.begin(named(two))
@@ -49,7 +49,7 @@ def test_processes_draw_the_same_bytes_as_this_one(
 
 
 def test_of_fewer_runs_than_graphs_only_those_are_drawn(two: list[Run], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dmframe.copies._cores", lambda: 2)
+    monkeypatch.setattr("dmframe.common.copies._cores", lambda: 2)
     with drawing([run.graph for run in two], ["svg"]) as drawn:
         drawn.begin(named(two[:1]))
         assert drawn.files(named(two[:1])) == alone(two[:1])
@@ -57,7 +57,7 @@ def test_of_fewer_runs_than_graphs_only_those_are_drawn(two: list[Run], monkeypa
 
 @LINUX
 def test_a_process_that_was_killed_loses_no_figure(two: list[Run], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dmframe.copies._cores", lambda: 2)
+    monkeypatch.setattr("dmframe.common.copies._cores", lambda: 2)
     here = os.getpid()
 
     def killed(*given: Any) -> dict[str, bytes]:
@@ -75,7 +75,7 @@ def test_a_process_that_was_killed_loses_no_figure(two: list[Run], monkeypatch: 
 def test_without_docstrings_matplotlib_draws_the_same() -> None:
     """In a new process each, since the tests' own has imported it."""
     code = (
-        "import sys; from dmframe.plotting import figure_svg, loaded, new_figure, settle; loaded(documented={}); "
+        "from dmframe.common.plotting import figure_svg, loaded, new_figure, settle; loaded(documented={}); "
         "from matplotlib.lines import Line2D; figure = new_figure(3, 2); axes = figure.subplots(); "
         "axes.plot([0, 1], [1, 3], label='x'); axes.legend(); settle(figure); "
         "print(bool(Line2D.set.__doc__)); print(figure_svg(figure))"

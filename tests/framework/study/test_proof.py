@@ -184,9 +184,9 @@ LEAKY = '''"""A tank with one number."""
 from typing import Any, ClassVar, final
 
 from dmframe.block import AbstractBlock, Equations
-from dmframe.certificate import Certificate, Square
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import Output, Side, State
+from dmframe.block.certificate import Certificate, Square
+from dmframe.block.parameter import Positive, Scalar
+from dmframe.block.port import Output, Side, State
 
 
 @final

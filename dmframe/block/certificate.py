@@ -18,12 +18,12 @@ from typing import Any, Final, final
 
 import casadi as ca
 
-from dmframe.barrier import Barrier, soft_between, soft_min
-from dmframe.condition import SX, Assumption, CommonLyapunov, Condition, Inequality
-from dmframe.fields import Expressions, pieces_of, refilled
-from dmframe.sampled import Acted, DelayLine, PlantIdentity
-from dmframe.steps import LeastSquaresSteps, NormalisedSteps, Steps
-from dmframe.terms import (
+from dmframe.block.barrier import Barrier, soft_between, soft_min
+from dmframe.block.condition import SX, Assumption, CommonLyapunov, Condition, Inequality
+from dmframe.block.fields import Expressions, pieces_of, refilled
+from dmframe.block.sampled import Acted, DelayLine, PlantIdentity
+from dmframe.block.steps import LeastSquaresSteps, NormalisedSteps, Steps
+from dmframe.block.terms import (
     MONOTONE,
     TINY,
     Bounded,
@@ -42,7 +42,7 @@ from dmframe.terms import (
     norm,
     soft_clip,
 )
-from dmframe.text import Text
+from dmframe.common.text import Text
 
 
 @final
@@ -286,7 +286,7 @@ def __getattr__(name: str) -> Any:
     if name not in _FORMER:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     now, value = _FORMER[name]
-    warnings.warn(f"dmframe.certificate.{name} is now {now}", DeprecationWarning, stacklevel=2)
+    warnings.warn(f"dmframe.block.certificate.{name} is now {now}", DeprecationWarning, stacklevel=2)
     return value
 
 

@@ -17,8 +17,8 @@ from typing import Any, Final, final
 
 import casadi as ca
 
-from dmframe.errors import DmframeError
-from dmframe.names import distinct, look_alikes, unicode_name
+from dmframe.common.errors import DmframeError
+from dmframe.common.names import distinct, look_alikes, unicode_name
 
 Expression = Any
 """A CasADi expression (SX, MX or DM) or a number; the library is untyped."""

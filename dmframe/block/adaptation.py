@@ -74,7 +74,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
-from dmframe.certificate import (
+from dmframe.block.certificate import (
     SX,
     Bounded,
     Clipped,
@@ -88,8 +88,8 @@ from dmframe.certificate import (
     gathered,
     norm,
 )
-from dmframe.linalg import metric, solve_spd, square, times
-from dmframe.naming import named
+from dmframe.block.linalg import metric, solve_spd, square, times
+from dmframe.block.naming import named
 
 
 @final

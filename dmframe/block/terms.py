@@ -12,11 +12,11 @@ from typing import Final, final
 
 import casadi as ca
 
-from dmframe.condition import SX
-from dmframe.fields import Expressions
-from dmframe.linalg import ldl, solve_spd
-from dmframe.naming import operation
-from dmframe.text import UNNAMED, Text
+from dmframe.block.condition import SX
+from dmframe.block.fields import Expressions
+from dmframe.block.linalg import ldl, solve_spd
+from dmframe.block.naming import operation
+from dmframe.common.text import UNNAMED, Text
 
 
 @final
