@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, final
 
-from dmframe import notebook
+from dmframe.common import notebook
 from dmframe.common.errors import OutputError
 from dmframe.common.files import expanded, write_bytes, writing
 from dmframe.common.plotting import FORMATS, checked_formats, files_of
