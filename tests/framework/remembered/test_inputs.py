@@ -270,7 +270,6 @@ def test_the_folder_is_that_of_compiled_code(monkeypatch: pytest.MonkeyPatch, tm
         ("verify --help", None),
         ("verify a --set", None),
         ("verify", None),
-        ("run a", None),
         ("", None),
     ],
 )
