@@ -10,16 +10,16 @@ from typing import Any, final
 @final
 @dataclass(frozen=True)
 class StorageUnit:
-    """Units in V, with angles as plain numbers, as SI has them.
+    """Units in V; angles are dimensionless, as in SI.
 
     Parameters
     ----------
     unit, rate
-        Of V and of dV/dt; empty where no block's unit was derived, or V adds terms of several units.
+        Units of V and of dV/dt; empty if no block's unit was derived or V adds terms of several units.
     parts
-        Of what each block stores, where it was derived, before kappa turns it into V's.
+        Unit of each block's storage function, if derived, before the multiplication by kappa.
     several
-        The units that V adds with one weight, where they are several: the weights 1 then have units of their own.
+        Units of terms that V adds with the same weight, if there are several: the unit weights then carry units.
     """
 
     unit: str
@@ -29,7 +29,7 @@ class StorageUnit:
 
     @property
     def about(self) -> str:
-        """What a figure or a table says of a V without one unit."""
+        """Note on a V without a common unit."""
         return f"its terms are in {' and '.join(self.several)}, each counted in SI's units" if self.several else ""
 
 

@@ -11,12 +11,12 @@ import numpy as np
 
 from dmframe.common.errors import DmframeError
 from dmframe.common.plotting import draw_curve, frame, look, page, span, tame, verbatim
-from dmframe.results.drawn_runs import note_below, run_label
+from dmframe.results.plotting import note_below, run_label
 from dmframe.results.run import Run
 from dmframe.simulate import Recording
 
 if TYPE_CHECKING:
-    from dmframe.results.along import Along
+    from dmframe.results.along import StorageTrace
 
 CURVES = 6
 """Number of terms of V shown."""
@@ -53,7 +53,7 @@ class StoragePicture:
         Of V; may be empty.
     """
 
-    found: Along
+    found: StorageTrace
     names: Sequence[str]
     title: str = ""
     note: str = ""
@@ -67,9 +67,9 @@ class StoragePicture:
 
 
 def storage_picture(shown: StoragePicture, run: Recording) -> Any:
-    """V above, its largest terms below on a logarithmic axis; the largest rise of V is shaded.
+    """Draw V above and its largest terms below on a logarithmic axis; the largest rise of V is shaded.
 
-    Below is also the residual of a claim over samples: what V may gain from each sample to the next.
+    For a discrete-time certificate, the lower panel also shows the residual: the allowed increase of V per sample.
     """
     found, names, unit = shown.found, shown.names, shown.unit
     diverged = run.divergence is not None

@@ -1,4 +1,4 @@
-"""The unit of V, derived from the units of what its blocks store."""
+"""Unit of V, derived from the units of the blocks' storage functions."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from dmframe.results.decided import StorageUnit
 
 
 def storage_unit(claim: Claim) -> StorageUnit:
-    """Derive V's unit.
+    """Derive the unit of V.
 
-    Without a cascade all blocks have the weight 1. With one, kappa has the unit that turns those of the servo level
-    into that of the cascade, which is V's.
+    Without a cascade all blocks have weight 1. With one, kappa converts the unit of the servo level to that of the
+    cascade, which is the unit of V.
     """
     diagram = claim.diagram
     stored = [part for part in claim.parts if part.certificate.storage or part.certificate.steps]
