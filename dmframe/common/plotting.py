@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from dmframe.common.errors import UnknownNameError
+from dmframe.common.measuring import measured_once
 from dmframe.common.version import version
 
 COLUMN, PAGE = 3.5, 7.16
@@ -141,7 +142,8 @@ def page(width: float, height: float) -> Iterator[Any]:
     with styled():
         figure = new_figure(width, height)
         yield figure
-        settle(figure)
+        with measured_once():
+            settle(figure)
 
 
 def figure_svg(figure: Any) -> str:
@@ -168,7 +170,7 @@ def checked_formats(where: str, formats: Sequence[str]) -> tuple[str, ...]:
 def files_of(figure: Any, name: str, about: str, formats: Sequence[str] = FORMATS[:1]) -> dict[str, bytes]:
     """The figure as ``name.svg`` and in other `FORMATS`; the same figure gives the same bytes."""
     canvas = figure.canvas
-    with styled():
+    with styled(), measured_once():
         files = {f"{name}.{ending}": _printed(figure, ending, name, about) for ending in formats}
     figure.set_canvas(canvas)
     return files

@@ -19,7 +19,7 @@ WIDEST: Final = 116
 """Columns of a verdict's text where there is no terminal, and at most."""
 _VALUES: Final = {"verify": ("--set", "--seed"), "run": ("--set", "--until", "--reality")}
 """Options with a value that a verdict, or what a run concludes from its graphs, depends on."""
-_FLAGS: Final = {"verify": ("--json", "--fresh"), "run": ("--json", "--no-plots", "--page", "--force")}
+_FLAGS: Final = {"verify": ("--json", "--fresh"), "run": ("--json", "--fresh", "--no-plots", "--page", "--force")}
 _APART: Final = {"verify": (), "run": ("--out", "--engine", "--figures")}
 """Flags and options with a value that it does not depend on."""
 

@@ -88,6 +88,7 @@ def test_what_a_run_concludes_is_recalled_until_an_input_changes(tmp_path: Path)
     assert first["storage"]["reason"] is None
     assert place.run() == (first, True)
     assert place.run("--engine", "interpreted") == (first, True)
+    assert place.run("--fresh") == (first, False)
     assert not place.run("--set", "duration=2 s")[1]
     changes = {
         "data": lambda: (tmp_path / "data.txt").write_text("-1"),  # its storage is negative: there is no V

@@ -282,7 +282,10 @@ def test_a_call_is_read_as_its_library_reads_it(words: str, call: tuple[tuple[st
     ("words", "kept"),
     [
         ("run ur10_fast", ("ur10_fast",)),
-        ("run ur10_fast --out there --no-plots --json --force --page --engine compiled --figures=png", ("ur10_fast",)),
+        (
+            "run ur10_fast --fresh --out there --no-plots --json --force --page --engine compiled --figures=png",
+            ("ur10_fast",),
+        ),
         (
             "run a b --until 2 --set clock=8ms --reality ur",
             ("a", "b", "--until", "2", "--set", "clock=8ms", "--reality", "ur"),

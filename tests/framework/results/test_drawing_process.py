@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from contextlib import nullcontext
 from typing import Any
 
 import pytest
@@ -86,3 +87,17 @@ def test_without_docstrings_matplotlib_draws_the_same() -> None:
     )
     assert first.startswith("True\n<?xml")
     assert second == "False" + first.removeprefix("True")
+
+
+def test_figures_whose_texts_are_measured_once_are_the_same(two: list[Run], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also as PNG, whose texts are measured by another renderer, and after a change of limits."""
+
+    def all_files() -> dict[str, bytes]:
+        files = alone(two)
+        figure = figures_of(named(two))["error"]
+        figure.axes[0].set_ylim(-3.0, 3.0)
+        return files | files_of(figure, "changed", "", ("svg", "png", "pdf"))
+
+    found = all_files()
+    monkeypatch.setattr("dmframe.common.plotting.measured_once", nullcontext)
+    assert found == all_files()
