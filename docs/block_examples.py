@@ -10,10 +10,10 @@ from typing import Any, Final
 
 import dmframe as dm
 from dmframe.block import AbstractBlock
+from dmframe.block.parameter import specs
+from dmframe.block.port import Side
 from dmframe.catalogue import graphs
-from dmframe.errors import DmframeError
-from dmframe.parameter import specs
-from dmframe.port import Side
+from dmframe.common.errors import DmframeError
 
 FACTORS: Final = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Of a parameter's value in the graph, tried one after another."""

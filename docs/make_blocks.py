@@ -16,22 +16,22 @@ from pathlib import Path
 from typing import Any, Final
 
 from dmframe.block import AbstractBlock, AdaptingBlock
+from dmframe.block.condition import Assumption, Inequality
+from dmframe.block.parameter import PAIRS, Spec, specs
+from dmframe.block.port import Access, Input, Output, Side, Signal
 from dmframe.block.prose import about
 from dmframe.catalogue import block_modules, block_types, graphs
 from dmframe.certify.certificates import certificates_of
 from dmframe.certify.form import NotApplicableError
 from dmframe.certify.wording import relation
-from dmframe.condition import Assumption, Inequality
+from dmframe.common.names import latex_name
+from dmframe.common.text import text_of
 from dmframe.diagram.view import view
 from dmframe.formula import Formula, Line, PrintedLaw, printed
 from dmframe.formula.alone import in_yaml, options_of, plainest
 from dmframe.formula.tree import Sum
 from dmframe.formula.where import sizes_show, where
-from dmframe.names import latex_name
-from dmframe.parameter import PAIRS, Spec, specs
-from dmframe.port import Access, Input, Output, Side, Signal
 from dmframe.report.references import reference
-from dmframe.text import text_of
 
 sys.path.insert(0, str(Path(__file__).parent))
 from block_examples import Example, diagram_of, example, loaded, trials
@@ -161,7 +161,7 @@ def _energy(law: PrintedLaw) -> Iterator[str]:
     """Table of storage, dissipation, residual, cross term and supply rate."""
     rows = [("storage, half of", term.whole.latex) for term in law.storage]
     rows += [("dissipation", term.whole.latex) for term in law.dissipation]
-    rows += [("residual", term.whole.latex) for term in law.excess]
+    rows += [("residual", term.whole.latex) for term in law.residual]
     rows += [("cross term", law.consumption.whole.latex)] if law.consumption is not None else []
     rows += [("supply rate", law.supply.latex)] if law.supply is not None and law.supply.text != "0" else []
     if rows:

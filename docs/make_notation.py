@@ -19,11 +19,11 @@ from typing import Any
 from ruamel.yaml import YAML
 
 from dmframe.block import AbstractBlock
+from dmframe.block.parameter import specs
 from dmframe.catalogue import block_types
+from dmframe.common.names import distinct, unicode_name
+from dmframe.common.units import compatible
 from dmframe.formula.robot import CONSTANTS, SIGNS
-from dmframe.names import distinct, unicode_name
-from dmframe.parameter import specs
-from dmframe.units import compatible
 
 ROOT = Path(__file__).parents[1]
 PAGE, WORDS = ROOT / "docs" / "notation.md", ROOT / "docs" / "notation.yaml"

@@ -20,16 +20,16 @@ import numpy as np
 from ruamel.yaml import YAML
 
 import dmframe as dm
+from dmframe.block.port import Side
 from dmframe.catalogue import find_graph
+from dmframe.common.errors import listed
+from dmframe.common.names import unicode_name
+from dmframe.common.units import plain
 from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import known_truths
-from dmframe.errors import listed
-from dmframe.names import unicode_name
-from dmframe.port import Side
 from dmframe.results.metrics import goal_of
 from dmframe.simulate.keep import apart_of
 from dmframe.simulate.warnings import warning_signals
-from dmframe.units import plain
 
 DOCS = Path(__file__).parent
 PAGE, WORDS = DOCS / "how_to" / "which.md", DOCS / "which.yaml"

@@ -15,7 +15,7 @@ from sphinx.ext.napoleon.docstring import NumpyDocstring
 from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.lessons import lessons, notebook
 from site_parts import live, mathematics
 

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import dmframe as dm
-from dmframe.port import Side
+from dmframe.block.port import Side
+from dmframe.common.units import plain
 from dmframe.study.proof import proofs_of
-from dmframe.units import plain
 
 FOLDER = Path(__file__).parent
 PAGE, TABLE = FOLDER / "every_controller.md", FOLDER / "every_controller.csv"

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import dmframe as dm
-from dmframe.errors import DmframeError
-from dmframe.port import Side
-from dmframe.units import plain
+from dmframe.block.port import Side
+from dmframe.common.errors import DmframeError
+from dmframe.common.units import plain
 
 FOLDER = Path(__file__).parent
 PAGE, TABLE = FOLDER / "robustness.md", FOLDER / "robustness.csv"

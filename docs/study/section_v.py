@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 
 FOLDER = Path(__file__).parent
 CSV, PAGE = FOLDER / "section_v.csv", FOLDER / "section_v.md"

@@ -19,8 +19,8 @@ from typing import Any, Final, final
 import numpy as np
 
 import dmframe as dm
-from dmframe.errors import DmframeError
-from dmframe.units import plain
+from dmframe.common.errors import DmframeError
+from dmframe.common.units import plain
 
 FOLDER = Path(__file__).parent
 PAGE, TABLE = FOLDER / "stress.md", FOLDER / "stress.csv"

@@ -7,9 +7,9 @@ from typing import final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.linalg import solve_spd
-from dmframe.parameter import Diagonal, NonNegative, Positive, Real, Scalar, Vector
-from dmframe.port import TIME, Access, Input, Output, Side, State
+from dmframe.block.linalg import solve_spd
+from dmframe.block.parameter import Diagonal, NonNegative, Positive, Real, Scalar, Vector
+from dmframe.block.port import TIME, Access, Input, Output, Side, State
 
 
 @final

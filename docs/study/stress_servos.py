@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import final
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX
-from dmframe.parameter import Diagonal, Positive, Scalar
-from dmframe.port import Access, Input, Output, Side, State
+from dmframe.block.certificate import SX
+from dmframe.block.parameter import Diagonal, Positive, Scalar
+from dmframe.block.port import Access, Input, Output, Side, State
 
 
 @final

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 import dmframe as dm
+from dmframe.block.parameter import specs
 from dmframe.catalogue import block_types, graphs
 from dmframe.formula.alone import plainest
-from dmframe.parameter import specs
 
 ROOT = Path(__file__).parents[2]
 

@@ -15,9 +15,9 @@ from typing import Any
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.naming import named
+from dmframe.block.port import Input, Output
 from dmframe.catalogue import block_types
-from dmframe.naming import named
-from dmframe.port import Input, Output
 
 ROOT = Path(__file__).parents[2]
 

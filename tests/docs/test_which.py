@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import dmframe as dm
-from dmframe.errors import DmframeError
-from dmframe.port import Side
+from dmframe.block.port import Side
+from dmframe.common.errors import DmframeError
 
 ROOT = Path(__file__).parents[2]
 Rows = dict[str, dict[str, str]]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import dmframe as dm
-from dmframe.runtime.driving import Driven, Plan, drive
+from dmframe.runtime.driving import Plan, StableLinear, drive
 from dmframe.runtime.gate import Gate, Limits
 from dmframe.runtime.robot import Robot, Sample
 from dmframe.runtime.simulated import SimulatedRobot
@@ -38,7 +38,7 @@ def driven(
     stop_requested: Any = lambda: "",
     held: Limits | None = None,
     **plan: Any,
-) -> Driven:
+) -> StableLinear:
     assert graph.clock is not None
     steered = Steered(graph.diagram, graph.controller(engine=engine))
     gate = Gate(held or limits(graph), graph.clock)

@@ -11,7 +11,7 @@ from typing import Any, Final, final
 import casadi as ca
 import pytest
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact.ring import evaluated
 from dmframe.exact.sizes import Size, Sizes, free
 from dmframe.exact.tangent import Tangents
