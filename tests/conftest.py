@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from flint import fmpz
+from hypothesis import settings
 from hypothesis.internal.conjecture import providers
 
 from dmframe.block import steady
@@ -23,6 +24,8 @@ gc.disable()  # until all tests are collected: what a collection makes stays
 # Hypothesis would read all our modules for numbers to try: seconds for each worker, and examples that depend on what
 # was imported before.
 providers._get_local_constants = lambda: providers._local_constants
+settings.register_profile("without deadlines", deadline=None)  # a busy machine is no fault
+settings.load_profile("without deadlines")
 
 
 @pytest.fixture(scope="session", autouse=True)
