@@ -22,7 +22,7 @@ from dmframe.dimensions.words import expression
 from dmframe.errors import UnitError
 from dmframe.parameter import specs
 from dmframe.port import ANY, Signal, State
-from dmframe.program import CONST, INPUT, TO_READ, Program, by_code, read
+from dmframe.program import CONST, INPUT, TO_READ, Program, by_code, read, shared
 from dmframe.units import base_units
 
 
@@ -108,7 +108,7 @@ class Check:
         given = self._declared.arguments
         known = [argument.symbols for argument in given]
         free = ca.Function("units", known, [column], {"allow_free": True}).free_sx()
-        program = read(ca.Function("units", [*known, ca.vertcat(ca.SX(0, 1), *free)], [column], TO_READ))
+        program = shared(read(ca.Function("units", [*known, ca.vertcat(ca.SX(0, 1), *free)], [column], TO_READ)))
         leaves = dict[int, Leaf]()
         for place, node in enumerate(program.nodes):
             if node.code == INPUT and node.a < len(given):

@@ -149,9 +149,7 @@ def shared(program: Program) -> Program:
         code, a, b, constant, line = node
         if code in _ARITY:
             a, b = place[a], place[b]
-            if a > b and code in _SYMMETRIC:
-                a, b = b, a
-            key: tuple[Any, ...] = (code, a, b)
+            key: tuple[Any, ...] = (code, b, a) if a > b and code in _SYMMETRIC else (code, a, b)
             node = new(Node, (code, a, b, constant, line))
         elif code == CONST:
             key = (code, constant)
