@@ -10,19 +10,19 @@ from typing import final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX, Assumption
+from dmframe.block.linalg import ldl
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Assumption
 from dmframe.certify.begun import START, Begun
 from dmframe.certify.claim import Claim
 from dmframe.certify.symbols import exact_values
+from dmframe.common.errors import ValueFault
+from dmframe.common.text import Text
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import ValueFault
 from dmframe.exact.ranges import ranges
 from dmframe.exact.rational import Interval, as_float, evaluate, known_values
-from dmframe.linalg import ldl
 from dmframe.program import TO_READ, read
 from dmframe.prove.definite import Number, lower, pivots
-from dmframe.text import Text
 
 
 @final
@@ -152,7 +152,9 @@ class Numbers:
         function = ca.Function("values", self._columns, [stack(joined)], {"allow_free": True, **TO_READ})
         values = iter(known_values(read(function), [self.values[p.label] for p in self._p]))
         found = [[next(values) for _ in range(item.numel())] for item in joined]
-        return [min(map(lower, each)) if each and None not in each else None for each in found]
+        decided = [[value for value in each if value is not None] for each in found]
+        pairs = zip(decided, found, strict=True)
+        return [min(map(lower, least)) if least and len(least) == len(each) else None for least, each in pairs]
 
     def least_pivot(self, matrix: SX) -> Fraction:
         """The least diagonal element of LDL', up to one that is not positive, of a symmetric matrix."""

@@ -11,16 +11,16 @@ from collections.abc import Iterator
 
 import casadi as ca
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim
-from dmframe.certify.risky import risky
+from dmframe.certify.partial_functions import domains_of
 from dmframe.certify.smoothness import jumps
 from dmframe.certify.statements import States
+from dmframe.common.errors import ValueFault
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.pieces import rows_of
-from dmframe.errors import ValueFault
 from dmframe.exact import Trial, ZeroDivision, random_prime
 from dmframe.exact.linear import Echelon
 from dmframe.exact.rational import Interval
@@ -67,7 +67,7 @@ def _in_v(claim: Claim, numbers: Numbers, seed: int) -> set[str]:
     trial = Trial(random_prime(rng), rng)
     rows = Echelon(trial.prime, states.numel())
     for part in claim.parts:
-        if part.certificate.excess or part.certificate.steps:
+        if part.certificate.residual or part.certificate.steps:
             continue  # V rises by what is gained, of which nothing is known
         for term in part.certificate.storage:
             if jumps(ca.SX(term.vector), numbers.known):
@@ -108,4 +108,4 @@ def _needed(state: SX, then: SX) -> set[int]:
 
 def _is_defined(then: SX) -> bool:
     """True where operations that are defined everywhere make a next value."""
-    return not any(symbols_in([part]) for _, part in risky([then]))
+    return not any(symbols_in([part]) for _, part in domains_of([then]))

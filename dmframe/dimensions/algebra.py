@@ -22,7 +22,7 @@ class Algebra:
     Attributes
     ----------
     ignored
-        Base units whose powers are not compared. It is set before the first comparison, since comparisons are remembered.
+        Base units whose powers are not compared. It is set before the first comparison, which is remembered.
     """
 
     def __init__(self) -> None:

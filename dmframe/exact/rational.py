@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Final, final
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact.arithmetic import with_intervals
 from dmframe.exact.literal import literal
 from dmframe.program import CONST, INPUT, Program, read, run
@@ -76,9 +76,7 @@ def evaluate(f: Any, inputs: Sequence[Sequence[Fraction | Interval]]) -> list[li
     return program.stored(values)
 
 
-def known_values(
-    program: Program, inputs: Sequence[Sequence[Fraction | Interval]]
-) -> list[Fraction | Interval | None]:
+def known_values(program: Program, inputs: Sequence[Sequence[Fraction | Interval]]) -> list[Fraction | Interval | None]:
     """The elements of all outputs; None for each that needs something where `evaluate` raises, or a free symbol."""
     values = list[Fraction | Interval | None]()
     for node in program.nodes:

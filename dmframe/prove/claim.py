@@ -176,7 +176,7 @@ class Claim:
 
     @cached_property
     def shared(self) -> Claim:
-        """The same claim with a program that computes each value once; error bounds are those of the program as it is."""
+        """The same claim, its program with each value once; error bounds are those of the program as it is."""
         return replace(self, program=shared(self.program))
 
     @cached_property

@@ -174,7 +174,7 @@ def _unpacked(n: int, triangle: Column) -> list[list[Any]]:
 
 
 def inverse_of(ring: Any, W: Sequence[Column]) -> list[list[Any]]:
-    """The inverse of a matrix whose leading minors do not vanish: the ring's own, or by elimination without pivoting."""
+    """The inverse of a matrix whose leading minors do not vanish: the ring's, or by elimination without pivoting."""
     if own := getattr(ring, "inverse_matrix", None):
         found: list[list[Any]] = own(W)
         return found
