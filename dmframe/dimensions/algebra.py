@@ -69,22 +69,22 @@ class Algebra:
         key = self._resolve(one), self._resolve(other)
         if key not in self._compared:
             a, b = self._known[key[0]], self._known[key[1]]
-            apart = product(a, b, -1)
-            if apart.unknowns:
-                self._solve(apart, exact=apart.angular and not a.number and not b.number)
+            ratio = product(a, b, -1)
+            if ratio.unknowns:
+                self._solve(ratio, exact=ratio.angular and not a.number and not b.number)
                 return one if _sharper(self.of(one), self.of(other)) else other
-            self._compared[key] = _sharper(a, b) if self._equal(a, b, apart) else None
+            self._compared[key] = _sharper(a, b) if self._equal(a, b, ratio) else None
         first = self._compared[key]
         return None if first is None else one if first else other
 
-    def _equal(self, a: Dimension, b: Dimension, apart: Dimension) -> bool:
-        """True for two dimensions, without unknowns apart, that a sum may have."""
-        *powers, angles = ((base not in self.ignored) * power for base, power in zip(BASES, apart.powers, strict=True))
+    def _equal(self, a: Dimension, b: Dimension, ratio: Dimension) -> bool:
+        """True for two dimensions, whose ratio has no unknowns, that a sum may have."""
+        *powers, angles = ((base not in self.ignored) * power for base, power in zip(BASES, ratio.powers, strict=True))
         if b.number:
             angles -= angles == 1  # a literal number may be in radians
         elif a.number:
             angles += angles == -1
-        return not any(powers) and not (apart.angular and angles)
+        return not any(powers) and not (ratio.angular and angles)
 
     def forget(self) -> None:
         """Reset all unknowns."""
@@ -96,10 +96,10 @@ class Algebra:
         """The dimension, with the unknowns that have been determined."""
         return self._known[self._resolve(handle)]
 
-    def _solve(self, apart: Dimension, *, exact: bool) -> None:
+    def _solve(self, ratio: Dimension, *, exact: bool) -> None:
         """Set the newest unknown so that the equation is satisfied."""
-        key, power = apart.unknowns[-1]
-        rest = apart._replace(unknowns=apart.unknowns[:-1], angular=exact, number=False)
+        key, power = ratio.unknowns[-1]
+        rest = ratio._replace(unknowns=ratio.unknowns[:-1], angular=exact, number=False)
         value = product(ONE, rest, -power if power in (1, -1) else Fraction(-1) / power)
         for other, known in self._solved.items():
             for held, exponent in known.unknowns:
