@@ -14,12 +14,13 @@ from dmframe.build.library import address
 from dmframe.build.trial import called
 from dmframe.codegen.function import SIMD, written
 from dmframe.codegen.source import shipped
+from dmframe.diagram.rosenbrock import ROS34PW2
 from dmframe.identification.model import Array, Model
 
-LONGEST: Final = 1e-3
+LONGEST: Final = 2e-3
 """Longest step of the integrator [s]."""
-SHORTEST: Final = 1e-4
-"""Shortest step that the stiffness of a twin may require [s]."""
+METHOD: Final = ROS34PW2
+"""Linearly implicit in the joint velocities: the velocity loop of a light joint and dry friction are stiff."""
 
 
 @final
@@ -116,13 +117,41 @@ class Twins:
             u = np.repeat(rows[plan.command[k]][:, None], count, axis=1)
             h = (plan.length[k] + plan.slope[k] * p[place]) / plan.steps[k]
             for _ in range(plan.steps[k]):
-                k1 = np.array(rate(x, u, p))
-                k2 = np.array(rate(x + h / 2 * k1, u, p))
-                k3 = np.array(rate(x + h / 2 * k2, u, p))
-                x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + np.array(rate(x + h * k3, u, p)))
+                x = self._step(x, u, p, h)
             if plan.record[k] >= 0:
                 q[plan.record[k]] = x[: self.model.n]
         return q
+
+    def _step(self, x: Array, u: Array, p: Array, h: Array) -> Array:
+        """One step of the Rosenbrock method, as in ``twin.c``."""
+        n, count = self.model.n, x.shape[1]
+        rate, stages = self.model.rate.map(count), list[Array]()
+        S = np.array(self.model.implicit.map(count)(x, p, h, rate(x, u, p))).reshape(n, count, n).transpose(1, 0, 2)
+        for a, c in zip(METHOD.a, METHOD.c, strict=True):
+            at = x + sum((float(weight) * stage for weight, stage in zip(a, stages, strict=True)), 0 * x)
+            stage = h * np.array(rate(at, u, p))
+            stage += sum((float(weight) * before for weight, before in zip(c, stages, strict=True)), 0 * x)
+            stage[n : 2 * n] = np.einsum("kij,jk->ik", S, stage[n : 2 * n])
+            stages.append(float(METHOD.gamma) * stage)
+        return np.asarray(x + sum(float(weight) * stage for weight, stage in zip(METHOD.m, stages, strict=True)))
+
+
+def _coefficients() -> str:
+    """The coefficients of the method in C."""
+    rows = {"a": METHOD.a, "c": METHOD.c}
+    tables = [
+        f"static const double dm_{name}[DM_STAGES][DM_STAGES] = "
+        f"{{{', '.join('{' + ', '.join(map(repr, map(float, row or (0,)))) + '}' for row in table)}}};"
+        for name, table in rows.items()
+    ]
+    return "\n".join(
+        [
+            f"#define DM_STAGES {METHOD.stages}",
+            f"#define DM_GAMMA {float(METHOD.gamma)!r}",
+            *tables,
+            f"static const double dm_m[DM_STAGES] = {{{', '.join(map(repr, map(float, METHOD.m)))}}};",
+        ]
+    )
 
 
 def twins_of(model: Model) -> Twins:
@@ -135,6 +164,8 @@ def twins_of(model: Model) -> Twins:
             '#define DM_EXPORT __attribute__((visibility("default")))',
             written(model.begin, SIMD),
             written(model.rate, SIMD),
+            written(model.implicit, SIMD),
+            _coefficients(),
             files("dmframe.identification").joinpath("twin.c").read_text(encoding="utf-8"),
         ]
     )

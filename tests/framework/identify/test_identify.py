@@ -13,7 +13,6 @@ import dmframe as dm
 from dmframe.identification.drawn import thetas
 from dmframe.identification.found import Identified
 from dmframe.identification.model import model_of
-from dmframe.identification.solve import longest_step
 from dmframe.identification.twin import schedule, twins_of
 from tests.framework.identify.plants import Hidden, record, write
 
@@ -43,7 +42,7 @@ def check_draws(found: Identified) -> None:
     """Twins that are drawn from the covariance of the fit leave nearly its residual."""
     unknowns, theta = found.fit.unknowns, found.fit.theta[:, None]
     delay = found.delay[0] * unknowns.log.period
-    plan = schedule(unknowns.log.time, delay, longest_step(unknowns, found.fit.theta))
+    plan = schedule(unknowns.log.time, delay)
     numbers = unknowns.numbers(np.hstack([theta, thetas(found, 7)]), delay)
     q = twins_of(unknowns.model).positions(plan, unknowns.log.u, numbers)
     rms = np.sqrt(np.mean((unknowns.log.q[:, :, None] - q) ** 2, axis=0))
