@@ -68,6 +68,11 @@ class Choice:
         """True if the residual of a candidate is near the floor on every joint."""
         return bool(np.all(self.fits[kind].rms <= ABOVE * self.floor))
 
+    @property
+    def left(self) -> float:
+        """Sum of the joints' logarithms of the best candidate's residual."""
+        return float(np.sum(np.log(self.fits[self.best].rms)))
+
     def sharp(self, kind: str) -> bool:
         """True if a candidate leaves noise only, so that its fit is no local minimum."""
         fit = self.fits[kind]
@@ -83,8 +88,8 @@ def criterion(fit: Fit, inflation: Array) -> float:
 
 def floor_of(log: Log) -> Array:
     """Residual of a twin that is exact, of each joint [rad]."""
-    q_c = log.q[0] + log.ahead + np.vstack([0 * log.u[:1], np.cumsum(log.u * np.diff(log.time)[:, None], axis=0)])
-    return np.asarray(np.hypot(log.noise, SHARE * np.std(log.q - q_c, axis=0)) + 1e-7)
+    error = log.q - log.q[0] - log.commanded(log.time)
+    return np.asarray(np.hypot(log.noise, SHARE * np.std(error, axis=0)) + 1e-7)
 
 
 def chosen(twins: Twins, log: Log, say: Callable[[str], None] = lambda text: None) -> Choice:
@@ -111,10 +116,11 @@ def chosen(twins: Twins, log: Log, say: Callable[[str], None] = lambda text: Non
 def _again(twins: Twins, unknowns: Mapping[str, Unknowns], found: Choice) -> None:
     """Fit from more starts until a fit leaves noise only: with other delays, of all candidates that explain the log."""
     near = found.fits[found.best]
-    kinds = [kind for kind in unknowns if found.explained(kind) or kind == found.best]
-    for kind, theta in [(kind, theta) for kind in kinds for theta in _shifted(unknowns[kind], near)]:
-        if not found.sharp(found.best):
-            _kept(found, kind, solved(twins, unknowns[kind], theta, BRIEF))
+    own = [unknowns[kind] for kind in unknowns if found.explained(kind) or kind == found.best]
+    for candidate in own:
+        for theta in _shifted(candidate, near):
+            if not found.sharp(found.best):
+                _kept(found, candidate.kind, solved(twins, candidate, theta, BRIEF))
 
 
 def _shifted(unknowns: Unknowns, near: Fit) -> Iterator[Array]:

@@ -35,6 +35,10 @@ SHARED: Final = ("v_0", "v_s", "delay")
 """Numbers of all joints: velocities of the friction law [rad/s], and the delay [s] relative to the schedule's."""
 
 
+SLOTS: Final = 24
+"""Most unknown parts of the commands, as of lost samples."""
+
+
 @final
 @dataclass(frozen=True, eq=False)
 class Model:
@@ -58,12 +62,13 @@ class Model:
 
     @cached_property
     def places(self) -> dict[str, slice]:
-        """Places of the numbers in the twin's vector p: joint numbers, shared ones, base parameters."""
+        """Places of the numbers in the twin's vector p: of joints, shared ones, commands, base parameters."""
         n, found, at = self.n, dict[str, slice](), 0
         for name in JOINT:
             found[name], at = slice(at, at + n), at + n
         for name in SHARED:
             found[name], at = slice(at, at + 1), at + 1
+        found["command"], at = slice(at, at + SLOTS), at + SLOTS
         found["beta"] = slice(at, at + self.base.count)
         return found
 
@@ -128,9 +133,9 @@ class Model:
             S = (M(q) + \gamma h K)^{-1} M(q), \quad
             K = \mathrm{diag}(1/w + B + (D + S_j e^{-(v/v_s)^2}) / \sqrt{v_0^2 + v^2})
 
-        with the slowest velocity v from the present one to that after an explicit step. The last term is near the secant
-        of the friction law, tanh(v / v_0) / v, at least its slope. The method is stable with K from half of the slope
-        to any multiple of it; with the slope at the present velocity, a light joint that stops would chatter.
+        with the slowest velocity v from the present one to that after an explicit step. The last term is near the
+        secant of the friction law, tanh(v / v_0) / v, at least its slope. The method is stable with K from half of the
+        slope to any multiple of it; with the slope at the present velocity, a light joint that stops would chatter.
         """
         n, (robot, beta, bodies, rotors, _) = self.n, self._robot
         x, p, h, rate = ca.SX.sym("x", 4 * n), ca.SX.sym("p", self.size), ca.SX.sym("h"), ca.SX.sym("rate", 4 * n)

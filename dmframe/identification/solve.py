@@ -7,6 +7,7 @@ from typing import Final, final
 
 import numpy as np
 
+from dmframe.identification.log import Log
 from dmframe.identification.model import Array
 from dmframe.identification.twin import LONGEST, Twins, schedule
 from dmframe.identification.unknowns import Unknowns
@@ -87,13 +88,15 @@ def solved(twins: Twins, unknowns: Unknowns, start: Array, rounds: int = ROUNDS,
     fit, some = None, log.q[:: max(1, len(log.q) // POSES)]
     for _ in range(rounds):
         delay = float(theta[place]) * log.period
-        plan = schedule(log.time, delay, step)
+        plan = schedule(log, delay, step)
         columns = np.hstack([theta[:, None], theta[:, None] + STEP * np.eye(len(theta))])
-        q = twins.positions(plan, log.u, unknowns.numbers(columns, delay))
-        residual = log.q - q[:, :, 0]
+        q = twins.positions(plan, unknowns.numbers(columns, delay))
+        residual = difference(log, q[:, :, 0])
         if not np.all(np.isfinite(q)):
             break
         J = (q[:, :, 1:] - q[:, :, :1]) / STEP
+        if log.hidden is not None:
+            J[log.hidden] = 0
         inflation = inflation_of(residual)
         weight = 1 / (np.sqrt(np.mean(residual**2, axis=0) + RESOLUTION**2) * inflation)
         scaled = (J * weight[None, :, None]).reshape(-1, len(theta))
@@ -111,8 +114,8 @@ def solved(twins: Twins, unknowns: Unknowns, start: Array, rounds: int = ROUNDS,
         trial = np.array(tried).T
         trial[place] = np.clip(trial[place], max(0.0, theta[place] - 0.6), min(theta[place] + 0.6, MOST_DELAY))
         numbers = unknowns.numbers(trial, delay)
-        there = twins.positions(plan, log.u, numbers)
-        costs = np.array([_cost(log.q - there[:, :, k], weight) for k in range(trial.shape[1])])
+        there = twins.positions(plan, numbers)
+        costs = np.array([_cost(difference(log, there[:, :, k]), weight) for k in range(trial.shape[1])])
         costs += np.sum(precision[:, None] * (trial - mean[:, None]) ** 2, axis=0)
         now = _cost(residual, weight) + float(np.sum(precision * (theta - mean) ** 2))
         costs[~unknowns.model.physical(some, numbers)] = np.inf  # the implicit integrator would damp them
@@ -132,11 +135,17 @@ def solved(twins: Twins, unknowns: Unknowns, start: Array, rounds: int = ROUNDS,
     return fit
 
 
+def difference(log: Log, q: Array) -> Array:
+    """Recorded minus simulated positions; zero for samples that are not compared."""
+    found = log.q - q
+    return found if log.hidden is None else np.where(log.hidden[:, None], 0.0, found)
+
+
 def total(twins: Twins, unknowns: Unknowns, theta: Array) -> float:
     """Sum of the joints' logarithms of the residual; infinite after a divergence."""
     log, delay = unknowns.log, float(theta[unknowns.places["delay"].start]) * unknowns.log.period
-    q = twins.positions(schedule(log.time, delay), log.u, unknowns.numbers(theta[:, None], delay))
-    found = float(np.sum(np.log(np.sqrt(np.mean((log.q - q[:, :, 0]) ** 2, axis=0)))))
+    q = twins.positions(schedule(log, delay), unknowns.numbers(theta[:, None], delay))
+    found = float(np.sum(np.log(np.sqrt(np.mean(difference(log, q[:, :, 0]) ** 2, axis=0)))))
     return found if np.isfinite(found) else np.inf
 
 
@@ -145,9 +154,9 @@ def fine_step(twins: Twins, fit: Fit, floor: Array) -> float:
     unknowns, step = fit.unknowns, LONGEST
     delay = float(fit.theta[unknowns.places["delay"].start]) * unknowns.log.period
     numbers = unknowns.numbers(fit.theta[:, None], delay)
-    before = twins.positions(schedule(unknowns.log.time, delay, step), unknowns.log.u, numbers)
+    before = twins.positions(schedule(unknowns.log, delay, step), numbers)
     while step > FINEST and np.all(np.isfinite(before)):
-        after = twins.positions(schedule(unknowns.log.time, delay, step / 2), unknowns.log.u, numbers)
+        after = twins.positions(schedule(unknowns.log, delay, step / 2), numbers)
         if np.all(np.sqrt(np.mean((after - before) ** 2, axis=0))[:, 0] < EXACT * floor):
             break
         step, before = step / 2, after

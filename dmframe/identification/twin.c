@@ -30,18 +30,24 @@ static void dm_twin_step(dm_real *x, const dm_real *u, const dm_real *p, dm_real
 
 DM_EXPORT void dm_width(double *count) { *count = DM_WIDTH; }
 
-/* Positions q at the samples of a log. A segment has a constant command, row `command` of `commands`, and a length that is
+/* Positions q at the samples of a log. A segment has a constant command, row `command` of `commands`, to which `gain` times the
+   number `slot` of the twin's unknown commands is added, unless the slot is -1, and a length that is
    affine in the twin's delay: length + slope times its row `DM_DELAY` of p. `record` is the sample at the end of a segment, or
    -1. A twin that leaves the bound starts again, and its positions from there on are NaN. */
-DM_EXPORT void dm_twin(const double *parameters, const double *commands, int64_t segments, const double *length,
-                       const double *slope, const int64_t *command, const int64_t *steps, const int64_t *record, double *q) {
+DM_EXPORT void dm_twin(const double *parameters, const double *commands, const int64_t *slot, const double *gain,
+                       int64_t segments, const double *length, const double *slope, const int64_t *command, const int64_t *steps,
+                       const int64_t *record, double *q) {
   dm_real p[DM_P], x[DM_X], fresh[DM_X], u[DM_N];
   memcpy(p, parameters, sizeof p);
   dm_begin(p, fresh);
   memcpy(x, fresh, sizeof x);
   dm_mask alive = dm_all(0) == dm_all(0);
   for (int64_t k = 0; k < segments; k++) {
-    for (int i = 0; i < DM_N; i++) u[i] = dm_all(commands[command[k] * DM_N + i]);
+    for (int i = 0; i < DM_N; i++) {
+      const int64_t cell = command[k] * DM_N + i;
+      u[i] = dm_all(commands[cell]);
+      if (slot[cell] >= 0) u[i] += gain[cell] * p[DM_COMMAND + slot[cell]];
+    }
     const dm_real h = (length[k] + slope[k] * p[DM_DELAY]) / (double)steps[k];
     for (int64_t j = 0; j < steps[k]; j++) dm_twin_step(x, u, p, h);
     dm_mask sound = alive;

@@ -62,6 +62,7 @@ class Unknowns:
             found[name], at = slice(at, at + n), at + n
         for name in ("v_0", "v_s", "delay"):
             found[name], at = slice(at, at + 1), at + 1
+        found["command"], at = slice(at, at + len(self.log.unknown)), at + len(self.log.unknown)
         found["beta"] = slice(at, at + self.model.base.count)
         return found
 
@@ -124,6 +125,7 @@ class Unknowns:
         mean[self.places["v_0"]], deviation[self.places["v_0"]] = np.log(0.01), 1.0
         mean[self.places["v_s"]], deviation[self.places["v_s"]] = np.log(0.05), 0.7
         deviation[self.places["beta"]] = 1.0
+        deviation[self.places["command"]] = [part.deviation for part in self.log.unknown]
         if "f" in self.places:
             mean[self.places["f"]], deviation[self.places["f"]] = 0.5, 1.0
         return mean, deviation
@@ -142,6 +144,7 @@ class Unknowns:
         p[to["dq_0"]], p[to["e_0"]] = theta[at["dq_0"]], self.log.ahead[:, None]
         p[to["v_0"]], p[to["v_s"]] = np.exp(theta[at["v_0"]]), np.exp(theta[at["v_s"]])
         p[to["delay"]] = theta[at["delay"]] * self.log.period - delay
+        p[to["command"].start : to["command"].start + len(self.log.unknown)] = theta[at["command"]]
         p[to["beta"]] = self.center[:, None] + self.bodies @ theta[at["beta"]]
         return p
 
