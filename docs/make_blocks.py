@@ -16,22 +16,22 @@ from pathlib import Path
 from typing import Any, Final
 
 from dmframe.block import AbstractBlock, AdaptingBlock
+from dmframe.block.condition import Assumption, Inequality
+from dmframe.block.parameter import PAIRS, Spec, specs
+from dmframe.block.port import Access, Input, Output, Side, Signal
 from dmframe.block.prose import about
 from dmframe.catalogue import block_modules, block_types, graphs
 from dmframe.certify.certificates import certificates_of
 from dmframe.certify.form import NotApplicableError
 from dmframe.certify.wording import relation
-from dmframe.condition import Assumption, Inequality
+from dmframe.common.names import latex_name
+from dmframe.common.text import text_of
 from dmframe.diagram.view import view
 from dmframe.formula import Formula, Line, PrintedLaw, printed
 from dmframe.formula.alone import in_yaml, options_of, plainest
 from dmframe.formula.tree import Sum
 from dmframe.formula.where import sizes_show, where
-from dmframe.names import latex_name
-from dmframe.parameter import PAIRS, Spec, specs
-from dmframe.port import Access, Input, Output, Side, Signal
 from dmframe.report.references import reference
-from dmframe.text import text_of
 
 sys.path.insert(0, str(Path(__file__).parent))
 from block_examples import Example, diagram_of, example, loaded, trials
@@ -52,7 +52,7 @@ FAMILIES: Final = {
     ),
     "plant": ("Robot and servo", "The plant: closed; controllers read its measured signals only."),
 }
-"""Titles and what they hold, in the order in which signals pass them."""
+"""Titles and descriptions, in the order of the signal flow."""
 REFERENCES: Final = frozenset({"dq_r", "dq_ref", "ddq_ref"})
 """Outputs of a reference generator."""
 LONG: Final = 120
@@ -62,7 +62,7 @@ WEIGHTS: Final = (
     "`dmframe verify` checks them at a graph's numbers."
 )
 READERS: Final = {
-    Access.COMMANDED: "controller, and the plant takes it as a command",
+    Access.COMMANDED: "controller, and plant as a command",
     Access.MEASURED: "all: it is measured",
     Access.HIDDEN: "plant and proofs",
     Access.INTERNAL: "controller",
@@ -82,7 +82,7 @@ def write(folder: Path) -> list[Path]:
 
 
 def family(kind: type[AbstractBlock]) -> str:
-    """A key of `FAMILIES`, from what a block is and hands on."""
+    """A key of `FAMILIES`, from the side and the outputs of a block."""
     if kind.side is not Side.CONTROLLER:
         if any(port.instead_of for port in kind.outputs):
             return "between"
@@ -96,8 +96,8 @@ def family(kind: type[AbstractBlock]) -> str:
 
 
 def index(kinds: dict[str, type[AbstractBlock]]) -> str:
-    """All blocks by family, with what each does."""
-    parts = ["# Blocks", "What each block does, by what it hands on. `dmframe blocks` prints the same in a terminal."]
+    """All blocks by family, with their summaries."""
+    parts = ["# Blocks", "All blocks, grouped by their outputs. `dmframe blocks` prints the same in a terminal."]
     for key, (title, says) in FAMILIES.items():
         mine = [name for name, kind in kinds.items() if family(kind) == key]
         parts.append(f"## {title}\n\n{says}")
@@ -125,14 +125,14 @@ def page(name: str, kind: type[AbstractBlock]) -> str:
 
 def _side(kind: type[AbstractBlock]) -> str:
     return {
-        Side.SOURCE: "a source, which reads nothing but the time",
-        Side.CONTROLLER: "a part of the controller, which reads only what is measured",
+        Side.SOURCE: "a source, which reads the time only",
+        Side.CONTROLLER: "a part of the controller, which reads measured signals only",
         Side.PLANT: "a part of the plant, which is closed",
     }[kind.side]
 
 
 def _law(kind: type[AbstractBlock], shown: Example | None) -> Iterator[str]:
-    """The equations as the code says them, those of each option, and what their signs mean."""
+    """The equations from the code, those of each option, and the meaning of their signs."""
     found = plainest(kind)
     options = dict[str, Sequence[Line]]()
     if found is not None:
@@ -142,7 +142,7 @@ def _law(kind: type[AbstractBlock], shown: Example | None) -> Iterator[str]:
     elif shown is not None:
         law, lead = printed(diagram_of(shown.graph), shown.block), f"In the graph `{shown.graph}`"
     else:
-        yield "The law depends on numbers of the block: see it in a graph's report."
+        yield "The law depends on numbers of the block; the report of a graph prints it."
         return
     lines = [*law.lines, *(line for some in options.values() for line in some)]
     if sizes_show(lines):
@@ -161,7 +161,7 @@ def _energy(law: PrintedLaw) -> Iterator[str]:
     """Table of storage, dissipation, residual, cross term and supply rate."""
     rows = [("storage, half of", term.whole.latex) for term in law.storage]
     rows += [("dissipation", term.whole.latex) for term in law.dissipation]
-    rows += [("residual", term.whole.latex) for term in law.excess]
+    rows += [("residual", term.whole.latex) for term in law.residual]
     rows += [("cross term", law.consumption.whole.latex)] if law.consumption is not None else []
     rows += [("supply rate", law.supply.latex)] if law.supply is not None and law.supply.text != "0" else []
     if rows:
@@ -253,7 +253,7 @@ def _default(value: Any, spec: Spec | None) -> str:
 
 
 def _conditions(shown: Example | None) -> Iterator[str]:
-    """What the block's proof needs, in its graph."""
+    """Conditions of the block's proof, in its graph."""
     if shown is None:
         return
     diagram = diagram_of(shown.graph)
@@ -281,16 +281,16 @@ def _source(text: str) -> Iterator[str]:
 
 def _used(name: str, shown: Example | None) -> Iterator[str]:
     if shown is None:
-        yield f"No packaged graph holds a `{name}`."
+        yield f"No packaged graph contains a `{name}`."
         return
     yield f"The smallest packaged graph with it is `{shown.graph}`: {loaded(shown.graph).title}."
     yield f"```yaml\n{graphs()[shown.graph].read_text(encoding='utf-8').rstrip()}\n```"
     if diagram_of(shown.graph).loop.noises:
-        yield "It draws random numbers, and so has no live page."
+        yield "The graph has random inputs, and therefore no live page."
     else:
         yield f"```{{live}} {shown.graph}\n```"
     if shown.others:
-        yield f"It is in {', '.join(f'`{other}`' for other in shown.others)} too."
+        yield f"Other graphs with it: {', '.join(f'`{other}`' for other in shown.others)}."
 
 
 def _what_if(kind: type[AbstractBlock], shown: Example) -> Iterator[str]:

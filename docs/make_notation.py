@@ -1,4 +1,4 @@
-"""Write docs/notation.md: each name of a port, state, parameter or true value of the blocks, and what it means.
+"""Write docs/notation.md: the meaning of each name of a port, state, parameter or true value of the blocks.
 
     python docs/make_notation.py
 
@@ -19,18 +19,18 @@ from typing import Any
 from ruamel.yaml import YAML
 
 from dmframe.block import AbstractBlock
+from dmframe.block.parameter import specs
 from dmframe.catalogue import block_types
+from dmframe.common.names import distinct, unicode_name
+from dmframe.common.units import compatible
 from dmframe.formula.robot import CONSTANTS, SIGNS
-from dmframe.names import distinct, unicode_name
-from dmframe.parameter import specs
-from dmframe.units import compatible
 
 ROOT = Path(__file__).parents[1]
 PAGE, WORDS = ROOT / "docs" / "notation.md", ROOT / "docs" / "notation.yaml"
 LETTERS = ("n", "m", "p", "k", "h")
 BEGIN, END = "<!-- tables: begin -->", "<!-- tables: end -->"
 ANY = "*"
-"""The unit of a port that takes several."""
+"""The unit of a port with several units."""
 FUNCTIONS = {"norm", "clip", "beyond", "tanh", "sign", "atan", "abs", "diag", "min", "max", "S", "V", "I"}
 FUNCTIONS |= {"heavy", "links", "tool", "behind", "floor", "exp", "at_time", "with_mass"}
 """Signs of a printed law that are neither a name nor a quantity of the robot."""
@@ -38,7 +38,7 @@ FUNCTIONS |= {"heavy", "links", "tool", "behind", "floor", "exp", "at_time", "wi
 
 @dataclass(frozen=True)
 class Meaning:
-    """What the code cannot say of a name: the words, the paper's own, and why it has several units or meanings."""
+    """Hand-written part of a name: its meaning, the paper's symbol, and the reason for several units or meanings."""
 
     means: str
     paper: str = ""
@@ -47,7 +47,7 @@ class Meaning:
 
 @dataclass
 class Entry:
-    """What the code says of a name; units, shapes and blocks in the order in which they are found."""
+    """Part of a name from the code; units, shapes and blocks in the order in which they are found."""
 
     name: str
     units: list[str] = field(default_factory=list)
@@ -115,21 +115,21 @@ def _meant_twice(entry: Entry, meaning: Meaning) -> Iterator[str]:
     if entry.name in letters | set(LETTERS):
         yield f"{entry.name} is the letter of a size too"
     if not any(several.values()) and meaning.because:
-        yield f"{entry.name} says why it has several units or meanings, and has one"
+        yield f"{entry.name}: a reason is given, but it has one unit and meaning"
     if not meaning.because:
         unexplained = [which for which, true in several.items() if true]
-        yield from (f"{entry.name} has several {which}, and does not say why" for which in unexplained)
+        yield from (f"{entry.name} has several {which}, without a reason" for which in unexplained)
 
 
 def clashes(kind: type[AbstractBlock], found: Mapping[str, Entry]) -> Iterator[str]:
-    """Names of a block's options and of parts of its law that stand for something else in the table."""
+    """Names of a block's options and of parts of its law with another meaning in the table."""
     own = {port.name for port in kind.outputs}
     options = kind.model_fields.keys() - specs(kind).keys()
     yield from (f"the option {name} is a name too" for name in sorted(options & found.keys()))
     for name in dict.fromkeys(re.findall(r'\bnamed\(\s*"(\w+)"', inspect.getsource(kind))):
         others = found.keys() | signs()
         if name not in own and (name in others or any(name in pair for pair in distinct(sorted({name, *others})))):
-            yield f"a part of the law is called {name}, and something else is too"
+            yield f"a part of the law is called {name}, and so is another quantity"
 
 
 def lines() -> Iterator[str]:

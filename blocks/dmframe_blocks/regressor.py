@@ -39,7 +39,7 @@ class Regressor(AbstractBlock):
                     + D\, \phi(\dot q_{ref}) + g(q, a_d)   \tag{1}
 
     The initial estimates may be the fraction `nominal` of the model's inertial parameters, with zero friction; the bias
-    starts at the gravity torque that the servo holds at rest.
+    starts at the gravity torque of the servo at rest.
 
     :math:`a_d` contains ten inertial parameters per link (mass, first moments, inertia about the joint frame), then,
     with `rotors`, the rotors' inertia, then the elements of B and of D according to `friction`.

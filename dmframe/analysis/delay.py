@@ -8,11 +8,11 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
+from dmframe.block.port import Signal
+from dmframe.common.errors import ValueFault
+from dmframe.common.units import compatible, plain
 from dmframe.diagram import Diagram
-from dmframe.errors import ValueFault
-from dmframe.port import Signal
 from dmframe.simulate import Recording
-from dmframe.units import compatible, plain
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from dmframe.analysis.rational import Rational
 from dmframe.analysis.servo import JointLoop
-from dmframe.plotting import COLORS, GREY, PAGE, look, names_above, new_figure, styled
+from dmframe.common.plotting import COLORS, GREY, PAGE, look, names_above, new_figure, styled
 
 POINTS: Final = 400
 _LOOP: Final = "loop gain $L$"
@@ -127,7 +127,7 @@ def _xy(value: complex) -> tuple[float, float]:
 
 def _svg(figure: Any, title: str) -> str:
     """The figure as text, the same bytes for the same figure, ready to stand inside an HTML page."""
-    from dmframe.version import version
+    from dmframe.common.version import version
 
     text = io.StringIO()
     meta = {"Date": None, "Creator": f"dmframe {version()}", "Title": title}

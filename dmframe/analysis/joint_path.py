@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dmframe.analysis.path_tube import PathTube
 from dmframe.block.model import symbols_in
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]

@@ -27,10 +27,10 @@ from dmframe.analysis.set_point import (
     undrawn,
 )
 from dmframe.analysis.switches import turning
+from dmframe.common.errors import EngineError, ShapeError, listed
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.pieces import rows_of
-from dmframe.errors import EngineError, ShapeError, listed
 from dmframe.simulate import Solver
 from dmframe.simulate.instants import DRAWN
 from dmframe.simulate.step import build_step
@@ -128,7 +128,7 @@ class Linear:
         return self._resting[0] if self.clock is not None else len(self.states) - int(self._others.shape[1])
 
     @property
-    def drifting(self) -> int:
+    def ramp_modes(self) -> int:
         """Number of ramp modes (Jordan blocks at one) of a discrete-time loop; 0 for continuous ones."""
         return self._resting[1] if self.clock is not None else 0
 
@@ -236,7 +236,7 @@ def linearise(
     slopes = at_set_point(loop, "advanced", loop.advanced).jacobian()
     held = at_set_point(loop, "held", loop.held_over_a_sample[1])
     command, (plant_A, plant_B) = held.jacobian(), _plant(loop)
-    first, timed = slopes.size1_out(0), bool(loop.clocked or ca.depends_on(moves(loop), loop.period))
+    first, timed = slopes.size1_out(0), bool(loop.discrete_time or ca.depends_on(moves(loop), loop.period))
 
     def checked(matrix: Any) -> Array:
         return np.asarray(computable(loop, "linearise", np.asarray(matrix.full())))
@@ -269,7 +269,7 @@ def linearise(
             plant_A=checked(plant_A(point[first:], u, p)),
             plant_B=checked(plant_B(point[first:], u, p)),
             kinks=kinks,
-            clock=T if loop.clocked else None,
+            clock=T if loop.discrete_time else None,
             again=again if timed else None,
             period=T,
         )

@@ -30,7 +30,7 @@ from dmframe.analysis.least_cut import ITSELF, LEAST, Cut, vanishing
 from dmframe.analysis.set_point import at_set_point, counts, moves, undrawn
 from dmframe.analysis.sums import Sum, conserved, scaled, sums_of
 from dmframe.analysis.switches import apart, chosen, numbers_of, values_of
-from dmframe.certificate import SX
+from dmframe.block.certificate import SX
 from dmframe.diagram import ClosedLoop
 from dmframe.diagram.closed_loop import stack
 from dmframe.exact.balls import ZERO, UndecidedError, ball, enclosed, precise

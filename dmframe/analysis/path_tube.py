@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmframe.analysis.rank_bound import times
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact.enclosure import RULES, Enclosing, Enclosure, down, up
 from dmframe.exact.switching import SWITCHING, over_pieces
 

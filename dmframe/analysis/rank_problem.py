@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmframe.analysis.joint_path import Reach, period_of
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
+from dmframe.block.port import Side
 from dmframe.certify.true_values import true_values
+from dmframe.common.errors import MissingError, listed
 from dmframe.diagram import ClosedLoop, Diagram, Variable
 from dmframe.diagram.closed_loop import Signal
-from dmframe.errors import MissingError, listed
 from dmframe.exact.enclosure import Enclosure
-from dmframe.port import Side
 from dmframe.results.dataset import element_labels
 from dmframe.robot.symbolic import SymbolicRobot
 from dmframe.simulate.rank import watched

@@ -14,8 +14,8 @@ from dmframe.analysis.path_tube import path_tube
 from dmframe.analysis.rank_bound import Shape
 from dmframe.analysis.rank_problem import Centre, RankProblem, rank_problem
 from dmframe.analysis.rank_search import LARGEST, Cover, RankSearch
+from dmframe.common.errors import ValueFault
 from dmframe.diagram import Diagram
-from dmframe.errors import ValueFault
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]

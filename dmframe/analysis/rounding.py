@@ -14,11 +14,11 @@ from typing import Final
 import casadi as ca
 
 from dmframe.analysis.switches import APPLY, unknown
+from dmframe.block.certificate import SX
 from dmframe.block.model import BlockModel, symbols_in
-from dmframe.certificate import SX
+from dmframe.block.port import Output
+from dmframe.common.errors import BlockError
 from dmframe.diagram import Diagram
-from dmframe.errors import BlockError
-from dmframe.port import Output
 from dmframe.program import CONST, INPUT, Node, Program, read, run
 
 _FLOOR: Final = ca.OP_FLOOR

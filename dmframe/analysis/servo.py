@@ -16,13 +16,13 @@ from dmframe.analysis.rounding import unrounded
 from dmframe.analysis.set_point import computable, equilibrium, frozen
 from dmframe.block import AbstractBlock
 from dmframe.block.model import BlockModel
+from dmframe.block.port import Access, Side
 from dmframe.certify.true_values import true_values
+from dmframe.common.errors import EngineError, MissingError
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.view import view
 from dmframe.diagram.wiring import Wire
-from dmframe.errors import EngineError, MissingError
-from dmframe.port import Access, Side
 
 Array = NDArray[np.float64]
 

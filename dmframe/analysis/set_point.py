@@ -9,12 +9,12 @@ from typing import Any, Final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
 from dmframe.certify.true_values import true_values
+from dmframe.common.errors import EngineError, ValueFault
 from dmframe.diagram import ClosedLoop, Diagram, Variable
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import EngineError, ValueFault
 from dmframe.program import EDGES, JUMPS, KINKS, codes
 from dmframe.simulate import start_state
 
@@ -209,9 +209,9 @@ def period_of(loop: ClosedLoop, clock: float | None) -> float:
 
     Raises `EngineError` for a discrete-time loop without a clock.
     """
-    if clock is None and loop.clocked:
-        raise EngineError(f"set-point: expected a clock, found none; {loop.clocked}")
-    return clock if clock is not None and loop.clocked else 0.0
+    if clock is None and loop.discrete_time:
+        raise EngineError(f"set-point: expected a clock, found none; {loop.discrete_time}")
+    return clock if clock is not None and loop.discrete_time else 0.0
 
 
 def _unit(loop: ClosedLoop, row: int) -> str:

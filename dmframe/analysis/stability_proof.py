@@ -27,8 +27,8 @@ from dmframe.analysis.linear import Linear, tick_jacobian
 from dmframe.analysis.moves import SplitMoves
 from dmframe.analysis.period import LONGEST, SHORTEST, Bracket
 from dmframe.analysis.set_point import LARGE, MOST, at_rest
+from dmframe.common.errors import DisagreementError, DmframeError, EngineError
 from dmframe.diagram import Diagram
-from dmframe.errors import DisagreementError, DmframeError, EngineError
 from dmframe.exact.ball_matrix import exactly, identity, middles, positive_definite, scaled
 from dmframe.exact.balls import ball, precise
 from dmframe.exact.rounded import Rounded, falls, gram, similar
@@ -243,8 +243,8 @@ def _why(linear: Linear, loop: EnclosedLoop, clock: float | None, radius: float 
     """Reason for a missing bound or period."""
     if period is not None and (clock is None or radius is not None):
         return ""
-    if linear.drifting > loop.kept:
-        return f"it has {linear.drifting - loop.kept} ramp modes without a restoring term"
+    if linear.ramp_modes > loop.kept:
+        return f"it has {linear.ramp_modes - loop.kept} ramp modes without a restoring term"
     more = linear.at_rest - len(linear.states) + loop.moving + loop.kept
     if more > 0:
         return f"floats find that it rests in more directions, by {more}; its equations do not show that"

@@ -16,8 +16,8 @@ from dmframe.analysis.servo import JointLoop, servo_transfer
 from dmframe.analysis.stability_proof import StabilityProof, prove_stability
 from dmframe.analysis.tie import TieGain, tie_gains
 from dmframe.certify.true_values import estimates_of
+from dmframe.common.errors import listed
 from dmframe.diagram import Diagram
-from dmframe.errors import listed
 from dmframe.exact.rational import Interval
 from dmframe.simulate import Solver
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmframe.analysis.least_cut import LEAST, SMALL
-from dmframe.certificate import SX
+from dmframe.block.certificate import SX
 from dmframe.exact.balls import UndecidedError
 from dmframe.program import (
     COMPARISONS,

@@ -10,12 +10,12 @@ from typing import Final, final
 
 import casadi as ca
 
-from dmframe.certificate import SX
+from dmframe.block.certificate import SX
 from dmframe.certify.symbols import exact_values
+from dmframe.common.errors import ValueFault
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.view import view
-from dmframe.errors import ValueFault
 from dmframe.exact.rational import Interval, evaluate
 from dmframe.robot.rational import decimal
 

@@ -16,10 +16,10 @@ from dmframe.batch.simd import SimdLoop, compiled
 from dmframe.batch.starts import starts_of
 from dmframe.batch.values import columns_of, parameters_of, runs_in, varied
 from dmframe.block.model import SYMBOLIC
+from dmframe.common.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault, raise_all
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.parts import Parts
-from dmframe.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault, raise_all
 from dmframe.results.metrics import TurnError, goal_of, rms_by_eighth, tracking_error, turn_error, turn_of
 from dmframe.simulate import Recording, simulate_many
 from dmframe.simulate.block_starts import once

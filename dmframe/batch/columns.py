@@ -10,12 +10,12 @@ import numpy as np
 
 from dmframe.batch.batch import figures_of_run
 from dmframe.batch.figures import ERROR, TURN, Figures, Measured, Wanted
+from dmframe.common.errors import DmframeError
+from dmframe.common.units import to_unit
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError
 from dmframe.results.metrics import EIGHTHS, TurnError, goal_of
 from dmframe.simulate import Recording
 from dmframe.simulate.keep import apart_of
-from dmframe.units import to_unit
 
 FIGURES: Final = ("least", "most", "last", "rms_final")
 """Figures of a signal."""

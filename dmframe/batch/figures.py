@@ -9,9 +9,9 @@ from typing import Final, final
 
 import numpy as np
 
-from dmframe.errors import DmframeError, ValueFault
+from dmframe.common.errors import DmframeError, ValueFault
+from dmframe.common.units import plain
 from dmframe.results.metrics import EIGHTHS
-from dmframe.units import plain
 
 ERROR: Final = "error"
 """Label of the Euclidean norm of the tracking error."""

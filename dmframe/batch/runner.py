@@ -11,12 +11,12 @@ import numpy as np
 
 from dmframe.batch.batch import Batch
 from dmframe.batch.figures import FigureTable, Measured, Wanted, merged
+from dmframe.block.parameter import PAIRS, specs
+from dmframe.common.errors import DmframeError, NeedsDiagramError
 from dmframe.config import BaseGraph
 from dmframe.config.places import placed
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import changed_numbers
-from dmframe.errors import DmframeError, NeedsDiagramError
-from dmframe.parameter import PAIRS, specs
 from dmframe.simulate.engine import Choice
 
 KEPT: Final = 8

@@ -15,7 +15,7 @@ from dmframe.build import load
 from dmframe.build.library import address
 from dmframe.build.trial import called
 from dmframe.codegen import simd_source
-from dmframe.errors import EngineError
+from dmframe.common.errors import EngineError
 from dmframe.results.metrics import EIGHTHS
 from dmframe.simulate.engine import Trial, alike
 from dmframe.simulate.step import Step

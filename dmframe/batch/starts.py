@@ -8,8 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from dmframe.common.errors import DmframeError
 from dmframe.diagram import Diagram, Variable
-from dmframe.errors import DmframeError
 from dmframe.simulate.block_starts import Made
 from dmframe.simulate.instants import DRAWN, Instants
 from dmframe.simulate.start import (

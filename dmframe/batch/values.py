@@ -9,11 +9,11 @@ from typing import final
 import numpy as np
 
 from dmframe.block import AbstractBlock
+from dmframe.block.gain import Prior
+from dmframe.block.parameter import Spec, specs
+from dmframe.common.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
-from dmframe.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault
-from dmframe.gain import Prior
-from dmframe.parameter import Spec, specs
 
 
 def columns_of(values: Mapping[str, object]) -> dict[str, np.ndarray]:

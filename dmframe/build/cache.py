@@ -22,8 +22,8 @@ from typing import Final
 import platformdirs
 
 from dmframe.build.compiler import FLAGS, SHARED, CompileFailed, Compiler, processor
-from dmframe.errors import ValueFault
-from dmframe.files import encoded
+from dmframe.common.errors import ValueFault
+from dmframe.common.files import encoded
 
 VARIABLE: Final = "DMFRAME_CACHE"
 MOST_BYTES: Final = 512 * 2**20

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 
 NAMES: Final = ("cc", "gcc", "clang")
 

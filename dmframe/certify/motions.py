@@ -15,22 +15,22 @@ from typing import Any, Final, NamedTuple, final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX, Steps
 from dmframe.block.faults import fault_context
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Steps
+from dmframe.block.sampled import DelayLine
+from dmframe.block.steps import summed
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.driven import DrivenLoop
+from dmframe.common.errors import DmframeError
 from dmframe.diagram import Diagram, Parameter, Variable
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.pieces import rows_of
 from dmframe.diagram.view import view
-from dmframe.errors import DmframeError
-from dmframe.sampled import DelayLine
 from dmframe.simulate.block_starts import has_start
 from dmframe.simulate.instants import Instants
 from dmframe.simulate.start import start_state
 from dmframe.simulate.stiffness import fastest
-from dmframe.steps import summed
 
 ROUNDED: Final = 1e-12
 """The step of a quantiser whose rounding is taken away."""
@@ -71,13 +71,13 @@ class Lesson(NamedTuple):
 class Left(NamedTuple):
     """What rows leave at the samples of one motion, eta = left + slope @ unknown constants, and what they are made of.
 
-    `left`, `y` and `said`, y and h' theta_true: (samples, outputs); `slope`: (samples, outputs, constants).
+    `left`, `y` and `predicted`, y and h' theta_true: (samples, outputs); `slope`: (samples, outputs, constants).
     """
 
     left: np.ndarray
     slope: np.ndarray
     y: np.ndarray
-    said: np.ndarray
+    predicted: np.ndarray
 
 
 @final
@@ -216,8 +216,10 @@ class Moved:
         count, substeps = round(duration / T), math.ceil(T / self._step(motion, x, z, p, T))
         t = T * np.arange(count)
         ticks = self._ticks(T, substeps, count)
-        _, left, slope, y, said = ticks(np.concatenate([x, z]), motion.commands(t), t[None], np.tile(p[:, None], count))
-        found = [np.asarray(item.full().T) for item in (left, slope, y, said)]
+        _, left, slope, y, predicted = ticks(
+            np.concatenate([x, z]), motion.commands(t), t[None], np.tile(p[:, None], count)
+        )
+        found = [np.asarray(item.full().T) for item in (left, slope, y, predicted)]
         if not all(np.all(np.isfinite(item)) for item in found):
             raise UnmovedError("a motion leaves all bounds")
         found[1] = found[1].reshape(count, -1 if found[1].size else 0, found[0].shape[1]).swapaxes(1, 2)
@@ -279,15 +281,17 @@ def _zeros(parameter: Parameter) -> Iterator[SX]:
 def _rows(part: Part, item: Steps, rows: Sequence[Lesson]) -> list[SX]:
     """What all rows leave where the unknown constants are zero, its slope in them, y and h' theta_true."""
     true, unknown = ca.vec(ca.densify(ca.SX(item.true))), stack(part.certificate.unknown.values())
-    said = ca.vertcat(*(summed(item.parts, row.h * true) for row in rows))
+    predicted = ca.vertcat(*(summed(item.parts, row.h * true) for row in rows))
     y = ca.vertcat(*(row.y for row in rows))
     if unknown.numel() > len(item.parts):
         raise UnmovedError("there are more unknown constants than outputs, and they could explain any rows")
-    slope = ca.jacobian(y - said, unknown)
+    slope = ca.jacobian(y - predicted, unknown)
     if ca.depends_on(ca.vec(slope), unknown):
         raise UnmovedError("what its rows leave is not affine in its unknown constants")
-    (said,) = ca.substitute([said], [unknown], [ca.SX.zeros(unknown.numel())]) if unknown.numel() else [said]
-    return [ca.densify(part) for part in (y - said, slope, y, said)]
+    (predicted,) = (
+        ca.substitute([predicted], [unknown], [ca.SX.zeros(unknown.numel())]) if unknown.numel() else [predicted]
+    )
+    return [ca.densify(part) for part in (y - predicted, slope, y, predicted)]
 
 
 def _stated_starts(diagram: Diagram) -> Iterator[tuple[tuple[str, ...], Any]]:
@@ -295,7 +299,7 @@ def _stated_starts(diagram: Diagram) -> Iterator[tuple[tuple[str, ...], Any]]:
     for name in diagram.blocks:
         seen = view(diagram, name)
         with fault_context(name, "start()"):
-            yield ("said", name), dict(diagram.blocks[name].composed_start(seen.u, seen.p, seen.truth))
+            yield ("stated", name), dict(diagram.blocks[name].composed_start(seen.u, seen.p, seen.truth))
 
 
 def _posed(diagram: Diagram, part: Part, made: dict[tuple[str, ...], Any]) -> Iterator[Variable]:

@@ -13,16 +13,16 @@ from collections.abc import Set as AbstractSet
 
 import casadi as ca
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim
-from dmframe.certify.risky import risky
+from dmframe.certify.partial_functions import domains_of
 from dmframe.certify.smoothness import jumps
 from dmframe.certify.statements import States
+from dmframe.common.errors import ValueFault
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.pieces import rows_of
-from dmframe.errors import ValueFault
 from dmframe.exact import Trial, ZeroDivision, random_prime
 from dmframe.exact.linear import Echelon
 from dmframe.exact.rational import Interval
@@ -68,7 +68,7 @@ def _in_v(claim: Claim, numbers: Numbers, seed: int) -> set[str]:
     trial = Trial(random_prime(rng), rng)
     rows = Echelon(trial.prime, states.numel())
     for part in claim.parts:
-        if part.certificate.excess or part.certificate.steps:
+        if part.certificate.residual or part.certificate.steps:
             continue  # V rises by what is gained, of which nothing is known
         for term in part.certificate.storage:
             if jumps(ca.SX(term.vector), numbers.known):
@@ -106,4 +106,4 @@ def _kept(pair: tuple[SX, SX], known: AbstractSet[int]) -> bool:
     state, then = pair
     if ca.is_equal(ca.densify(then), ca.densify(state), 2):
         return True
-    return symbols_in([then]) <= known and not any(symbols_in([part]) for _, part in risky([then]))
+    return symbols_in([then]) <= known and not any(symbols_in([part]) for _, part in domains_of([then]))

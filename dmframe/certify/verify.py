@@ -11,7 +11,7 @@ from typing import Any, Final, final
 
 import casadi as ca
 
-from dmframe.certificate import Assumption
+from dmframe.block.certificate import Assumption
 from dmframe.certify.assemble import assembled
 from dmframe.certify.barriers import barrier_statements, tubes
 from dmframe.certify.checked import Checked, Numbers, sorted_out
@@ -20,21 +20,22 @@ from dmframe.certify.closure import Closure
 from dmframe.certify.conditions import conditions_of, decide, remedies
 from dmframe.certify.contradicted import contradicted
 from dmframe.certify.discrete import discrete_assumptions, discrete_conditions, discrete_statements
-from dmframe.certify.excess import Bound, bounds_of
 from dmframe.certify.explained import explained
 from dmframe.certify.hypotheses import hypotheses, undefined
 from dmframe.certify.over import failing_of, over_intervals
 from dmframe.certify.positive import Signs
 from dmframe.certify.reach import reach_conditions
+from dmframe.certify.residual import Bound, bounds_of
 from dmframe.certify.small_gain import small_gain
 from dmframe.certify.smoothness import Examiner
 from dmframe.certify.statements import Statement, States, bases_of, statements_of, states_of, vanishing_of
 from dmframe.certify.states import sampled_states
 from dmframe.certify.symbols import Symbols, symbols_of
 from dmframe.certify.verdict import Outcome, Verdict
-from dmframe.copies import shared
+from dmframe.common.copies import shared
+from dmframe.common.errors import ValueFault
+from dmframe.common.text import DV, UNNAMED, Text, Written, joined, sentence
 from dmframe.diagram import Diagram
-from dmframe.errors import ValueFault
 from dmframe.exact import ZeroTest
 from dmframe.exact.rational import Interval
 from dmframe.prove import claim as data
@@ -44,7 +45,6 @@ from dmframe.prove.identity import Points, empty, together
 from dmframe.prove.reals import doubt
 from dmframe.prove.refute import Refutation, refute
 from dmframe.prove.sound import hold_sound
-from dmframe.text import DV, UNNAMED, Text, Written, joined, sentence
 
 LONG: Final = 2000
 """Operations of a diagram from which on a proof takes longer than a copy of the process."""

@@ -11,11 +11,11 @@ import typer
 
 from dmframe.cli.arguments import Listed, graph_names, home, lesson_numbers, robot_names, type_names
 from dmframe.cli.streams import tell
-from dmframe.errors import UnknownNameError
-from dmframe.files import write_text
+from dmframe.common.errors import UnknownNameError
+from dmframe.common.files import write_text
 
 if TYPE_CHECKING:
-    from dmframe.config.named import Named
+    from dmframe.config.registry import Registry
 
 SCHEMA = "dmframe.schema.json"
 """Schema file next to a new graph; the YAML server of an editor finds it by the graph's first line."""
@@ -23,7 +23,7 @@ SCHEMA = "dmframe.schema.json"
 
 def graphs(as_json: Listed = False) -> None:
     """List the packaged graphs with duration, clock and title."""
-    from dmframe.graph.shelf import graphs as registry
+    from dmframe.graph.registries import graphs as registry
 
     _print(registry(), as_json)
 
@@ -35,8 +35,8 @@ def robots(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, a list or the one robot.")] = False,
 ) -> None:
     """List the packaged robots, or print joints, masses, tool and known errors of one."""
+    from dmframe.graph.registries import robots as registry
     from dmframe.graph.robot_page import robot_data, robot_page
-    from dmframe.graph.shelf import robots as registry
 
     if name is None:
         _print(registry(), as_json)
@@ -44,7 +44,7 @@ def robots(
         tell(json.dumps(robot_data(name), indent=2) if as_json else robot_page(name))
 
 
-def _print(registry: Named[Any], as_json: bool) -> None:
+def _print(registry: Registry[Any], as_json: bool) -> None:
     tell(json.dumps(registry.summary, indent=2) if as_json else str(registry))
 
 
@@ -100,7 +100,7 @@ def blocks(
     from dmframe.catalogue import block_types, find_block
     from dmframe.cli.options import refuse
     from dmframe.graph.pages import block_list, block_page
-    from dmframe.graph.shelf import blocks as registry
+    from dmframe.graph.registries import blocks as registry
 
     if kind is not None:
         refuse({"--json": as_json}, "a block's page is text; leave the type out for a list")

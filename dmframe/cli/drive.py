@@ -13,14 +13,14 @@ from dmframe.cli import STOPPED
 from dmframe.cli.run import placed_folder, written
 from dmframe.cli.signals import held_off
 from dmframe.cli.streams import tell
+from dmframe.common.errors import DmframeError, DriveError, ValueFault
+from dmframe.common.units import seconds as time_of
+from dmframe.common.units import shorten, to_unit
 from dmframe.drive.robots import kind_of
-from dmframe.errors import DmframeError, DriveError, ValueFault
 from dmframe.graph.graph import Graph
 from dmframe.results.folder import drawing
 from dmframe.results.place import SAMPLES, complete
 from dmframe.results.run import table_of
-from dmframe.units import seconds as time_of
-from dmframe.units import shorten, to_unit
 
 NOT_BORNE = 1
 FAILED = 1

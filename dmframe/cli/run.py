@@ -17,8 +17,9 @@ from typing import Any
 from dmframe.cli import STOPPED
 from dmframe.cli.signals import held_off
 from dmframe.cli.streams import tell
-from dmframe.copies import shared
-from dmframe.errors import OutputError
+from dmframe.common.copies import shared
+from dmframe.common.errors import OutputError
+from dmframe.common.units import seconds
 from dmframe.graph.doubts import doubts
 from dmframe.graph.graph import Graph
 from dmframe.graph.labels import labels_of
@@ -28,7 +29,6 @@ from dmframe.results.folder import drawing, folders_of, safe_name, write_data
 from dmframe.results.place import PAGE, Place, complete, reserved
 from dmframe.results.run import Run, notes_of, numbers_of
 from dmframe.simulate.engine import Choice
-from dmframe.units import seconds
 
 DIVERGED = 1
 MOST = 100
@@ -72,8 +72,8 @@ def run_graphs(
                 say(numbers_of(runs))
             with held_off() as signals:
                 runs = _judged(runs, graphs)  # takes longer than the run
-                if not as_json and (said := notes_of(runs)):
-                    say("\n".join(said))
+                if not as_json and (notes := notes_of(runs)):
+                    say("\n".join(notes))
                 summaries = written(place, runs)
             data = json.dumps(summaries[0] if len(graphs) == 1 else summaries, indent=2)
             say(data if as_json else f"results: {place.path}")
@@ -179,4 +179,4 @@ def _judged(runs: Sequence[Run], graphs: Sequence[Graph]) -> list[Run]:
     with shared(judging, busy=True) as finished:
         for run in runs:
             _ = run.notices
-        return [run.noticed(*said) if said else run for run, said in zip(runs, finished(), strict=True)]
+        return [run.noticed(*notes) if notes else run for run, notes in zip(runs, finished(), strict=True)]

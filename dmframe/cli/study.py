@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from dmframe.cli import STOPPED
 from dmframe.cli.streams import tell
-from dmframe.columns import columns
-from dmframe.errors import MissingError, ValueFault, visible
+from dmframe.common.columns import columns
+from dmframe.common.errors import MissingError, ValueFault, visible
+from dmframe.common.trust import remember
 from dmframe.graph.progress import counting, progress_line
 from dmframe.study.again import Again, again
 from dmframe.study.execute import Foreseen, State, foreseen, run_study
@@ -20,7 +21,6 @@ from dmframe.study.plan import Study
 from dmframe.study.read import load_study
 from dmframe.study.results import Results, default_folder
 from dmframe.study.store import polars
-from dmframe.trust import remember
 
 if TYPE_CHECKING:
     from dmframe.study.report import Reported

@@ -47,8 +47,8 @@ from dmframe.codegen.wasm_binary import (
     number,
     whole,
 )
+from dmframe.common.errors import EngineError
 from dmframe.diagram.parts import Parts
-from dmframe.errors import EngineError
 from dmframe.program import CONST, Node, by_code, read, run
 
 _HOST_ONE: Final = "exp log tan asin acos atan erf sinh cosh asinh acosh atanh log1p expm1"

@@ -11,7 +11,11 @@ import casadi as ca
 
 from dmframe.block.base import AbstractBlock
 from dmframe.block.model import BlockModel
+from dmframe.block.parameter import specs
+from dmframe.block.port import ANY, Signal, State
 from dmframe.block.sizes import Sizes
+from dmframe.common.errors import UnitError
+from dmframe.common.units import base_units
 from dmframe.dimensions.algebra import Algebra
 from dmframe.dimensions.declared import Declared, Leaf
 from dmframe.dimensions.dimension import BASES, Dimension, counted, product, spelled
@@ -19,11 +23,7 @@ from dmframe.dimensions.limits import with_limits
 from dmframe.dimensions.rules import Contradiction, dimensions
 from dmframe.dimensions.stated import STORED, Item, items_of
 from dmframe.dimensions.words import expression
-from dmframe.errors import UnitError
-from dmframe.parameter import specs
-from dmframe.port import ANY, Signal, State
 from dmframe.program import CONST, INPUT, TO_READ, Program, by_code, read
-from dmframe.units import base_units
 
 
 def unit_faults(models: Mapping[str, BlockModel], sizes: Sizes, robot: Any = None) -> list[UnitError]:

@@ -9,20 +9,20 @@ from typing import Any, final
 import casadi as ca
 
 from dmframe.block.base import Signals
-from dmframe.block.faults import fault_context
-from dmframe.block.model import BlockModel, symbol
-from dmframe.block.sizes import Sizes
-from dmframe.certificate import (
+from dmframe.block.certificate import (
     SX,
     Certificate,
     CommonLyapunov,
     Condition,
-    Driven,
     Inequality,
     LogDet,
+    StableLinear,
 )
+from dmframe.block.faults import fault_context
+from dmframe.block.model import BlockModel, symbol
+from dmframe.block.sizes import Sizes
+from dmframe.common.errors import DmframeError
 from dmframe.dimensions.declared import Declared
-from dmframe.errors import DmframeError
 
 STORED = ("the storage S", "the weight of a storage term")
 """Items that have the unit of a block's storage."""
@@ -127,7 +127,7 @@ def _certificate(certificate: Certificate, declared: Declared, sampled: bool) ->
             yield Item("the weight of a storage term", ca.SX(stored.weight), (energy,))
         else:
             yield Item("the storage S", ca.SX(stored.value), (energy,))
-    for terms, what in ((certificate.dissipation, "the dissipation"), (certificate.excess, "the residual")):
+    for terms, what in ((certificate.dissipation, "the dissipation"), (certificate.residual, "the residual")):
         for lost in terms:
             yield Item(what, ca.SX(lost.value), (power,))
     yield Item("the supply rate", ca.SX(certificate.supply), (power,))
@@ -138,8 +138,8 @@ def _certificate(certificate: Certificate, declared: Declared, sampled: bool) ->
     for error in certificate.errors:
         yield Item("an error", ca.SX(error.value))
     yield from _consumed(certificate, declared)
-    for driven in certificate.driven:
-        yield from _driven(driven, declared)
+    for subsystem in certificate.linear:
+        yield from _driven(subsystem, declared)
     for barrier in certificate.barriers:
         position = ca.SX(barrier.position - barrier.upper) + ca.SX(barrier.margin)
         own = tuple(algebra.unknown() for _ in range(position.numel()))
@@ -157,23 +157,23 @@ def _consumed(certificate: Certificate, declared: Declared) -> Iterator[Item]:
     yield Item("what it dominates of a cascade", sum(vectors[1:], vectors[0]))
 
 
-def _driven(driven: Driven, declared: Declared) -> Iterator[Item]:
+def _driven(subsystem: StableLinear, declared: Declared) -> Iterator[Item]:
     """The signals of each equation have their own units; a rate A_jk maps that of z_k to that of z_j per second."""
     algebra, second = declared.algebra, declared.unit("s")
-    vectors = [ca.SX(vector) for vector in driven.vectors]
+    vectors = [ca.SX(vector) for vector in subsystem.vectors]
     units = [[algebra.unknown() for _ in range(vector.numel())] for vector in vectors]
-    for own, vector, rates in zip(units, vectors, driven.rates, strict=True):
+    for own, vector, rates in zip(units, vectors, subsystem.rates, strict=True):
         yield Item("a driven signal", vector, tuple(own))
         for rate, other in zip(map(ca.SX, rates), units, strict=True):
             pairs = zip(own, other, strict=False)
             expected = [algebra.product(algebra.product(one, by, -1), second, -1) for one, by in pairs]
             if not rate.is_zero():
                 yield Item("the rate of a driven signal", rate, tuple(expected[: rate.numel()]))
-    for own, given in zip(units, driven.inputs, strict=False):
+    for own, given in zip(units, subsystem.inputs, strict=False):
         column = ca.SX(given)
         expected = [algebra.product(one, second, -1) for one in own]
         yield Item("the input of a driven signal", column, tuple(expected[: column.numel()]))
-    for condition in driven.otherwise:
+    for condition in subsystem.otherwise:
         yield from _condition(condition, declared)
 
 

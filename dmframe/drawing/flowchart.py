@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 
+from dmframe.block.port import Side
+from dmframe.common.names import unicode_name
 from dmframe.drawing.netlist import Box, Wired, netlist
-from dmframe.names import unicode_name
-from dmframe.port import Side
 
 
 def mermaid(diagram: Wired, title: str = "") -> str:

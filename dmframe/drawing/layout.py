@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from statistics import median_low
 from typing import final
 
+from dmframe.block.port import Side
 from dmframe.diagram.wiring import End
 from dmframe.drawing.netlist import Box, Netlist, Pin, columns
-from dmframe.port import Side
 
 PITCH, TRACK, BYPASS = 18.0, 10.0, 17.0
 GRID = PITCH / 2

@@ -6,11 +6,11 @@ from collections import Counter
 from collections.abc import Iterator
 from xml.sax.saxutils import escape, quoteattr
 
+from dmframe.block.port import Side
+from dmframe.common.names import unicode_name
 from dmframe.diagram.wiring import End
 from dmframe.drawing.layout import MARGIN, Layout, Placed, lay_out, segments
 from dmframe.drawing.netlist import Wired, netlist
-from dmframe.names import unicode_name
-from dmframe.port import Side
 
 _STYLE = """
 text { font-family: Helvetica, Arial, 'Liberation Sans', 'DejaVu Sans', sans-serif; fill: #111; font-size: 11px }

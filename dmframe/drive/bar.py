@@ -13,7 +13,7 @@ from typing import Final, final
 
 import numpy as np
 
-from dmframe.units import plain
+from dmframe.common.units import plain
 
 STILL_SHARE: Final = 0.5
 """Largest error of a controller as a fraction of a stationary robot's error; a rule of thumb."""

@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from dmframe.block.model import SYMBOLIC
+from dmframe.common.errors import DriveError
 from dmframe.config import BaseGraph
 from dmframe.diagram.pieces import rows_of
 from dmframe.drive.identity import identity
@@ -16,7 +17,6 @@ from dmframe.drive.kept import refusal
 from dmframe.drive.limits import own_limits
 from dmframe.drive.record import drive_data, recording_of
 from dmframe.drive.robots import Options, clock_of, kind_of, usual_payload
-from dmframe.errors import DriveError
 from dmframe.runtime.controller import Controller
 from dmframe.runtime.driving import Plan, drive
 from dmframe.runtime.gate import Gate, Limits

@@ -24,16 +24,16 @@ import numpy as np
 
 from dmframe.build.compiler import FLAGS, SHARED, find_compiler, processor
 from dmframe.catalogue import loaded_digest
+from dmframe.common.files import encoded
+from dmframe.common.seal import digest
+from dmframe.common.version import version as own_version
+from dmframe.common.version import version_of
 from dmframe.config import BaseGraph
 from dmframe.config.resolved import resolved, robot_source
-from dmframe.files import encoded
 from dmframe.program import CONST, instructions
 from dmframe.runtime.controller import control_function, start_function
 from dmframe.runtime.gate import Limits
 from dmframe.runtime.steered import Steered
-from dmframe.seal import digest
-from dmframe.version import version as own_version
-from dmframe.version import version_of
 
 Identity = Mapping[str, Mapping[str, str]]
 """Part -> item -> value or digest."""

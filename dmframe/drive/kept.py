@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import platformdirs
 
+from dmframe.common.errors import OutputError
+from dmframe.common.files import write_text, writing
+from dmframe.common.seal import BrokenSeal, opened, sealed
+from dmframe.common.units import plain
 from dmframe.drive.identity import Identity, differences, key_of
-from dmframe.errors import OutputError
-from dmframe.files import write_text, writing
-from dmframe.seal import BrokenSeal, opened, sealed
-from dmframe.units import plain
 
 if TYPE_CHECKING:
     from dmframe.drive.rehearse import Rehearsal

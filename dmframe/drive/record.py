@@ -8,9 +8,11 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.model import SYMBOLIC
+from dmframe.block.port import Side
+from dmframe.common.slices import slices
+from dmframe.common.units import plain
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal, stack
-from dmframe.port import Side
 from dmframe.runtime.driving import Driven, Plan
 from dmframe.runtime.gate import Gate
 from dmframe.runtime.journal import Journal
@@ -19,8 +21,6 @@ from dmframe.runtime.steered import Steered
 from dmframe.simulate import Recording, Solver
 from dmframe.simulate.recording import ExtraSignal
 from dmframe.simulate.run import moving_outputs
-from dmframe.slices import slices
-from dmframe.units import plain
 
 MOST_BYTES: Final = 48 * 2**20
 """Memory for the signals of a drive whose samples are in a file."""
@@ -168,7 +168,12 @@ def _without(own: list[Signal], loop: Any, plant: Any) -> tuple[list[Signal], An
 
 
 def _notices(
-    driven: Driven, robot: str, shadow: bool, answer: np.ndarray, missed: np.ndarray, extra: dict[str, ExtraSignal]
+    driven: Driven,
+    robot: str,
+    shadow: bool,
+    answer: np.ndarray,
+    missed: np.ndarray,
+    extra: dict[str, ExtraSignal],
 ) -> tuple[str, ...]:
     found = [f"robot: {robot}, shadow drive: no command was sent" if shadow else f"robot: {robot}"]
     taken = answer[np.isfinite(answer)]

@@ -8,7 +8,9 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from dmframe.columns import columns
+from dmframe.common.columns import columns
+from dmframe.common.errors import DriveError
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
 from dmframe.config.sections import tolerance_in
 from dmframe.drive.bar import Bar, Measured, farthest, quarters
@@ -18,13 +20,11 @@ from dmframe.drive.limits import own_limits
 from dmframe.drive.record import recording_of
 from dmframe.drive.rival import Law, Rival, law_of
 from dmframe.drive.robots import clock_of, simulated_robot, usual_payload
-from dmframe.errors import DriveError
 from dmframe.results.metrics import euclidean, tracking_error
 from dmframe.runtime.driving import Driven, Plan, drive
 from dmframe.runtime.gate import Gate, Limits
 from dmframe.runtime.simulated import SimulatedRobot
 from dmframe.simulate.engine import Choice
-from dmframe.units import plain
 
 IDEAL: Final = "the ideal robot"
 LONGEST: Final = 40.0

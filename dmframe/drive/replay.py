@@ -13,17 +13,17 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from dmframe.common.errors import MissingError, listed
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
 from dmframe.drive.drive import steered_controller
 from dmframe.drive.log import Log, read_log
 from dmframe.drive.record import plain_signals
-from dmframe.errors import MissingError, listed
 from dmframe.runtime.driving import STILL
 from dmframe.runtime.gate import Gate, Limits
 from dmframe.runtime.robot import Sample
 from dmframe.runtime.steered import Steered
 from dmframe.simulate.engine import Choice
-from dmframe.units import plain
 
 APART: Final = 0.4
 """Tolerance for the time between samples as a whole number of periods [periods]."""

@@ -17,14 +17,14 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.model import SYMBOLIC
+from dmframe.block.port import Side
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
 from dmframe.diagram.closed_loop import Followed
-from dmframe.port import Side
 from dmframe.results.metrics import goal_of, turn_of
 from dmframe.robot.symbolic import kinematics
 from dmframe.runtime.robot import Sample
 from dmframe.simulate.start import start_state
-from dmframe.units import plain
 
 LEAST_GAIN: Final = 1.0
 """Smallest gain of the rival [1/s]."""

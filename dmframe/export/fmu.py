@@ -20,16 +20,16 @@ import casadi as ca
 
 from dmframe.build.compiler import CompileFailed, find_compiler
 from dmframe.codegen.source import helpers
+from dmframe.common.errors import EngineError, OutputError
+from dmframe.common.files import encoded, expanded
+from dmframe.common.slices import slices
+from dmframe.common.units import base_units
+from dmframe.common.version import version
 from dmframe.config import BaseGraph
 from dmframe.diagram.parts import split
-from dmframe.errors import EngineError, OutputError
 from dmframe.export.c import commented, functions_of, origin, own_file, spelled, write_all
 from dmframe.export.program import Member, Program, program_of
 from dmframe.export.robot import Robot, robot_of
-from dmframe.files import encoded, expanded
-from dmframe.slices import slices
-from dmframe.units import base_units
-from dmframe.version import version
 
 Version = Literal[2, 3]
 

@@ -13,11 +13,11 @@ from typing import Any, Final, final
 import casadi as ca
 
 from dmframe.block.model import symbols_in
+from dmframe.block.port import Side
+from dmframe.common.errors import EngineError, OutputError
+from dmframe.common.files import made_distinct
 from dmframe.config import BaseGraph
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import EngineError, OutputError
-from dmframe.files import made_distinct
-from dmframe.port import Side
 from dmframe.robot.symbolic import tool_position
 from dmframe.runtime.controller import control_function, path_function, path_leaves, start_function
 

@@ -10,8 +10,12 @@ from typing import Final, NamedTuple, final
 from xml.etree import ElementTree
 from xml.sax.saxutils import escape, unescape
 
+from dmframe.common.errors import EngineError
+from dmframe.common.files import made_distinct
+from dmframe.common.slices import slices
+from dmframe.common.units import plain
+from dmframe.common.version import version
 from dmframe.config import BaseGraph
-from dmframe.errors import EngineError
 from dmframe.export.c import (
     about,
     c_text,
@@ -25,11 +29,7 @@ from dmframe.export.c import (
     write_all,
 )
 from dmframe.export.program import Member, Program, program_of
-from dmframe.files import made_distinct
 from dmframe.runtime.signals import measured_as, velocity_command
-from dmframe.slices import slices
-from dmframe.units import plain
-from dmframe.version import version
 
 _WHOLE: Final = 1e-6
 

@@ -17,7 +17,7 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from dmframe.errors import RobotError
+from dmframe.common.errors import RobotError
 from dmframe.robot.chain import Joint, SerialChain, pin_configuration
 from dmframe.robot.convert import FORMATS, read_any, way_to, written
 from dmframe.robot.flange import MOVING, flange_of, repaired
@@ -102,11 +102,11 @@ def first_graph(name: str, folder: Path, tool: str | None = None) -> FirstGraph:
             made.write_text(text, encoding="utf-8")
             chain = load(str(made), tool=frame)
     rotor = {joint: value for joint, value in file.armature.items() if joint in chain.joint_names}
-    said = [f"tool: {frame}"] if tool is None else []
+    remarks = [f"tool: {frame}"] if tool is None else []
     if rotor:
-        said.append("the armature of the MJCF file is the rotor inertia of the graph's arm")
+        remarks.append("the armature of the MJCF file is the rotor inertia of the graph's arm")
     return FirstGraph(
-        _text(chain, model, frame, rotor, notes), {} if text is None else {urdf_name: text}, (*said, *notes)
+        _text(chain, model, frame, rotor, notes), {} if text is None else {urdf_name: text}, (*remarks, *notes)
     )
 
 

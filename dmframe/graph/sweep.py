@@ -13,13 +13,13 @@ import numpy as np
 from dmframe.batch.columns import FIGURES, PREFIX, error_figures, limits_in, units_of
 from dmframe.batch.figures import ERROR, TURN, Measured, Wanted, merged
 from dmframe.batch.runner import Runner, Runs
+from dmframe.block.parameter import Spec, specs
+from dmframe.common.errors import DmframeError, ValueFault, raise_all
+from dmframe.common.units import shorten, to_unit
 from dmframe.config.given import listed
-from dmframe.errors import DmframeError, ValueFault, raise_all
 from dmframe.graph.graph import Graph
 from dmframe.graph.load import load
-from dmframe.parameter import Spec, specs
 from dmframe.results.metrics import EIGHTHS
-from dmframe.units import shorten, to_unit
 
 if TYPE_CHECKING:
     import xarray

@@ -9,7 +9,7 @@ from typing import Final, final
 
 import numpy as np
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.identification.clipped import Limit, clipped, cut, fitted
 from dmframe.identification.clock import alternatives, clock_of, regular, with_losses
 from dmframe.identification.log import Array, Log

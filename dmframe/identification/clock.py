@@ -8,7 +8,7 @@ from typing import Final, final
 
 import numpy as np
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.identification.log import Array, Log, Unknown
 from dmframe.identification.model import SLOTS
 

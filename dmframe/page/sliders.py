@@ -8,19 +8,19 @@ from typing import Any, final
 
 import numpy as np
 
+from dmframe.block.parameter import specs
+from dmframe.block.port import Side
 from dmframe.block.prose import about
 from dmframe.block.symmetric import lower_triangle
 from dmframe.certify import Verdict
-from dmframe.certify.elsewhere import claims_alike
+from dmframe.certify.parameter_margins import claims_alike
+from dmframe.common.errors import DmframeError
+from dmframe.common.names import unicode_name
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Parameter
 from dmframe.diagram.knowledge import known_truths
 from dmframe.diagram.values import with_values
-from dmframe.errors import DmframeError
 from dmframe.formula.unmarked import unmarked
-from dmframe.names import unicode_name
-from dmframe.parameter import specs
-from dmframe.port import Side
 
 GROUPS = {Side.CONTROLLER: "controller", Side.PLANT: "hidden", Side.SOURCE: "path"}
 ROBOT = {

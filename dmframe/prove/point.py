@@ -10,11 +10,11 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple, final
 
+from dmframe.common.text import UNNAMED, Text, sentence, text_of
 from dmframe.exact import Tape, Trial
 from dmframe.exact.ring import compute
 from dmframe.prove.claim import Claim, Line, Out, Part, Steps, Term, made_of
 from dmframe.prove.rules import Taken, form, pushed, taken
-from dmframe.text import UNNAMED, Text, sentence, text_of
 
 Numbers = Sequence[Any]
 Known = dict[tuple[str, int], tuple[dict[str, list[Any]], Taken]]
@@ -225,8 +225,8 @@ def _of_a_sample(point: Point, moves: Mapping[str, Numbers], part: Part) -> Iter
     """The moves of estimates and delay lines, the plant's identities, and what the block's output solves."""
     block = part.block
     for steps in point.taken[block]:
-        for name, said in steps.moves.items():
-            yield _equal(block, f"what {name} becomes", moves[f"{block}.{name}"], said)
+        for name, stated in steps.moves.items():
+            yield _equal(block, f"what {name} becomes", moves[f"{block}.{name}"], stated)
     for line in part.lines:
         yield _equal(block, f"what {line.state} keeps", moves[f"{block}.{line.state}"], _kept(point, line))
     if part.plant:

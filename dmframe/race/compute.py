@@ -17,8 +17,8 @@ from typing import Final, final
 from dmframe.batch.columns import Columns
 from dmframe.batch.figures import ERROR, Wanted
 from dmframe.batch.runner import Runner, Runs
-from dmframe.errors import DmframeError, EngineError, OutputError, raise_all
-from dmframe.files import append, writing
+from dmframe.common.errors import DmframeError, EngineError, OutputError, raise_all
+from dmframe.common.files import append, writing
 from dmframe.graph.graph import Graph
 from dmframe.race.plan import Race, Run
 from dmframe.study.chunks import Chunk

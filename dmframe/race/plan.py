@@ -11,13 +11,13 @@ from typing import Any, Final, final
 
 import scipy
 
+from dmframe.common.errors import DmframeError, ValueFault
+from dmframe.common.units import plain, to_unit
 from dmframe.config.document import Document, Node, mapping_of
 from dmframe.config.given import node_of
-from dmframe.errors import DmframeError, ValueFault
 from dmframe.graph.graph import Graph
 from dmframe.race.grammar import LawSection, RaceFile
 from dmframe.study.identity import key_of
-from dmframe.units import plain, to_unit
 
 Entries = Mapping[str, tuple[Node, Node]]
 Values = tuple[tuple[str, float], ...]
@@ -286,7 +286,7 @@ class Race:
                 raise ValueFault(
                     f"wires.{end}: {node.value}: expected a block {absent[0]} in plants.{plant}, found none; name the "
                     "blocks as the law's graph does",
-                    location=node.said,
+                    location=node.origin,
                 )
             if not absent:
                 found[end] = at, node

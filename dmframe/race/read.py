@@ -12,7 +12,11 @@ from typing import Any, Final
 from pydantic import ValidationError
 
 from dmframe.block import AbstractBlock, type_name
+from dmframe.block.parameter import specs
+from dmframe.block.port import Side
 from dmframe.catalogue import find_graph, find_race, find_reality
+from dmframe.common.errors import DmframeError, MissingError, UnknownNameError, ValueFault
+from dmframe.common.units import to_unit
 from dmframe.config.document import Document, Node, mapping_of, read_file
 from dmframe.config.grammar import KEYS as GRAPH_KEYS
 from dmframe.config.grammar import fault_of, shown
@@ -21,13 +25,9 @@ from dmframe.config.reality import KEY as REALITY
 from dmframe.config.reality import LIKE, NONE, models_of
 from dmframe.config.sections import kinds_of
 from dmframe.diagram.diagram import doubtful
-from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault
-from dmframe.parameter import specs
-from dmframe.port import Side
 from dmframe.race.grammar import RACE, LawSection, RaceFile, keys_at, raise_placed
 from dmframe.race.plan import PATH, Law, Race, Run, listed
 from dmframe.race.sources import Sources
-from dmframe.units import to_unit
 
 SECTIONS: Final = ("robot", "start", "plants", "paths", "realities")
 
@@ -44,7 +44,7 @@ def load_race(source: str | Path) -> Race:
     document = read_file(path, RACE)
     file = _checked(document)
     faults = [*_unknown_names(file), *_misplaced(file, path.parent)]
-    sections = {name: _absolute(_said(_node(document, name), document.name), path.parent) for name in SECTIONS}
+    sections = {name: _absolute(_with_origin(_node(document, name), document.name), path.parent) for name in SECTIONS}
     laws, sources = dict[tuple[str, float], Law](), Sources()
     for name, clock in itertools.product(file.laws, file.clocks):
         try:
@@ -188,8 +188,8 @@ def _law(name: str, clock: float, section: LawSection, race: Document, folder: P
         if (searched.between is None) == (searched.per_clock is None):
             raise ValueFault(f"{where}.tune.{label}: expected one of between and per_clock", path=at)
         own.append((label, _own(f"{where}.tune.{label}", mine[block], parameter, values[block], at)))
-    stamped = {block: (key, _said(node, document.name)) for block, (key, node) in blocks.items()}
-    wires = {end: (key, _said(node, document.name)) for end, (key, node) in _entries(document, "wires").items()}
+    stamped = {block: (key, _with_origin(node, document.name)) for block, (key, node) in blocks.items()}
+    wires = {end: (key, _with_origin(node, document.name)) for end, (key, node) in _entries(document, "wires").items()}
     return Law(section, document.name, stamped, wires, tuple(own), sources.digest(mine.values()))
 
 
@@ -209,13 +209,13 @@ def _graph_of(where: str, graph: str, folder: Path, at: tuple[str, ...]) -> Docu
 def _set(document: Document, label: str, race: Document, law: str) -> Document:
     """The law's document with one of its values under ``set``."""
     at = ("laws", law, "set", label)
-    said = race.locate(at)
+    origin = race.locate(at)
     try:
-        return put_at(document, label, race.node(at), said, GRAPH_KEYS)
+        return put_at(document, label, race.node(at), origin, GRAPH_KEYS)
     except DmframeError as error:
         for fault in error.faults:
-            fault.text = f"laws.{law}.set: {fault.text.removeprefix(f'{said}: ')}"
-            fault.path, fault.location = at, said
+            fault.text = f"laws.{law}.set: {fault.text.removeprefix(f'{origin}: ')}"
+            fault.path, fault.location = at, origin
         raise
 
 
@@ -283,14 +283,16 @@ def _entries(document: Document, key: str) -> dict[str, tuple[Node, Node]]:
     return value if isinstance(value, dict) else {}
 
 
-def _said(node: Node, file: str) -> Node:
+def _with_origin(node: Node, file: str) -> Node:
     """The node, each value of which names its place in a file, so that a graph made of several files names it too."""
     value = node.value
     if isinstance(value, dict):
-        value = {key: (replace(at, said=at.place(file)), _said(item, file)) for key, (at, item) in value.items()}
+        value = {
+            key: (replace(at, origin=at.place(file)), _with_origin(item, file)) for key, (at, item) in value.items()
+        }
     elif isinstance(value, list):
-        value = [_said(item, file) for item in value]
-    return replace(node, value=value, said=node.place(file))
+        value = [_with_origin(item, file) for item in value]
+    return replace(node, value=value, origin=node.place(file))
 
 
 def _absolute(node: Node, folder: Path) -> Node:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, final
 
-from dmframe.errors import OutputError
-from dmframe.files import write_text, writing
+from dmframe.common.errors import OutputError
+from dmframe.common.files import write_text, writing
 from dmframe.race.compute import JOURNAL, Heat, Kept, computed
 from dmframe.race.plan import Race, Run
 from dmframe.race.protocol import Choice, Row, chosen, judged_runs, rows_of, tuning_runs

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Final, final
 
-from dmframe.errors import RobotError
+from dmframe.common.errors import RobotError
 from dmframe.exact import Echelon, NoRationalError, Trial, ZeroDivision, random_prime, rational_reconstruction
 from dmframe.regressor.full import Sampler, full_regressor
 from dmframe.regressor.groupings import symbolic_groupings

@@ -11,13 +11,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from dmframe.errors import ShapeError
-from dmframe.files import write_text
+from dmframe.common.errors import ShapeError
+from dmframe.common.files import write_text
+from dmframe.common.version import version
 from dmframe.regressor.base_parameters import base_parameters
 from dmframe.regressor.full import KINEMATIC_SIGNALS, SIGNALS, full_regressor
 from dmframe.robot.chain import SerialChain, pin_configuration
 from dmframe.robot.symbolic import SymbolicRobot
-from dmframe.version import version
 
 # A fixed name of our own: a function called y0, exp or read would collide with the C library's.
 _INNER: Final = "dmframe_regressor_casadi"

@@ -9,8 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from dmframe.errors import ValueFault
-from dmframe.files import write_text
+from dmframe.common.errors import ValueFault
+from dmframe.common.files import write_text
+from dmframe.common.version import version
 from dmframe.program import CONST, Node, by_code, read, run
 from dmframe.regressor.base_parameters import base_parameters
 from dmframe.regressor.export import (
@@ -24,7 +25,6 @@ from dmframe.regressor.export import (
 )
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.parameters import DynamicParameters
-from dmframe.version import version
 
 RULES: Final = by_code(
     {

@@ -10,7 +10,7 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.regressor.export import kinematic_names, kinematic_values
 from dmframe.regressor.full import full_regressor
 from dmframe.regressor.polynomial import Polynomial, expand

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, final
 
-from dmframe import notebook
-from dmframe.columns import columns
+from dmframe.common import notebook
+from dmframe.common.columns import columns
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
 from dmframe.config.about import AboutGraph
 from dmframe.report.linear import EMULATION_HEADS, JOINT_HEADS, LinearView, rows_of
-from dmframe.units import plain
 
 if TYPE_CHECKING:
     from dmframe.analysis import LoopAnalysis, TieGain

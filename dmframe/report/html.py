@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final, assert_never, final
 
-from dmframe.notebook import embedded
+from dmframe.common.notebook import embedded
 from dmframe.report.mathml import breakable, mathml, terms
 from dmframe.report.parts import (
     MARKED,

@@ -9,15 +9,15 @@ from typing import Any, final
 import numpy as np
 
 from dmframe.certify import Verdict
+from dmframe.common.errors import DmframeError
+from dmframe.common.plotting import figure_svg
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
-from dmframe.errors import DmframeError
 from dmframe.exact.rational import as_float
-from dmframe.plotting import figure_svg
 from dmframe.results.along import Along, along
 from dmframe.results.metrics import tracking_error, turn_error
 from dmframe.results.storage_figure import storage_picture
 from dmframe.simulate import Log, Recording
-from dmframe.units import plain
 
 ROUNDING = 1e-6
 """Relative increase of V, of its initial value, that the integration error explains."""

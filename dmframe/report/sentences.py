@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Final, NamedTuple, final
 
-from dmframe.errors import listed
+from dmframe.block.port import Side
+from dmframe.common.errors import listed
+from dmframe.common.names import unicode_name
 from dmframe.formula import Line, PrintedLaw
-from dmframe.names import unicode_name
-from dmframe.port import Side
 from dmframe.report.explained import BlockFacts, Estimated
 from dmframe.report.flow import Taken
 from dmframe.report.terms import names_in, shown
@@ -35,11 +35,11 @@ class Said(NamedTuple):
 
 def described(block: BlockFacts) -> list[Said]:
     """Sentences about a block."""
-    said = [Said(block.does or "Its docstring has no summary.")]
-    said += [Said(text) for text in (*_takes(block), *_hands_on(block), *_keeps(block))]
+    sentences = [Said(block.does or "Its docstring has no summary.")]
+    sentences += [Said(text) for text in (*_takes(block), *_hands_on(block), *_keeps(block))]
     if block.side is not Side.SOURCE:
-        said += _energy(block)
-    return said
+        sentences += _energy(block)
+    return sentences
 
 
 def signal(name: str, unit: str) -> str:
@@ -130,9 +130,9 @@ def _energy(block: BlockFacts) -> Iterator[Said]:
     if law.dissipation:
         yield Said("Dissipation, negative in dV/dt:")
         yield Said(" + ".join(_bracketed(term.whole.unicode) for term in law.dissipation), formula=True)
-    if law.excess:
+    if law.residual:
         yield Said("Residual of the robust adaptation, which may increase dV/dt:")
-        yield Said(" + ".join(_bracketed(term.whole.unicode) for term in law.excess), formula=True)
+        yield Said(" + ".join(_bracketed(term.whole.unicode) for term in law.residual), formula=True)
     if supplies(law):
         yield Said("Supply rate from other blocks, in dV/dt:")
         yield Said(law.supply.unicode if law.supply is not None else "0", formula=True)
@@ -157,7 +157,7 @@ def _bracketed(text: str) -> str:
 
 def _parts(law: PrintedLaw) -> list[Line]:
     """Definitions used, directly or not, in the energy terms of a law."""
-    formulas = [term.whole for term in (*law.storage, *law.dissipation, *law.excess)]
+    formulas = [term.whole for term in (*law.storage, *law.dissipation, *law.residual)]
     formulas += [item for item in (law.supply, law.consumption and law.consumption.whole) if item is not None]
     formulas += [line.right for line in law.estimates]
     used = set(_names(formula.node for formula in formulas))

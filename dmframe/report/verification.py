@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, final
 
 from dmframe.certify import Verdict
 from dmframe.certify.summary import summary
+from dmframe.common.files import expanded
 from dmframe.config import BaseGraph
 from dmframe.config.about import AboutGraph
-from dmframe.files import expanded
 from dmframe.report.verdict_text import verdict_text
 
 if TYPE_CHECKING:
-    from dmframe.certificate import Assumption
+    from dmframe.block.certificate import Assumption
     from dmframe.certify.checked import Checked
     from dmframe.certify.statements import Statement
 
@@ -142,8 +142,8 @@ def command(found: Sequence[Verification], path: Path) -> list[str]:
         for item in (found[:1] if same else found)
         for text in item.graph.overrides
     ]
-    said = [word for text in changes for word in ("--set", text)]
-    return ["dmframe", "verify", *map(place, found), *said, "--seed", str(found[0].seed), "--report", path.name]
+    options = [word for text in changes for word in ("--set", text)]
+    return ["dmframe", "verify", *map(place, found), *options, "--seed", str(found[0].seed), "--report", path.name]
 
 
 def _again(graph: BaseGraph, verdict: bytes, seed: int, label: str) -> Verification:

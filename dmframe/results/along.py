@@ -15,20 +15,20 @@ from typing import final
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX, Square, Stored
+from dmframe.block.certificate import SX, Square, Stored
 from dmframe.certify.assumed import assumed_positive
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim, Part, total
+from dmframe.common.errors import ValueFault
+from dmframe.common.slices import slices
+from dmframe.common.text import UNNAMED, Text
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import ValueFault
 from dmframe.formula import Formula, tree
 from dmframe.formula.tree import SCALAR, Name
 from dmframe.results.at_instants import AtInstants
 from dmframe.results.climb import Climb, climb_of
-from dmframe.results.constants import determined, excess_of, notes_on
+from dmframe.results.constants import determined, notes_on, residual_of
 from dmframe.simulate import Recording
-from dmframe.slices import slices
-from dmframe.text import UNNAMED, Text
 
 LOOKED_AT = 128
 """Instants at which the rounding error of V is bounded; between two of them the larger bound is taken."""
@@ -79,7 +79,7 @@ class Along:
         (N,) How far V may be wrong by rounding; empty for exact numbers.
     jumps
         What sources that step add to V at their steps.
-    crossings
+    notes
         Sentences on what the claim assumes and this run does not have: weights above zero, constants inside their box.
     residual
         (N,) What a claim over samples lets V gain from each sample to the next; empty where it was not evaluated.
@@ -97,7 +97,7 @@ class Along:
     rate: np.ndarray = field(default_factory=_none)
     rounding: np.ndarray = field(default_factory=_none)
     jumps: tuple[Jump, ...] = ()
-    crossings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     residual: np.ndarray = field(default_factory=_none)
     constants: Mapping[str, np.ndarray] = field(default_factory=dict)
     about: str = ""
@@ -183,7 +183,7 @@ def _over_time(claim: Claim, run: Recording, kappa: float) -> Along:
         rate=rate,
         rounding=_rounding(own, V),
         jumps=_jumps(own, V),
-        crossings=tuple(_crossings(own)),
+        notes=tuple(_notes(own)),
     )
 
 
@@ -192,7 +192,7 @@ def _over_samples(claim: Claim, run: Recording, kappa: float) -> Along:
     column = stack(value / 2 for *_, value in stored)
     constants = determined(claim, column, own)
     column = constants.put(column)
-    gained = constants.put(excess_of(claim)) if own.whole else ca.SX(0, 1)
+    gained = constants.put(residual_of(claim)) if own.whole else ca.SX(0, 1)
     V = claim.loop.on_path(ca.sum1(column))
     found = own.of(stack([column, _size(claim, V), gained]))
     rows, (size, *residual) = found[: len(stored)], found[len(stored) :]
@@ -202,7 +202,7 @@ def _over_samples(claim: Claim, run: Recording, kappa: float) -> Along:
         V=np.sum(rows, axis=0),
         terms=_named(stored, rows),
         rounding=_share(claim, V) * size,
-        crossings=tuple(notes_on(claim, constants, own)),
+        notes=tuple(notes_on(claim, constants, own)),
         residual=residual[0] if residual else _none(),
         constants=constants.by_label,
         about=constants.text,
@@ -230,7 +230,7 @@ def _stored(part: Part) -> Iterator[tuple[Text, SX]]:
             yield Text(error), Square(square.vector[rows], weight).value
 
 
-def _crossings(own: AtInstants) -> Iterator[str]:
+def _notes(own: AtInstants) -> Iterator[str]:
     """Where along the run a weight is not above zero that the claim assumes to be."""
     for item in assumed_positive(own.claim, Numbers(own.claim, {})):
         least = np.min(own.of(own.claim.loop.projected([item.column])[0]), axis=0)
@@ -265,7 +265,7 @@ def _rates(own: AtInstants, kappa: float) -> tuple[np.ndarray, np.ndarray]:
     """
     claim, loop = own.claim, own.claim.loop
     spent = total([claim.weight(part) * part.dissipation for part in claim.parts])
-    left = total([claim.weight(part) * (part.excess + part.lemma) for part in claim.parts]) + claim.consumption
+    left = total([claim.weight(part) * (part.residual + part.lemma) for part in claim.parts]) + claim.consumption
     column = loop.projected([_weighed(claim, stack([spent, left - spent]), kappa)])[0]
     known = stack([loop.state, loop.time, loop.p])
     if ca.Function("rates", [known], [loop.on_path(column)], {"allow_free": True}).has_free():

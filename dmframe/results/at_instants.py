@@ -9,13 +9,13 @@ from typing import Final, final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
 from dmframe.certify.claim import Claim
+from dmframe.common.errors import ValueFault, listed
 from dmframe.diagram import Variable
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.pieces import rows_of
-from dmframe.errors import ValueFault, listed
 from dmframe.simulate import Recording
 from dmframe.simulate.instants import DRAWN
 

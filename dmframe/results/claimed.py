@@ -10,13 +10,13 @@ from dmframe.certify.checked import Checked, Numbers, sorted_out
 from dmframe.certify.claim import Claim, NotApplicableError, claim_of
 from dmframe.certify.conditions import conditions_of
 from dmframe.certify.discrete import discrete_conditions
-from dmframe.certify.excess import bounds_of
 from dmframe.certify.hypotheses import undefined
+from dmframe.certify.residual import bounds_of
 from dmframe.certify.small_gain import small_gain
 from dmframe.certify.smoothness import smoothness
 from dmframe.certify.symbols import symbols_of
+from dmframe.common.errors import DmframeError
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError
 from dmframe.exact.rational import Interval, as_float
 from dmframe.results.along import Along, along
 from dmframe.simulate import Recording
@@ -51,7 +51,7 @@ def claimed_along(
     """
     diagram = run.diagram
     with SYMBOLIC:
-        if not diagram.loop.clocked and (size := _large(diagram)):
+        if not diagram.loop.discrete_time and (size := _large(diagram)):
             raise NotApplicableError(
                 f"V is not computed along the run of a loop of that size, {size} numbers in one column or gain; "
                 f"expected at most {MOST}; `verify --report` computes it"

@@ -18,13 +18,13 @@ from typing import Final, final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
 from dmframe.certify.claim import Claim, NotApplicableError, total
+from dmframe.common.errors import listed, summarised
+from dmframe.common.slices import slices
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import listed, summarised
 from dmframe.results.at_instants import AtInstants
-from dmframe.slices import slices
 
 SINGULAR: Final = 1e-9
 """Eigenvalues of the scaled sum of r'' up to this say nothing of their direction."""
@@ -69,9 +69,9 @@ class Constants:
         return f"with {listed(shown)}, the unknown constants that leave least of its data unexplained" if shown else ""
 
 
-def excess_of(claim: Claim) -> SX:
+def residual_of(claim: Claim) -> SX:
     """What the claim lets V gain in a sample, before what it loses is subtracted."""
-    return total([part.excess for part in claim.parts])
+    return total([part.residual for part in claim.parts])
 
 
 def determined(claim: Claim, stored: SX, samples: AtInstants) -> Constants:
@@ -91,7 +91,7 @@ def determined(claim: Claim, stored: SX, samples: AtInstants) -> Constants:
     if not symbols:
         return Constants({}, np.zeros(0))
     c = stack(symbols.values())
-    slope = ca.gradient(excess_of(claim), c)
+    slope = ca.gradient(residual_of(claim), c)
     bend = ca.jacobian(slope, c)
     if symbols_in([bend]) & symbols_in([c]):
         raise NotApplicableError(f"V holds {listed(list(symbols))}, in which what V may gain is not quadratic")
@@ -141,4 +141,4 @@ def notes_on(claim: Claim, constants: Constants, samples: AtInstants) -> Iterato
                 )
 
 
-__all__ = ["Constants", "determined", "excess_of", "notes_on"]
+__all__ = ["Constants", "determined", "notes_on", "residual_of"]

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
-from dmframe.names import unicode_name
-from dmframe.plotting import look, verbatim
+from dmframe.common.names import unicode_name
+from dmframe.common.plotting import look, verbatim
+from dmframe.common.units import plain, sliding
 from dmframe.results.dataset import axis_labels, joint_labels
 from dmframe.results.metrics import TrackingError, tracking_error
 from dmframe.simulate import Recording
-from dmframe.units import plain, sliding
 
 Runs = Mapping[str, Recording]
 """Runs by legend name."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dmframe.plotting import (
+from dmframe.common.plotting import (
     COLUMN,
     POINTS,
     VANISHING,

@@ -9,11 +9,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any, final
 
-from dmframe import notebook
-from dmframe.copies import shared
-from dmframe.errors import OutputError
-from dmframe.files import expanded, write_bytes, writing
-from dmframe.plotting import FORMATS, checked_formats, files_of, loaded
+from dmframe.common import notebook
+from dmframe.common.copies import shared
+from dmframe.common.errors import OutputError
+from dmframe.common.files import expanded, write_bytes, writing
+from dmframe.common.plotting import FORMATS, checked_formats, files_of, loaded
 from dmframe.results.command_figure import command_figure
 from dmframe.results.drawn_runs import Runs
 from dmframe.results.effort_figure import effort_figure

@@ -9,14 +9,14 @@ from typing import final
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX
+from dmframe.block.certificate import SX
+from dmframe.common.text import Text
+from dmframe.common.units import plain
 from dmframe.diagram.closed_loop import ClosedLoop, Followed
 from dmframe.formula import Formula, tree
 from dmframe.formula.tree import SCALAR, Name
 from dmframe.simulate import Recording
 from dmframe.simulate.keep import apart_of
-from dmframe.text import Text
-from dmframe.units import plain
 
 EIGHTHS = 8
 DEGREES = "deg"

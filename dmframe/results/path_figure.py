@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from dmframe.plotting import GREY, PAGE, draw_curve, frame, look, names_above, page, tame, unit_text
+from dmframe.common.plotting import GREY, PAGE, draw_curve, frame, look, names_above, page, tame, unit_text
+from dmframe.common.units import plain
 from dmframe.results.dataset import axis_labels
 from dmframe.results.drawn_runs import Runs, coordinate_labels, errors_of, left_out, note_below, run_label, why_not_with
 from dmframe.results.metrics import TrackingError
 from dmframe.simulate import Recording
-from dmframe.units import plain
 
 MOST = 2000
 _VISIBLE = 0.35

@@ -21,14 +21,14 @@ import numpy as np
 
 from dmframe.block import AdaptingBlock
 from dmframe.block.model import symbols_in
+from dmframe.block.naming import reading
 from dmframe.block.numberless import without_numbers
+from dmframe.common.units import plain
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal
 from dmframe.diagram.view import view
-from dmframe.naming import reading
 from dmframe.results.metrics import EIGHTHS
 from dmframe.simulate import Recording
-from dmframe.units import plain
 
 MOST: Final = 400
 """Maximum number of instants at which W is evaluated."""
@@ -61,11 +61,11 @@ class Shown:
 
     def __str__(self) -> str:
         values = ", ".join(plain(value, self.unit) for value in self.values)
-        said = f"{self.words} {values if len(self.values) == 1 else f'[{values}]'}"
+        text = f"{self.words} {values if len(self.values) == 1 else f'[{values}]'}"
         if self.felt is None:
-            return said
+            return text
         felt = ", ".join(f"{value:.3g}" for value in self.felt)
-        return f"{said}, felt as {felt if len(self.felt) == 1 else f'[{felt}]'} N m/{self.unit or '1'}"
+        return f"{text}, felt as {felt if len(self.felt) == 1 else f'[{felt}]'} N m/{self.unit or '1'}"
 
 
 def shown_by(run: Recording) -> list[Shown]:
@@ -87,8 +87,8 @@ def shown_by(run: Recording) -> list[Shown]:
 
 
 def _showing(diagram: Diagram) -> Iterator[tuple[Signal, str]]:
-    said = {f"{name}.{port.name}": port.shown for name, block in diagram.blocks.items() for port in block.outputs}
-    yield from ((signal, said[signal.label]) for signal in diagram.loop.outputs if said.get(signal.label))
+    texts = {f"{name}.{port.name}": port.shown for name, block in diagram.blocks.items() for port in block.outputs}
+    yield from ((signal, texts[signal.label]) for signal in diagram.loop.outputs if texts.get(signal.label))
 
 
 def _felt(run: Recording, signal: Signal, chosen: np.ndarray) -> np.ndarray | None:

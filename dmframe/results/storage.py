@@ -10,15 +10,15 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.certify.claim import Claim
+from dmframe.common.errors import DmframeError, listed
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
-from dmframe.errors import DmframeError, listed
 from dmframe.results.along import Along
 from dmframe.results.claimed import claimed_along
 from dmframe.results.storage_unit import StorageUnit, storage_unit
 from dmframe.simulate import Recording
 from dmframe.simulate.recording import ExtraSignal
 from dmframe.simulate.warnings import between
-from dmframe.units import plain
 
 SIGNALS: Final = ("V", "V_rate", "V_dissipation", "V_residual")
 """Labels of V, its rate, dissipation and residual; the storage function of a block is ``V.block``."""
@@ -90,7 +90,7 @@ class Storage:
     def notice(self) -> str:
         """Warning about a rise of V with possible causes, or about a non-positive assumed weight; may be empty."""
         climb, jumps = self.along.climb, [jump for jump in self.along.jumps if jump.change > 0]
-        notes = list(self.along.crossings)
+        notes = list(self.along.notes)
         if climb.rise:
             fraction = "it never fell below its start" if climb.share is None else (
                 f"{100 * climb.share:.3g} % of its fall, which is {climb.fall:.3g}"
@@ -173,7 +173,7 @@ def _causes(claim: Claim, along: Along, run: Recording) -> Iterator[tuple[str, s
     if claim.over_samples:
         yield _over_samples(claim, along)
     else:
-        blocks = [part.block for part in claim.parts if part.certificate.excess]
+        blocks = [part.block for part in claim.parts if part.certificate.residual]
         if blocks:
             yield "residual", f"the certificate allows V to rise by the residual of {listed(blocks)}"
         if run.clock is not None:

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from dmframe.errors import DmframeError
-from dmframe.plotting import draw_curve, frame, look, page, span, tame, verbatim
+from dmframe.common.errors import DmframeError
+from dmframe.common.plotting import draw_curve, frame, look, page, span, tame, verbatim
 from dmframe.results.along import Along
 from dmframe.results.drawn_runs import note_below, run_label
 from dmframe.results.run import Run

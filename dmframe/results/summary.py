@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.results.metrics import Deviation, tracking_error, turn_error
 from dmframe.results.shown import shown_by
 from dmframe.results.storage import no_storage

@@ -13,8 +13,8 @@ from typing import Any, Literal, final
 import numpy as np
 from numpy.typing import NDArray
 
-from dmframe import notebook
-from dmframe.errors import ValueFault
+from dmframe.common import notebook
+from dmframe.common.errors import ValueFault
 from dmframe.robot.mimics import Mimic
 from dmframe.robot.rational import Matrix, Vector, decimal, rational_axis, rational_rotation
 from dmframe.robot.reduction import check_inertia, model_configuration, motion_subspace, reduce_model

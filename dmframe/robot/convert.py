@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from dmframe.errors import MissingError, RobotError
+from dmframe.common.errors import MissingError, RobotError
 from dmframe.robot.reduction import motion_subspace
 from dmframe.robot.urdf_numbers import INERTIA
 

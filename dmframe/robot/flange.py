@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from dmframe.errors import RobotError
+from dmframe.common.errors import RobotError
 from dmframe.robot.convert import Element, children, way_to
 from dmframe.robot.urdf_numbers import Lines, faults_of, numbers
 

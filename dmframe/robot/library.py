@@ -15,8 +15,8 @@ from importlib import metadata, util
 from pathlib import Path
 from typing import Any, final
 
-from dmframe.errors import RobotError, UnknownNameError
-from dmframe.files import probed
+from dmframe.common.errors import RobotError, UnknownNameError
+from dmframe.common.files import probed
 from dmframe.robot.chain import SerialChain
 
 GROUP = "dmframe.robots"

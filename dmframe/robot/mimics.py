@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Mapping
 from typing import NamedTuple, final
 
-from dmframe.errors import RobotError
+from dmframe.common.errors import RobotError
 
 SAME = 1e-9
 """Tolerance between a held angle and the one that the leader determines [rad or m]."""

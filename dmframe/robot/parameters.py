@@ -8,9 +8,9 @@ from fractions import Fraction
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeVar, final
 
-from dmframe.errors import UnknownNameError
-from dmframe.port import Element
-from dmframe.units import sliding
+from dmframe.common.errors import UnknownNameError
+from dmframe.common.names import Element
+from dmframe.common.units import sliding
 
 if TYPE_CHECKING:
     from dmframe.robot.chain import SerialChain

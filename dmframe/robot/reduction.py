@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dmframe.errors import RobotError, UnknownNameError, ValueFault
+from dmframe.common.errors import RobotError, UnknownNameError, ValueFault
 from dmframe.robot.mimics import Mimic, with_mimics
 
 TOOL_FRAME = "dmframe_tool"

@@ -14,7 +14,7 @@ from xml.parsers import expat
 
 import numpy as np
 
-from dmframe.errors import MissingError, RobotError, raise_all
+from dmframe.common.errors import MissingError, RobotError, raise_all
 from dmframe.robot.mimics import Mimic
 from dmframe.robot.urdf_numbers import INERTIA, Lines, faults_of, numbers, spelled_plainly
 

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from dmframe.errors import DriveError
+from dmframe.common.errors import DriveError
 
 PATIENCE: Final = 5
 """Periods without a command after which the arm stops by itself, and without a sample after which the drive stops."""

@@ -10,7 +10,7 @@ from typing import Final, final
 
 import numpy as np
 
-from dmframe.errors import DriveError, LostError
+from dmframe.common.errors import DriveError, LostError
 from dmframe.runtime.gate import Gate, Stop
 from dmframe.runtime.journal import Journal, Spool
 from dmframe.runtime.robot import Robot, Sample

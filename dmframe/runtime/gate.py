@@ -13,8 +13,8 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from dmframe.common.units import plain
 from dmframe.runtime.robot import Sample
-from dmframe.units import plain
 
 REFUSED: Final = 3.0
 """Multiple of a joint's speed limit above which a command stops the robot instead of being limited."""

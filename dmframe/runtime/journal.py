@@ -16,12 +16,12 @@ from typing import IO, Any, Final, final
 
 import numpy as np
 
-from dmframe.errors import OutputError
-from dmframe.files import encoded, forced, reason, sync
+from dmframe.common.errors import OutputError
+from dmframe.common.files import encoded, forced, reason, sync
+from dmframe.common.seal import SEAL, digest
 from dmframe.runtime.robot import Sample
 from dmframe.runtime.signals import FIELDS
 from dmframe.runtime.steered import Steered
-from dmframe.seal import SEAL, digest
 
 BLOCK: Final = 512
 """Rows of a block, the unit of writing."""

@@ -19,7 +19,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from dmframe.errors import DriveError, LostError, MissingError
+from dmframe.common.errors import DriveError, LostError, MissingError
 from dmframe.runtime.arm import PATIENCE, way_time
 from dmframe.runtime.robot import Sample
 from dmframe.runtime.ur_arm import ANSWER, UrArm

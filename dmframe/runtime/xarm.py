@@ -13,7 +13,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from dmframe.errors import DriveError, LostError
+from dmframe.common.errors import DriveError, LostError
 from dmframe.runtime.arm import PATIENCE, ArmJoints, way_time
 from dmframe.runtime.robot import Sample
 from dmframe.runtime.rtde import Link, Wire

@@ -13,9 +13,10 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.model import SYMBOLIC
+from dmframe.common.errors import DmframeError, EngineError, ValueFault, raise_all
+from dmframe.common.units import plain
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal, Variable, stack
-from dmframe.errors import DmframeError, EngineError, ValueFault, raise_all
 from dmframe.simulate.block_starts import Made
 from dmframe.simulate.bounds import Divergence, bounds_of
 from dmframe.simulate.engine import Choice, Compiled, Engine, choose
@@ -28,7 +29,6 @@ from dmframe.simulate.start import check_start, start_state
 from dmframe.simulate.step import FIXED, MOST_SUBSTEPS, Method, Solver, Step, build_step, substeps_of
 from dmframe.simulate.stiffness import EXPLICIT_TAKES, MOST_SLOPE, RK4_STEPS, left_out, speed_of, stiffness
 from dmframe.simulate.warnings import between, exceptions, too_fast, unread, warning_signals
-from dmframe.units import plain
 
 LATER = 1.5
 """Factor in the time of divergence at shorter steps above which the integrator caused the divergence."""
@@ -306,7 +306,7 @@ def check_clock(diagram: Diagram, clock: float | None, jitter: float) -> None:
     """Reject continuous time for discrete-time blocks."""
     if clock is not None:
         return
-    why = diagram.loop.clocked or ("samples have a jitter" if jitter else "")
+    why = diagram.loop.discrete_time or ("samples have a jitter" if jitter else "")
     if why:
         text = f"clock: expected a sampling period such as 8 ms, found continuous; {why}"
         raise ValueFault(text, path=("clock",))
@@ -347,7 +347,7 @@ def moving_outputs(diagram: Diagram) -> list[Signal]:
     """Outputs to record: columns that vary or cause warnings, without states and rank-monitored matrices."""
     loop = diagram.loop
     others = {state.label for state in loop.variables} | {matrix.label for matrix in watched(diagram)}
-    leaves = (leaf.symbol for leaf in (*loop.trajectories, *loop.ahead, *loop.crossings))
+    leaves = (leaf.symbol for leaf in (*loop.trajectories, *loop.ahead, *loop.sampled_signals))
     moving = stack([loop.time, loop.drawn, loop.state, *leaves])
     warned = {signal.label for signal in warning_signals(diagram)}
     return [

@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from dmframe.block.port import Access
+from dmframe.common.errors import listed
+from dmframe.common.units import plain
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal
 from dmframe.diagram.wiring import Way
-from dmframe.errors import listed
-from dmframe.port import Access
-from dmframe.units import plain
 
 
 def warning_signals(diagram: Diagram) -> list[Signal]:
@@ -26,8 +26,8 @@ def between(diagram: Diagram) -> str:
     for way in diagram.ways:
         through = tuple(wire.block for wire in way.through)
         passing.setdefault(through, []).append(f"{way.origin.block}.{way.origin.port}")
-    said = [f"{listed(signals)} through {listed(list(through))}" for through, signals in passing.items()]
-    return f"not ideal: {'; '.join(said)}" if said else ""
+    channels = [f"{listed(signals)} through {listed(list(through))}" for through, signals in passing.items()]
+    return f"not ideal: {'; '.join(channels)}" if channels else ""
 
 
 def unread(diagram: Diagram) -> list[str]:

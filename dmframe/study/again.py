@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, final
 
-from dmframe.errors import OutputError
+from dmframe.common.errors import OutputError
 from dmframe.graph.load import load
 from dmframe.study.packing import write_graph
 from dmframe.study.plan import Study

@@ -7,14 +7,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
-from dmframe.errors import listed
+from dmframe.common.errors import listed
+from dmframe.common.units import plain
 from dmframe.report.parts import Bullets, Cell, Lead, Marked, Part
 from dmframe.study.box import COVERAGE
 from dmframe.study.findings import DIVERGED, Findings, Found
 from dmframe.study.numbers import count, figure, percent
 from dmframe.study.proof import Proof
 from dmframe.study.statistics import LEVEL, Quantile
-from dmframe.units import plain
 
 WORTH: Final = 0.05
 """Fraction of the variance from which an influence is named."""

@@ -16,9 +16,9 @@ from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim, NotApplicableError, claim_of
 from dmframe.certify.conditions import conditions_of
 from dmframe.certify.over import over_intervals
+from dmframe.common.errors import DmframeError, NeedsDiagramError, ValueFault
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
-from dmframe.errors import DmframeError, NeedsDiagramError, ValueFault
 from dmframe.exact.rational import Interval
 from dmframe.graph.graph import Graph
 from dmframe.robot.rational import decimal

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from dmframe.errors import listed
+from dmframe.common.errors import listed
+from dmframe.common.units import plain
 from dmframe.study.design import Spread
-from dmframe.units import plain
 
 if TYPE_CHECKING:
     from dmframe.study.tuned import Tuned

@@ -16,8 +16,8 @@ from contextlib import suppress
 from queue import Empty, Queue
 from typing import TYPE_CHECKING, Any, Final, final
 
-from dmframe.errors import DmframeError, MissingError, visible
-from dmframe.interrupts import in_child
+from dmframe.common.errors import DmframeError, MissingError, visible
+from dmframe.common.interrupts import in_child
 from dmframe.study.chunks import Chunk
 from dmframe.study.executor import Answer, Computed, Executor, Failed, compute, machine, versions
 from dmframe.study.packing import packed, unpacked

@@ -13,17 +13,17 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.model import SYMBOLIC, symbols_in
+from dmframe.block.parameter import PAIRS, specs
 from dmframe.certify import Verdict
 from dmframe.certify.begun import START
 from dmframe.certify.claim import Claim
-from dmframe.certify.elsewhere import Elsewhere, Intervals, claims_alike, elsewhere
 from dmframe.certify.over import NEEDED, failing_of
+from dmframe.certify.parameter_margins import Intervals, ParameterMargin, claims_alike, parameter_margins
+from dmframe.common.errors import DmframeError, ValueFault
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.values import with_values
-from dmframe.errors import DmframeError, ValueFault
 from dmframe.exact.rational import evaluate
-from dmframe.parameter import PAIRS, specs
 from dmframe.robot.rational import decimal
 from dmframe.study.box import Box, label_of
 
@@ -120,7 +120,7 @@ def held_at(
         if rows is None:
             return None
         moved = {label.removeprefix(START) for label in rows if label.startswith(START)}
-        everything = elsewhere(verdict.conditions, claim, stated or {}, moved)
+        everything = parameter_margins(verdict.conditions, claim, stated or {}, moved)
     silent = {item.checked.name for item in everything if item.tacit}
     # conditions that were undecided over the box are evaluated again at each sample
     judged = [
@@ -211,7 +211,7 @@ class _Samples:
         labels = [item.label for item in parameters] + self._starts
         self._moved = symbols_in(symbol for label, symbol in zip(labels, self._symbols, strict=True) if label in rows)
 
-    def judged(self, items: Sequence[Elsewhere]) -> np.ndarray:
+    def judged(self, items: Sequence[ParameterMargin]) -> np.ndarray:
         """Conjunction of all conditions, for each sample."""
         found = np.full(self._count, HOLDS)
         for item in items:
@@ -219,7 +219,7 @@ class _Samples:
             found = np.where((found == FAILS) | (each == FAILS), FAILS, np.minimum(found, each))
         return found
 
-    def _of(self, item: Elsewhere) -> np.ndarray:
+    def _of(self, item: ParameterMargin) -> np.ndarray:
         if item.margin is None:
             stays = item.reads is not None and not symbols_in([item.reads]) & self._moved
             return np.full(self._count, OPEN if not stays else HOLDS if item.checked.holds else FAILS)
@@ -237,7 +237,7 @@ class _Samples:
             above[sample] = self._exactly(function, item, sample) if place < EXACT else OPEN
         return above
 
-    def _exactly(self, function: Any, item: Elsewhere, sample: int) -> int:
+    def _exactly(self, function: Any, item: ParameterMargin, sample: int) -> int:
         """Decide one sample exactly, with the decimal numbers of its graph."""
         given = [[decimal(float(x)) for x in column[:, sample]] for column in self._columns]
         try:

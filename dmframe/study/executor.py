@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, Protocol, Self, final
 
-from dmframe.errors import visible
+from dmframe.common.errors import visible
 from dmframe.study.chunks import Chunk
 
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from dmframe.plotting import COLUMN, GREY, PAGE, look, names_above, page, unit_text, verbatim
+from dmframe.common.plotting import COLUMN, GREY, PAGE, look, names_above, page, unit_text, verbatim
 from dmframe.results.drawn_runs import shown_unit
 from dmframe.results.error_figure import log_ticks
 from dmframe.study.findings import SHOWN, Drawn, Findings, Found

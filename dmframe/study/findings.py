@@ -9,7 +9,8 @@ from typing import Final, final
 
 import numpy as np
 
-from dmframe.errors import DmframeError, UnknownNameError, ValueFault, raise_all
+from dmframe.common.errors import DmframeError, UnknownNameError, ValueFault, raise_all
+from dmframe.common.units import plain, to_unit
 from dmframe.study.results import Results
 from dmframe.study.sheet import LEAST, Sheet, is_time
 from dmframe.study.statistics import (
@@ -26,7 +27,6 @@ from dmframe.study.statistics import (
     quantile,
     share,
 )
-from dmframe.units import plain, to_unit
 
 DIVERGED: Final = "diverged"
 EIGHTHS: Final = tuple(f"rms_{k}" for k in range(1, 9))

@@ -7,11 +7,11 @@ from typing import Annotated, Any, Final, Literal, TypeAlias, final
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, model_validator
 
+from dmframe.common.errors import DmframeError, Faults
 from dmframe.config.document import Document, Kind
 from dmframe.config.grammar import Path, Section, seed_of, shown
 from dmframe.config.grammar import version as checked_version
 from dmframe.config.places import placed
-from dmframe.errors import DmframeError, Faults
 
 STUDY: Final = Kind("study", "dmframe-study: 1")
 VERSION: Final = "dmframe-study"

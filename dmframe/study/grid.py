@@ -9,17 +9,17 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from dmframe.common.errors import DmframeError, MissingError, UnknownNameError, ValueFault, raise_all
+from dmframe.common.files import made_distinct
+from dmframe.common.units import shorten
 from dmframe.config.document import Document, Node, mapping_of
 from dmframe.config.given import node_of
 from dmframe.config.grammar import KEYS, shown
 from dmframe.config.overrides import put_at
 from dmframe.config.reality import names_reality
-from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault, raise_all
-from dmframe.files import made_distinct
 from dmframe.graph.graph import Graph
 from dmframe.study.grammar import own_name
 from dmframe.study.varied import SETTINGS, Factor
-from dmframe.units import shorten
 
 GRAPH: Final = "graph"
 """The axis whose values are graphs."""
@@ -217,7 +217,7 @@ def with_values_of(axis: Axis, graphs: Sequence[Graph]) -> Axis:
 
 def _number(label: str, graph: Graph) -> tuple[float | None, str]:
     """A value as the graph parses it, and its unit; None if it is not one number."""
-    from dmframe.parameter import specs
+    from dmframe.block.parameter import specs
 
     keys = label.removeprefix("blocks.").split(".")
     if len(keys) == 2 and keys[0] in graph.blocks:

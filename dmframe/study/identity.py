@@ -9,10 +9,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from dmframe.common.version import version
 from dmframe.config.resolved import companions, resolved, robot_source
 from dmframe.graph.graph import Graph
 from dmframe.study.design import Spread
-from dmframe.version import version
 
 if TYPE_CHECKING:
     from dmframe.study.plan import Study

@@ -9,11 +9,11 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any, Final, final
 
-from dmframe.errors import OutputError
-from dmframe.files import append, is_hidden, put
+from dmframe.common.errors import OutputError
+from dmframe.common.files import append, is_hidden, put
+from dmframe.common.units import shorten
 from dmframe.study.chunks import Extent
 from dmframe.study.executor import versions
-from dmframe.units import shorten
 
 LOCK: Final = "study.lock.json"
 CHUNKS: Final = "chunks.jsonl"

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, final
 
-from dmframe.files import flocked, writing
+from dmframe.common.files import flocked, writing
 
 FOLDER_LOCK: Final = ".dmframe-study.lock"
 """The file that is locked while a process writes to a study's folder."""

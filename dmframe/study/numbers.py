@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from dmframe.common.units import plain
 from dmframe.study.statistics import Quantile, Share
 from dmframe.study.varied import Factor
-from dmframe.units import plain
 
 ALMOST: Final = 0.999999
 """Largest share that is printed with more digits."""

@@ -11,10 +11,10 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.batch.columns import Column
+from dmframe.block.port import Side
+from dmframe.common.errors import DmframeError, UnknownNameError, ValueFault
+from dmframe.common.units import plain, to_unit
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError, UnknownNameError, ValueFault
-from dmframe.port import Side
-from dmframe.units import plain, to_unit
 
 EFFORT: Final = "effort"
 """Figure of the servo's voltages: Euclidean norm of their RMS in the last eighth."""

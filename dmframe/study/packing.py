@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
+from dmframe.common.files import encoded, write_text, writing
 from dmframe.config.document import Document
 from dmframe.config.resolved import companions, resolved_text
-from dmframe.files import encoded, write_text, writing
 from dmframe.graph.graph import Graph
 from dmframe.study.identity import graphs_of
 

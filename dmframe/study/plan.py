@@ -14,9 +14,9 @@ import numpy as np
 from dmframe.batch.columns import Column, Columns, columns_of, joined, limits_in, row_of, rows_of, units_of
 from dmframe.batch.figures import ERROR, TURN, Wanted
 from dmframe.batch.runner import Runner, Runs
+from dmframe.common.errors import DmframeError, UnknownNameError, ValueFault, raise_all
 from dmframe.config.document import Document
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError, UnknownNameError, ValueFault, raise_all
 from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording
 from dmframe.study.design import Design

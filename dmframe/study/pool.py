@@ -20,7 +20,7 @@ from multiprocessing.connection import Connection, Pipe, wait
 from queue import SimpleQueue
 from typing import IO, Any, Final, final
 
-from dmframe.errors import EngineError, visible
+from dmframe.common.errors import EngineError, visible
 from dmframe.simulate.many import cores
 from dmframe.study.chunks import Chunk
 from dmframe.study.executor import Answer, Computable, Executor, Failed, compute

@@ -10,9 +10,9 @@ from dmframe.block.model import SYMBOLIC
 from dmframe.certify import Verdict, verify
 from dmframe.certify.checked import Checked
 from dmframe.certify.over import NEEDED
+from dmframe.common.errors import DmframeError
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
-from dmframe.errors import DmframeError
 from dmframe.graph.graph import Graph
 from dmframe.study.box import Box, box_of, hull
 from dmframe.study.drawn import Drawn, drawn_of

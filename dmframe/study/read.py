@@ -11,11 +11,11 @@ from typing import Any
 from pydantic import ValidationError
 
 from dmframe.catalogue import find_graph
+from dmframe.common.errors import DmframeError, UnknownNameError, ValueFault
+from dmframe.common.files import expanded
 from dmframe.config.document import Document, Steps, read_document, read_file
 from dmframe.config.given import document_of
 from dmframe.config.grammar import fault_of
-from dmframe.errors import DmframeError, UnknownNameError, ValueFault
-from dmframe.files import expanded
 from dmframe.graph.graph import Graph
 from dmframe.study.grammar import STUDY, StudyFile, keys_at, own_name, raise_placed
 from dmframe.study.grid import Axis, Given, axis_of, changed, scaled, with_values_of

@@ -9,10 +9,10 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from dmframe.copies import shared
-from dmframe.files import write_bytes, write_text, writing
-from dmframe.plotting import files_of
-from dmframe.port import Side
+from dmframe.block.port import Side
+from dmframe.common.copies import shared
+from dmframe.common.files import write_bytes, write_text, writing
+from dmframe.common.plotting import files_of
 from dmframe.study.answer import ReportData, Saved, best_of, lead
 from dmframe.study.figures import figures_of
 from dmframe.study.findings import Findings, findings_of

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from dmframe.errors import EngineError, MissingError, UnknownNameError, ValueFault
-from dmframe.files import expanded
+from dmframe.common.errors import EngineError, MissingError, UnknownNameError, ValueFault
+from dmframe.common.files import expanded
 from dmframe.graph.progress import counting
 from dmframe.results.folder import safe_name
 from dmframe.study.execute import State, run_study

@@ -6,7 +6,8 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
-from dmframe.errors import listed
+from dmframe.common.errors import listed
+from dmframe.common.units import plain
 from dmframe.report.parts import (
     Badge,
     Cell,
@@ -28,7 +29,6 @@ from dmframe.study.numbers import between, chance, count, distribution, figure, 
 from dmframe.study.plan import Study
 from dmframe.study.proof import Proof
 from dmframe.study.statistics import BINS, Paired
-from dmframe.units import plain
 
 ROWS: Final = 60
 """Grid points in a table of the page; the folder's table has all."""

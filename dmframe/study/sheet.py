@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from dmframe.errors import ValueFault
-from dmframe.units import plain
+from dmframe.common.errors import ValueFault
+from dmframe.common.units import plain
 
 if TYPE_CHECKING:
     import polars as pl

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from dmframe.errors import MissingError, OutputError, ValueFault, visible
-from dmframe.files import append, encoded, expanded, put, writing
-from dmframe.seal import digest
+from dmframe.common.errors import MissingError, OutputError, ValueFault, visible
+from dmframe.common.files import append, encoded, expanded, put, writing
+from dmframe.common.seal import digest
 from dmframe.study.chunks import Chunk, Extent
 from dmframe.study.executor import Computed, versions
 from dmframe.study.journal import (

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
-from dmframe.errors import MissingError, OutputError
-from dmframe.files import writing
+from dmframe.common.errors import MissingError, OutputError
+from dmframe.common.files import writing
 from dmframe.study.identity import key_of
 from dmframe.study.kernel_lock import journal_lock
 

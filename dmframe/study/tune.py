@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from dmframe.errors import DmframeError, MissingError, ValueFault
-from dmframe.files import expanded
+from dmframe.common.errors import DmframeError, MissingError, ValueFault
+from dmframe.common.files import expanded
+from dmframe.common.units import plain
 from dmframe.simulate.many import cores
 from dmframe.study.candidate import Proofs, excess, rounded, rows_of_runs, unstable, with_tuned
 from dmframe.study.grammar import TuneSection, raise_placed
@@ -50,7 +51,6 @@ from dmframe.study.trials import (
     opened,
 )
 from dmframe.study.varied import Factor, factors_of
-from dmframe.units import plain
 
 if TYPE_CHECKING:
     import optuna

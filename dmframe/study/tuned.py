@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from dmframe.analysis.period import TOLERANCE, sampled_radius
-from dmframe.errors import MissingError
-from dmframe.files import write_bytes, write_text, writing
+from dmframe.common.errors import MissingError
+from dmframe.common.files import write_bytes, write_text, writing
 from dmframe.graph.graph import Graph
 from dmframe.study.cautions import LONGER, notices, with_unit
 from dmframe.study.packing import write_graph
@@ -175,7 +175,7 @@ class Tuned:
         OutputError
             The folder cannot be written.
         """
-        from dmframe.plotting import files_of
+        from dmframe.common.plotting import files_of
         from dmframe.report.write import write_report
         from dmframe.study.tune_figures import figures_of
         from dmframe.study.tune_page import as_html

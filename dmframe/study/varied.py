@@ -9,14 +9,14 @@ from typing import Any, Final, Literal, final
 
 import numpy as np
 
+from dmframe.block.gain import Prior
+from dmframe.block.parameter import PAIRS, specs
+from dmframe.common.errors import DmframeError, UnknownNameError, ValueFault
+from dmframe.common.units import plain, to_unit
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError, UnknownNameError, ValueFault
-from dmframe.gain import Prior
 from dmframe.graph.graph import Graph
-from dmframe.parameter import PAIRS, specs
 from dmframe.study.design import Spread, columns_of
 from dmframe.study.grammar import Distribution, Variation, own_name
-from dmframe.units import plain, to_unit
 
 How = Literal["value", "scale", "shift"]
 START: Final = "start."

@@ -11,8 +11,8 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from dmframe.common.errors import EngineError, RobotError, listed
 from dmframe.config import BaseGraph
-from dmframe.errors import EngineError, RobotError, listed
 from dmframe.robot.chain import SerialChain, pin_configuration
 from dmframe.robot.library import find_robot
 from dmframe.runtime.ur_arm import JOINTS

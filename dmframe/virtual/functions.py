@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from dmframe.errors import EngineError
+from dmframe.common.errors import EngineError
 from dmframe.virtual.arithmetic import FUNCTIONS, Pose, is_number, six, text
 from dmframe.virtual.budget import COSTS, INVERSE, Allowance, weight
 from dmframe.virtual.motion import Along, Motion, Servo, Speed, Stop, cycles, straight

@@ -10,7 +10,7 @@ from contextlib import suppress
 from types import GeneratorType
 from typing import TYPE_CHECKING, Any, Final, cast, final
 
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.virtual.arithmetic import Pose, is_number
 from dmframe.virtual.budget import (
     COUNTED,

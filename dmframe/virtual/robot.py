@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, final
 
 import numpy as np
 
+from dmframe.common.errors import DmframeError, EngineError, ValueFault
 from dmframe.config import BaseGraph
-from dmframe.errors import DmframeError, EngineError, ValueFault
 from dmframe.runtime.ur_arm import JOINTS
 from dmframe.simulate.engine import Choice
 from dmframe.virtual.arm import Arm, arm_of

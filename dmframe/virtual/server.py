@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Final, final
 
-from dmframe.errors import OutputError, ValueFault
+from dmframe.common.errors import OutputError, ValueFault
 from dmframe.virtual import dashboard, primary
 from dmframe.virtual.budget import Allowance
 from dmframe.virtual.program import Program

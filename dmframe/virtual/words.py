@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import Final, NamedTuple, final
 
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 
 
 @final

@@ -1,4 +1,4 @@
-"""Pages of the Python interface: the public names, what they return, and what a block's author imports."""
+"""Pages of the Python interface: the public names, their results, and the names for authors of blocks."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ CHAPTERS: Final[Mapping[str, Chapter]] = {
             "dmframe.drawing.Drawing",
             "dmframe.page.Page",
             "dmframe.runtime.Controller",
-            "dmframe.config.named.Named",
+            "dmframe.config.registry.Registry",
         ),
     ),
     "errors": Chapter(
-        "dmframe.errors: what is raised",
+        "dmframe.common.errors: what is raised",
         "A user's mistake raises one of these, with *where: what was expected and found; the nearest right choice*.",
-        modules=("dmframe.errors",),
+        modules=("dmframe.common.errors",),
         bases=True,
     ),
     "block": Chapter(
@@ -59,26 +59,36 @@ CHAPTERS: Final[Mapping[str, Chapter]] = {
         "The classes that a block inherits, and what its methods take and return. ``from dmframe.block import ...`` "
         "has the names of the following pages too.",
         modules=("dmframe.block",),
-        shared=("dmframe.port", "dmframe.parameter", "dmframe.certificate", "dmframe.linalg", "dmframe.naming"),
+        shared=(
+            "dmframe.block.port",
+            "dmframe.block.parameter",
+            "dmframe.block.certificate",
+            "dmframe.block.linalg",
+            "dmframe.block.naming",
+        ),
         bases=True,
     ),
-    "port": Chapter("dmframe.port: ports and states", "What a block shows of itself.", modules=("dmframe.port",)),
+    "port": Chapter(
+        "dmframe.block.port: ports and states", "What a block shows of itself.", modules=("dmframe.block.port",)
+    ),
     "parameter": Chapter(
-        "dmframe.parameter: parameters",
+        "dmframe.block.parameter: parameters",
         "How a block declares its gains, with sign, size and unit.",
-        modules=("dmframe.parameter",),
+        modules=("dmframe.block.parameter",),
     ),
     "certificate": Chapter(
-        "dmframe.certificate: storage, dissipation, supply",
+        "dmframe.block.certificate: storage, dissipation, supply",
         "What a block states of its energy; see :doc:`../certificate`.",
-        modules=("dmframe.certificate",),
+        modules=("dmframe.block.certificate",),
     ),
     "linalg": Chapter(
-        "dmframe.linalg: small matrices",
+        "dmframe.block.linalg: small matrices",
         "Linear algebra on expressions, in a form that the exact test can follow.",
-        modules=("dmframe.linalg",),
+        modules=("dmframe.block.linalg",),
     ),
-    "naming": Chapter("dmframe.naming: names", "What names of blocks and signals may be.", modules=("dmframe.naming",)),
+    "naming": Chapter(
+        "dmframe.block.naming: names", "What names of blocks and signals may be.", modules=("dmframe.block.naming",)
+    ),
 }
 USERS: Final = ("dmframe", "results", "errors")
 

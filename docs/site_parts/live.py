@@ -1,4 +1,4 @@
-"""Live pages of the site: a file for each graph with its settings, and what embeds it in a page."""
+"""Live pages of the site: a file for each graph with its settings, and the HTML that embeds it in a page."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def embedded(
     wide
         Wider than the text around it.
     command
-        What gives the same page on a reader's own machine.
+        Command that writes the same page on a reader's machine.
     """
     behind = f' style="background-image:url({escape(still)})"' if still else ""
     said = f" or by <code>{escape(shlex.join(command))}</code>" if command else ""

@@ -164,7 +164,7 @@ METHODS: dict[str, tuple[str, dict[str, Any], str, str]] = {
         "one run after the other; it compiles at each call, which is in its time; records the plant's state",
     ),
     "Jaxonomy, simulate_batch(use_vmap=True)": ("by_jaxonomy", {"together": True}, "jaxonomy", "as above, vectorised"),
-    "JAX, vmap by hand": ("by_vmap", {}, "jax", "scalar code, vectorised; compilation left out, nothing recorded"),
+    "JAX, vmap by hand": ("by_vmap", {}, "jax", "scalar code, vectorised; without compilation, and without a record"),
 }
 
 
@@ -191,7 +191,7 @@ def section(
         f"{size} runs of {GRAPH} over a grid of three gains, {seconds:g} s each, all cores; plant at {step * 1e3:g} ms",
         "how many times as long as dmframe's",
         tuple(rows),
-        (f"A row counts where no last joint angle of any run is further than {TOLERANCE:g} rad from ours.",),
+        (f"A row counts if no last joint angle of a run differs by more than {TOLERANCE:g} rad from dmframe's.",),
     )
 
 

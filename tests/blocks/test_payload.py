@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 import dmframe as dm
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.port import TIME, Output, Side
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.projections import outside
+from dmframe.common.errors import DmframeError
 from dmframe.config.document import read_document
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError
 from dmframe.graph.graph import Graph
-from dmframe.port import TIME, Output, Side
 from dmframe.results.along import along
 from dmframe.results.shown import felt
 from dmframe.robot.library import find_robot

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 import dmframe as dm
 from dmframe.certify import claim_of, verify
 from dmframe.certify.hypotheses import BETWEEN
+from dmframe.common.errors import DmframeError
 from dmframe.config.document import read_document
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError
 from dmframe.graph.graph import Graph
 from dmframe.results.along import along
 from dmframe.robot.library import find_robot

@@ -15,7 +15,7 @@ from test_sampled_by_hand import K_D, K_I, K_P, PATH, START, T, inertial, ur10
 
 import dmframe as dm
 from dmframe.certify.verify import verify
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.report.measured import measure
 from dmframe.results.along import Along
 from dmframe.results.claimed import claimed_along
@@ -115,7 +115,7 @@ def test_v_rises_at_no_sample_by_more_than_its_claim_allows(inverse: dict[str, A
     assert found.residual.shape == found.V.shape
     assert found.beyond == 0
     assert np.all(np.diff(run["V"]) <= np.asarray(run["V_residual"])[:-1] + 1e-6 * np.asarray(run["V"])[:-1])
-    assert found.crossings == ()
+    assert found.notes == ()
     assert np.abs(found.steps).max() > 1e-3  # it moves
 
 
@@ -179,7 +179,7 @@ def test_a_run_that_does_not_keep_every_sample_has_no_v_and_says_why() -> None:
 
 def test_a_constant_that_no_sample_determines_is_named() -> None:
     run = run_of(arm2(u_max=1e-6))  # each command is clipped, and nothing is learnt
-    (note,) = run.storage.along.crossings
+    (note,) = run.storage.along.notes
     assert note.startswith("no sample of the run determines inverse.offset[1] and inverse.offset[2]")
     assert note in run.storage.notice
     assert not np.any(np.diff(run["V"]))
@@ -187,7 +187,7 @@ def test_a_constant_that_no_sample_determines_is_named() -> None:
 
 def test_a_constant_outside_its_box_is_named_and_v_rises_beyond_its_claim() -> None:
     run = run_of(arm2(filtered=False, offset_box=[-1e-3, 1e-3]))
-    assert len(run.storage.along.crossings) == 2
+    assert len(run.storage.along.notes) == 2
     assert "inverse.theta[3] that leaves least of the data unexplained, -0.41" in run.storage.notice
     assert run.storage.along.beyond > 0
 

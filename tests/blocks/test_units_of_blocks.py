@@ -13,15 +13,15 @@ import yaml
 import dmframe as dm
 from dmframe.block import AbstractBlock
 from dmframe.block.model import model_block
+from dmframe.block.parameter import PAIRS, Spec, specs
+from dmframe.block.port import ANY
 from dmframe.block.sizes import bind_sizes, parameter_arrays
 from dmframe.catalogue import block_types, graphs
+from dmframe.common.errors import DmframeError, raise_all
 from dmframe.diagram import Diagram
 from dmframe.dimensions import check as check_module
 from dmframe.dimensions.check import Check, element_units, unlike
 from dmframe.dimensions.dimension import BASES, ONE
-from dmframe.errors import DmframeError, raise_all
-from dmframe.parameter import PAIRS, Spec, specs
-from dmframe.port import ANY
 
 CHEAP: Final = ("pendulum", "arm2_joint", "slotine_li", "computed_torque", "torque_direct_pi", "torque_direct_pid")
 PREFERRED: Final = ("known_tracking_composite_pi",)

@@ -23,12 +23,12 @@ from dmframe.analysis import (
     tick_jacobian,
 )
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.parameter import Diagonal, Positive
+from dmframe.block.port import Access, Input, Output, Side, State
 from dmframe.certify.true_values import true_values
+from dmframe.common.errors import EngineError, MissingError, ShapeError, ValueFault
 from dmframe.diagram import Diagram
-from dmframe.errors import EngineError, MissingError, ShapeError, ValueFault
 from dmframe.graph.graph import Graph
-from dmframe.parameter import Diagonal, Positive
-from dmframe.port import Access, Input, Output, Side, State
 from dmframe.simulate import Solver, simulate
 from dmframe_blocks.joint_tracking import JointTracking
 from dmframe_blocks.kinematic_command import KinematicCommand

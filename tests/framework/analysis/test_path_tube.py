@@ -14,7 +14,7 @@ import pytest
 from dmframe.analysis import rank_region
 from dmframe.analysis.joint_path import JointPath, Reach, joint_path, period_of
 from dmframe.analysis.path_tube import PathTube, path_tube
-from dmframe.errors import MissingError
+from dmframe.common.errors import MissingError
 from dmframe.exact.enclosure import Enclosure
 from dmframe.graph.graph import Graph
 

@@ -24,13 +24,13 @@ from dmframe.analysis.memory import without_memory
 from dmframe.analysis.moves import split_moves
 from dmframe.analysis.set_point import frozen
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.parameter import Box, Interval, Real, Scalar
+from dmframe.block.port import PERIOD, Access, Input, Output, Side, State
+from dmframe.common.errors import EngineError
 from dmframe.diagram import Diagram
-from dmframe.errors import EngineError
 from dmframe.exact.ball_matrix import exactly, middles, radii
 from dmframe.exact.balls import UndecidedError, ball
 from dmframe.graph.graph import Graph
-from dmframe.parameter import Box, Interval, Real, Scalar
-from dmframe.port import PERIOD, Access, Input, Output, Side, State
 from dmframe.simulate import Solver
 
 States = ClassVar[tuple[State, ...]]
@@ -273,7 +273,7 @@ def test_a_long_memory_is_left_out_and_a_count_and_a_drift_are_reported(monkeypa
     linear = linearise(diagram, clock=T)
     assert len(linear.states) == 65
     # resting: the sum, and the count, which stands long after the start; the bias drives the sum
-    assert (linear.at_rest, linear.drifting) == (2, 1)
+    assert (linear.at_rest, linear.ramp_modes) == (2, 1)
     whole = np.abs(np.linalg.eigvals(linear.sampled(T)))
     expected = np.max(whole[np.abs(whole - 1) > 1e-6])
     assert linear.spectral_radius(T) == pytest.approx(expected, abs=1e-9)

@@ -15,10 +15,10 @@ from dmframe.analysis import linearise, linearised_period, prove_stability, stab
 from dmframe.analysis import moves as moves_room
 from dmframe.analysis.rounding import averaged
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.parameter import Positive, Real, Scalar
+from dmframe.block.port import PERIOD, Access, Input, Output, Side, State
+from dmframe.common.errors import BlockError, EngineError
 from dmframe.diagram import ClosedLoop, Diagram
-from dmframe.errors import BlockError, EngineError
-from dmframe.parameter import Positive, Real, Scalar
-from dmframe.port import PERIOD, Access, Input, Output, Side, State
 
 States = ClassVar[tuple[State, ...]]
 Rule = Callable[[Any], Any]

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from dmframe.analysis import TieGain, least_K_c, tie_gains
 from dmframe.certify import verify
 from dmframe.certify.uncertain import intervals
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact.rational import Interval
 from dmframe.graph.graph import Graph
 

@@ -20,14 +20,14 @@ from dmframe.batch.figures import Measured, Wanted
 from dmframe.batch.starts import starts_of
 from dmframe.batch.values import columns_of, parameters_of, varied
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.parameter import Real, Scalar, specs
+from dmframe.block.port import TIME, Access, Output, Side, State
 from dmframe.build.compiler import find_compiler
 from dmframe.codegen import simd_source
 from dmframe.codegen.function import ONE, SIMD, written
 from dmframe.codegen.source import shipped
+from dmframe.common.errors import NeedsDiagramError, UnknownNameError, ValueFault
 from dmframe.diagram import Diagram
-from dmframe.errors import NeedsDiagramError, UnknownNameError, ValueFault
-from dmframe.parameter import Real, Scalar, specs
-from dmframe.port import TIME, Access, Output, Side, State
 from dmframe.simulate.run import prepare
 from dmframe.simulate.start import start_state
 

@@ -12,7 +12,7 @@ from dmframe.batch import batch, runner
 from dmframe.batch.batch import Batch
 from dmframe.batch.figures import Measured, Wanted, merged
 from dmframe.batch.runner import Runner, Runs
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 
 WANTED = Wanted(("arm.q",))
 GAINS = np.array([[60.0, 40.0], [30.0, 50.0], [45.0, 45.0]])

@@ -15,14 +15,14 @@ import pytest
 
 import dmframe as dm
 from dmframe.block.model import SYMBOLIC
+from dmframe.block.parameter import PAIRS, specs
 from dmframe.catalogue import graphs
 from dmframe.certify import Verdict, verify
 from dmframe.certify.begun import START
+from dmframe.common.errors import DmframeError
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
-from dmframe.errors import DmframeError
 from dmframe.exact.rational import Interval
-from dmframe.parameter import PAIRS, specs
 from dmframe.robot.rational import decimal
 from dmframe.study.drawn import FAILS, HOLDS, held_at
 

@@ -11,22 +11,22 @@ import numpy as np
 import pytest
 from scalar_blocks import scalar_loop
 
-from dmframe.certificate import (
+from dmframe.block.certificate import (
     Barrier,
     Certificate,
-    Driven,
-    Gathered,
+    InformationSquare,
     NormSquare,
     Square,
+    StableLinear,
 )
 from dmframe.certify import claim_of, verify
 from dmframe.certify.claim import flow_part
 from dmframe.certify.smoothness import Smoothness, is_smooth_over, smoothness
+from dmframe.common.text import Text
 from dmframe.diagram import Diagram
 from dmframe.exact import Tape
 from dmframe.graph.graph import Graph
 from dmframe.program import KINKS
-from dmframe.text import Text
 
 ONE = ca.SX(1)
 
@@ -250,7 +250,7 @@ def test_a_residual_that_jumps_is_not_taken_for_a_constant() -> None:
         scalar_loop(
             "y z",
             lambda x, u, p: {"y": -x.y + excess(x).value / x.y, "z": x.z},
-            lambda x, u, p: Certificate((Square(x.y),), (Square(x.y),), excess=(excess(x),)),
+            lambda x, u, p: Certificate((Square(x.y),), (Square(x.y),), residual=(excess(x),)),
         )
     )
     assert verdict.outcome == "not_applicable"
@@ -272,7 +272,7 @@ def test_a_memory_that_jumps_is_refused_where_only_the_dissipation_holds_it() ->
             },
             lambda x, u, p: Certificate(
                 (Square(x.y), Square(x.z)),
-                (Square(x.y), Square(x.z), Gathered(x.y, ca.SX(1), memory(x), x.y, ca.SX(1), ca.SX(1))),
+                (Square(x.y), Square(x.z), InformationSquare(x.y, ca.SX(1), memory(x), x.y, ca.SX(1), ca.SX(1))),
             ),
         )
 
@@ -290,7 +290,7 @@ def test_what_is_driven_may_not_jump_nor_may_a_path_that_it_holds() -> None:
             lambda x, u, p: Certificate(
                 (Square(x.y),),
                 (Square(x.y),),
-                driven=(Driven((vector(x, u),), ((ca.SX(-1),),), (vector(x, u),)),),
+                linear=(StableLinear((vector(x, u),), ((ca.SX(-1),),), (vector(x, u),)),),
             ),
             r=path,
         )

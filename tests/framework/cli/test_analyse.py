@@ -67,7 +67,7 @@ def test_a_graph_that_runs_on_a_clock_alone_is_analysed(dmframe: Any, tmp_path: 
         """
 from typing import ClassVar
 from dmframe.block import AbstractBlock, Equations
-from dmframe.port import Input, Output, Side, State
+from dmframe.block.port import Input, Output, Side, State
 
 class Line(AbstractBlock):
     side = Side.PLANT

@@ -12,7 +12,7 @@ import casadi as ca
 import pytest
 from user_units import UNITS, faults, joint
 
-from dmframe.certificate import Certificate, Inequality, Square
+from dmframe.block.certificate import Certificate, Inequality, Square
 from dmframe.certify import verify
 
 BASES = ("kg", "m", "s", "rad")

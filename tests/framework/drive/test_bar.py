@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import dmframe as dm
+from dmframe.common.errors import DmframeError
 from dmframe.drive.bar import Bar, Measured, farthest, quarters
 from dmframe.drive.rehearse import Condition, Rehearsal, rehearsed
 from dmframe.drive.rival import Rival, law_of
-from dmframe.errors import DmframeError
 from dmframe.runtime.robot import Sample
 
 IDEAL = Condition("nothing, the ideal robot", {})
@@ -21,8 +21,8 @@ LAW = """
 from typing import ClassVar, final
 import casadi as ca
 from dmframe.block import AbstractBlock, Equations
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import Input, Output
+from dmframe.block.parameter import Positive, Scalar
+from dmframe.block.port import Input, Output
 
 @final
 class My(AbstractBlock):

@@ -14,10 +14,10 @@ import pytest
 
 import dmframe as dm
 from dmframe.build.compiler import Compiler
+from dmframe.common.errors import DriveError
 from dmframe.drive import driven, identity, kept, load_limits, rehearse, robots
 from dmframe.drive.rehearse import Condition
 from dmframe.drive.robots import Kind
-from dmframe.errors import DriveError
 
 CONDITIONS = rehearse.conditions
 ROBOTS = Path(__file__).parents[3] / "plants" / "dmframe_plants"
@@ -25,8 +25,8 @@ BLOCK = """
 from typing import ClassVar, final
 import {helper} as helper
 from dmframe.block import AbstractBlock, Equations
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import Input, Output
+from dmframe.block.parameter import Positive, Scalar
+from dmframe.block.port import Input, Output
 
 @final
 class My(AbstractBlock):

@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 
 import dmframe as dm
+from dmframe.common.errors import MissingError
+from dmframe.common.seal import FolderSeal, digest_of
 from dmframe.drive import record
-from dmframe.errors import MissingError
 from dmframe.runtime.journal import BLOCK, Columns, Journal, Spool, _signed, read_samples
 from dmframe.runtime.robot import Sample
 from dmframe.runtime.simulated import SimulatedRobot
-from dmframe.seal import FolderSeal, digest_of
 
 pytestmark = pytest.mark.usefixtures("without_v")
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import dmframe as dm
+from dmframe.common.errors import DriveError
 from dmframe.drive import kept, rehearse, robots
 from dmframe.drive.bar import Measured
 from dmframe.drive.rehearse import Condition, conditions, rehearsed
 from dmframe.drive.robots import Kind
-from dmframe.errors import DriveError
 
 IDEAL = Condition("nothing, the ideal robot", {})
 

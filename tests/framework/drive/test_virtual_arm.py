@@ -11,8 +11,8 @@ import pytest
 from drivers import driven, limits
 from virtual_robots import Line, Trace, graph, robot
 
+from dmframe.common.errors import DriveError
 from dmframe.drive.robots import Options, kind_of
-from dmframe.errors import DriveError
 from dmframe.runtime.driving import Driven
 from dmframe.runtime.gate import Gate
 from dmframe.runtime.steered import Steered

@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from dmframe.errors import EngineError
+from dmframe.common.errors import EngineError
 from dmframe.export.fmu import Unit, Version, described
 from dmframe.export.program import Member
 

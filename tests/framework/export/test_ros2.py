@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 
 import dmframe as dm
 from dmframe.cli.app import app
-from dmframe.errors import DmframeError, EngineError
+from dmframe.common.errors import DmframeError, EngineError
 from dmframe.export.ros2 import _quoted, _read_as_xml, _read_back, package_of
 
 CC, CXX = shutil.which("gcc"), shutil.which("g++")

@@ -14,18 +14,18 @@ from pydantic import model_validator
 
 import dmframe as dm
 from dmframe.block import AbstractBlock, Equations
-from dmframe.certificate import Certificate, Clipped, Driven, Inequality, Square
+from dmframe.block.certificate import Certificate, Clipped, Inequality, Square, StableLinear
+from dmframe.block.parameter import Positive, Scalar
+from dmframe.block.port import TIME, Input, Output, Side, State
+from dmframe.block.terms import clip
 from dmframe.certify import Verdict, verify
-from dmframe.certify.elsewhere import elsewhere
+from dmframe.certify.parameter_margins import parameter_margins
+from dmframe.common.text import Text
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
 from dmframe.exact.ends import enclosing
 from dmframe.exact.rational import Interval, evaluate
 from dmframe.page.sliders import sliders_of
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import TIME, Input, Output, Side, State
-from dmframe.terms import clip
-from dmframe.text import Text
 
 FILE = "The proof does not apply at these values"
 
@@ -124,8 +124,8 @@ class Toy(AbstractBlock):
     def certificate(self, u: Any, x: Any, p: Any, truth: Any) -> Certificate:
         e = x.x - u.r
         more = (Inequality("a < 3/2", 1.5 - p.a, "no source"),)
-        driven = (Driven((x.y,), ((p.a - p.b,),), (x.y,), more),)
-        return Certificate((Square(e),), (Square(e),), driven=driven)
+        driven = (StableLinear((x.y,), ((p.a - p.b,),), (x.y,), more),)
+        return Certificate((Square(e),), (Square(e),), linear=driven)
 
 
 def built(**values: float) -> Diagram:
@@ -152,7 +152,7 @@ def failing(verdict: Verdict, other: Diagram) -> list[str]:
     """What is tacit in a verdict, and fails at the numbers of another diagram; of the conditions none does."""
     claim, names = verdict.claim, list[str]()
     assert claim is not None
-    for item in elsewhere(verdict.conditions, claim, {}):
+    for item in parameter_margins(verdict.conditions, claim, {}):
         if item.margin is not None:
             least = float(ca.mmin(ca.Function("margin", [claim.loop.p], [item.margin])(other.loop.p_values)))
             if not (least > 0 if item.checked.strict else least >= 0):
@@ -172,7 +172,7 @@ class Pushed(AbstractBlock):
         return Equations(rates={"y": -x.y + clip(x.y, p.k - 1)})
 
     def certificate(self, u: Any, x: Any, p: Any, truth: Any) -> Certificate:
-        return Certificate((Square(x.y),), (Square(x.y),), excess=(Clipped(x.y, p.k - 1, x.y),))
+        return Certificate((Square(x.y),), (Square(x.y),), residual=(Clipped(x.y, p.k - 1, x.y),))
 
 
 def test_a_clipped_term_needs_its_width_elsewhere_too() -> None:
@@ -189,7 +189,7 @@ def test_that_a_path_does_not_jump_was_decided_for_its_own_numbers_alone() -> No
     assert verdict.outcome == "proved"
     assert jumping.outcome == "not_applicable"
     assert "path.r[0] jumps" in jumping.reason
-    (found,) = [item for item in elsewhere(verdict.conditions, verdict.claim, {}) if item.margin is None]
+    (found,) = [item for item in parameter_margins(verdict.conditions, verdict.claim, {}) if item.margin is None]
     assert found.checked.name == "path.r is continuous"
     assert [str(symbol) for symbol in ca.symvar(found.reads)] == ["path.end"]
 

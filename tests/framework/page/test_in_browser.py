@@ -16,8 +16,8 @@ from in_firefox import firefox
 from in_node import content
 
 import dmframe as dm
-from dmframe import notebook
 from dmframe.cli.graphs import graphs_of
+from dmframe.common import notebook
 from dmframe.page.page import assembled, policy
 from dmframe.results.run import Run
 from dmframe.simulate.start import start_state

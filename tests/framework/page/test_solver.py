@@ -9,10 +9,10 @@ import pytest
 from in_node import answered, content, content_of_graph
 
 import dmframe as dm
+from dmframe.common.units import plain
 from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording, simulate
 from dmframe.simulate.start import start_state
-from dmframe.units import plain
 
 
 def simulated(graph: Graph, seconds: float, **options: Any) -> Recording:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from dmframe.errors import RobotError, UnknownNameError
+from dmframe.common.errors import RobotError, UnknownNameError
 from dmframe.exact import Trial, random_prime
 from dmframe.regressor.base_parameters import BaseParameters, base_parameters
 from dmframe.regressor.export import polarised_regressor

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from dmframe.errors import OutputError, ShapeError, UnknownNameError
+from dmframe.common.errors import OutputError, ShapeError, UnknownNameError
 from dmframe.regressor.base_parameters import base_parameters
 from dmframe.regressor.export import export_c, polarised_regressor, regressor_function, self_test, write_c
 from dmframe.robot.chain import SerialChain

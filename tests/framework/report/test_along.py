@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
+from dmframe.common.text import Text
 from dmframe.results.along import Along, TermAlong, along
-from dmframe.text import Text
 from dmframe_plants.arm2.closed_form import mass_matrix
 
 

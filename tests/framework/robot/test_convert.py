@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from dmframe.errors import DmframeError, MissingError, RobotError
+from dmframe.common.errors import DmframeError, MissingError, RobotError
 from dmframe.robot.chain import SerialChain, pin_configuration
 from dmframe.robot.convert import read_any, written
 from dmframe.robot.flange import flange_of, repaired

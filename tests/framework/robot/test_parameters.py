@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from dmframe.errors import UnknownNameError
+from dmframe.common.errors import UnknownNameError
 from dmframe.robot import parameters
 from dmframe.robot.chain import SerialChain, pin_configuration
 from dmframe.robot.library import load

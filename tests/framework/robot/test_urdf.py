@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from dmframe.errors import DmframeError, Faults, RobotError
+from dmframe.common.errors import DmframeError, Faults, RobotError
 from dmframe.robot import urdf
 from dmframe.robot.library import find_robot, robots
 from dmframe.robot.urdf import read_urdf

@@ -12,7 +12,7 @@ import pytest
 from drivers import Script, driven, limits, simulated
 
 import dmframe as dm
-from dmframe.errors import DriveError, LostError
+from dmframe.common.errors import DriveError, LostError
 from dmframe.runtime.driving import Driven
 from dmframe.runtime.robot import Sample
 

@@ -9,7 +9,7 @@ import pytest
 from drivers import driven, simulated
 
 import dmframe as dm
-from dmframe.errors import DriveError
+from dmframe.common.errors import DriveError
 from dmframe.runtime.driving import Driven
 from dmframe.runtime.robot import Sample
 from dmframe.runtime.signals import measured_as

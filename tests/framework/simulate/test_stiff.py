@@ -11,11 +11,11 @@ import pytest
 import scipy
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.parameter import Real, Scalar
+from dmframe.block.port import TIME, Access, Output, Side, State
+from dmframe.common.errors import ValueFault
 from dmframe.diagram import Diagram
-from dmframe.errors import ValueFault
 from dmframe.graph.graph import Graph
-from dmframe.parameter import Real, Scalar
-from dmframe.port import TIME, Access, Output, Side, State
 from dmframe.simulate import Log, Recording, Solver, simulate, simulate_many
 from dmframe.simulate.engine import _work
 from dmframe.simulate.run import Prepared, prepare
@@ -34,7 +34,7 @@ class Plant(AbstractBlock):
     speed: Scalar = Real(default=1.0)
 
 
-class Driven(Plant):
+class StableLinear(Plant):
     """A driven pendulum, smooth."""
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -127,7 +127,7 @@ def test_it_converges_with_the_third_order_on_a_smooth_plant(clock: float | None
     def error(step: float) -> float:
         # the last instant that is kept is that of the last tick's begin
         run = simulate(
-            alone(Driven()),
+            alone(StableLinear()),
             4.4,
             clock=clock,
             solver=Solver("ros34pw2", step, 0.4),
@@ -208,7 +208,7 @@ def test_a_library_that_computes_it_wrongly_is_not_loaded(
     compiler.write_text("#!/bin/sh\nsed -i 's/dm_method_m\\[s\\]/0.5 * &/' loop.c; cc \"$@\"\n", encoding="utf-8")
     compiler.chmod(0o755)
     monkeypatch.setenv("CC", str(compiler))
-    run = ran(Driven(), 0.1, [0.5, 0], 1e-3, 0.01, engine="compiled")
+    run = ran(StableLinear(), 0.1, [0.5, 0], 1e-3, 0.01, engine="compiled")
     assert run.engine == "interpreted"
     assert "built a library that does not work" in run.notices[0]
 

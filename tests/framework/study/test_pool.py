@@ -96,7 +96,7 @@ def test_a_chunk_that_fails_three_times_is_named_and_the_rest_goes_on(
 
 
 def test_a_study_that_no_worker_can_read_ends_in_one_sentence(tmp_path: Path) -> None:
-    from dmframe.errors import EngineError
+    from dmframe.common.errors import EngineError
 
     with pytest.raises(EngineError, match=r"a worker process could not be started: \w+Error"):
         run_study(Unreadable(), tmp_path / "out", workers=1)

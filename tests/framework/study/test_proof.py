@@ -13,7 +13,7 @@ import pytest
 
 from dmframe.certify import verify
 from dmframe.certify.checked import Checked
-from dmframe.certify.elsewhere import Elsewhere
+from dmframe.certify.parameter_margins import ParameterMargin
 from dmframe.study import proof as module
 from dmframe.study import sections
 from dmframe.study.answer import ReportData, proof_in_short
@@ -184,9 +184,9 @@ LEAKY = '''"""A tank with one number."""
 from typing import Any, ClassVar, final
 
 from dmframe.block import AbstractBlock, Equations
-from dmframe.certificate import Certificate, Square
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import Output, Side, State
+from dmframe.block.certificate import Certificate, Square
+from dmframe.block.parameter import Positive, Scalar
+from dmframe.block.port import Output, Side, State
 
 
 @final
@@ -284,6 +284,6 @@ def test_a_divisor_that_is_zero_in_a_sample_is_no_large_margin() -> None:
     claim = verify(of(study("servo.K_I: {scale: [1, 2]}"))).claim
     assert claim is not None
     (K_I,) = (item.symbol for item in claim.loop.parameters if item.label == "servo.K_I")
-    item = Elsewhere(Checked("toy", "", 1.0, True, "a test"), 1 / (K_I - 20) ** 2)
+    item = ParameterMargin(Checked("toy", "", 1.0, True, "a test"), 1 / (K_I - 20) ** 2)
     samples = _Samples(claim, {"servo.K_I": np.array([[20.0, 21.0, 40.0]])}, 3)
     assert samples.judged([item]).tolist() == [OPEN, HOLDS, HOLDS]

@@ -16,7 +16,7 @@ import pytest
 import scipy
 
 import dmframe as dm
-from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault
+from dmframe.common.errors import DmframeError, MissingError, UnknownNameError, ValueFault
 from dmframe.report.parts import Lead
 from dmframe.study import results as results_module
 from dmframe.study.answer import WORTH, ReportData, lead, summary

@@ -14,7 +14,7 @@ import pytest
 from fake_study import FakeStudy
 from study_processes import environment, frame, written
 
-from dmframe.errors import OutputError, ValueFault
+from dmframe.common.errors import OutputError, ValueFault
 from dmframe.study import executor, journal
 from dmframe.study.chunks import Chunk
 from dmframe.study.execute import run_study
@@ -174,7 +174,7 @@ def test_rows_that_are_not_those_of_their_chunk_are_refused(out: Path, wrong: di
 FULL = """
 import resource, signal, sys
 from fake_study import FakeStudy
-from dmframe.errors import OutputError
+from dmframe.common.errors import OutputError
 from dmframe.study.execute import run_study
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (12000, resource.RLIM_INFINITY))

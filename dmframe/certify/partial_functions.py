@@ -7,7 +7,7 @@ from typing import Final
 
 import casadi as ca
 
-from dmframe.certificate import SX
+from dmframe.block.certificate import SX
 from dmframe.certify.sign import SIGNED, Sign, sign_after
 from dmframe.program import DIVISIONS, OPERATIONS, POWERS, TO_READ, read
 
@@ -25,10 +25,10 @@ def instructions(expressions: Iterable[SX]) -> Iterator[tuple[SX, list[SX]]]:
             todo += parts
 
 
-def risky(outputs: Sequence[SX]) -> Iterator[tuple[int, SX]]:
+def domains_of(outputs: Sequence[SX]) -> Iterator[tuple[int, SX]]:
     """Instructions that divide or are not defined everywhere, with what must keep away from a bad value."""
     column = ca.veccat(ca.SX(0, 1), *map(ca.densify, outputs))
-    function = ca.Function("risky", [], [column], {"allow_free": True, **TO_READ})
+    function = ca.Function("domains_of", [], [column], {"allow_free": True, **TO_READ})
     program, expressions = read(function), function.instructions_sx()  # SX.dep takes ten times as long
     todo, seen = [*program.sources[0]], set[int]()
     while todo:

@@ -18,18 +18,18 @@ from typing import Any, Final, final
 
 import casadi as ca
 
-from dmframe.barrier import Barrier, soft_between, soft_min
-from dmframe.condition import SX, Assumption, CommonLyapunov, Condition, Inequality
-from dmframe.fields import Expressions, pieces_of, refilled
-from dmframe.sampled import Acted, DelayLine, PlantIdentity
-from dmframe.steps import LeastSquaresSteps, NormalisedSteps, Steps
-from dmframe.terms import (
+from dmframe.block.barrier import Barrier, soft_between, soft_min
+from dmframe.block.condition import SX, Assumption, CommonLyapunov, Condition, Inequality
+from dmframe.block.fields import Expressions, pieces_of, refilled
+from dmframe.block.sampled import Acted, DelayLine, PlantIdentity
+from dmframe.block.steps import LeastSquaresSteps, NormalisedSteps, Steps
+from dmframe.block.terms import (
     MONOTONE,
     TINY,
     Bounded,
     Clipped,
     Dissipated,
-    Gathered,
+    InformationSquare,
     Lemma,
     LogDet,
     NormSquare,
@@ -42,7 +42,7 @@ from dmframe.terms import (
     norm,
     soft_clip,
 )
-from dmframe.text import Text
+from dmframe.common.text import Text
 
 
 @final
@@ -69,7 +69,7 @@ class Consumed(Expressions):
 
 @final
 @dataclass(frozen=True, eq=False)
-class Driven(Expressions):
+class StableLinear(Expressions):
     r"""A stable linear subsystem: signals that V does not contain and that are bounded because their input is.
 
     .. math:: \dot z_j = \sum_k A_{jk} z_k + r_j, \quad j, k = 1 \dots N
@@ -147,7 +147,7 @@ class Certificate(Expressions):
         The block belongs to the task level: its storage has the weight 1, that of the servo level has kappa.
     truth
         True values of other blocks' estimates: ``{"a_d": ...}``.
-    excess
+    residual
         The residual: bounded terms of dS/dt that are not dissipated, such as those of a leak. A claim with such a term
         is proved up to a bounded residual.
     driven
@@ -184,8 +184,8 @@ class Certificate(Expressions):
     dominates: tuple[SX, ...] = ()
     task: bool = False
     truth: Mapping[str, SX] = field(default_factory=dict)
-    excess: tuple[Bounded, ...] = ()
-    driven: tuple[Driven, ...] = ()
+    residual: tuple[Bounded, ...] = ()
+    linear: tuple[StableLinear, ...] = ()
     estimates: Mapping[str, TrueValue] = field(default_factory=dict)
     errors: tuple[Square, ...] = ()
     barriers: tuple[Barrier, ...] = ()
@@ -210,28 +210,41 @@ class Certificate(Expressions):
 
 
 _MAPPED: Final = (
-    *("storage", "dissipation", "excess", "errors", "driven", "estimates", "barriers", "steps", "delay_lines"),
+    *("storage", "dissipation", "residual", "errors", "linear", "estimates", "barriers", "steps", "delay_lines"),
     *("plant", "acted", "solved", "supply", "consumes", "dominates"),
 )
 """The fields with expressions of signals."""
 
 
-def _with_former_fields(init: Callable[..., None]) -> Callable[..., None]:
-    """The constructor, which also accepts former names of fields, with a notice."""
+_FORMER_FIELDS: Final[Mapping[str, str]] = {"pays": "dominates", "excess": "residual", "driven": "linear"}
+
+
+def former_fields(kind: type[Any]) -> None:
+    """Let a class of certificates accept its fields by their former names too, with a notice, and return them."""
+    renamed = {former: now for former, now in _FORMER_FIELDS.items() if now in kind.__dataclass_fields__}
+    init = kind.__init__
+
+    def notice(former: str) -> None:
+        text = f"{kind.__name__}: {former} is now {renamed[former]}"
+        warnings.warn(text, DeprecationWarning, stacklevel=3)
 
     @functools.wraps(init)
-    def accepting(self: Certificate, *given: Any, **named: Any) -> None:
-        for former, now in _FORMER_FIELDS.items():
-            if former in named:
-                warnings.warn(f"Certificate: {former} is now {now}", DeprecationWarning, stacklevel=2)
-                named[now] = named.pop(former)
-        init(self, *given, **named)
+    def accepting(self: Any, *given: Any, **fields: Any) -> None:
+        for former in renamed.keys() & fields.keys():
+            notice(former)
+            fields[renamed[former]] = fields.pop(former)
+        init(self, *given, **fields)
 
-    return accepting
+    def read(self: Any, former: str) -> Any:
+        notice(former)
+        return getattr(self, renamed[former])
+
+    kind.__init__ = accepting
+    for former in renamed:
+        setattr(kind, former, property(functools.partial(read, former=former)))
 
 
-_FORMER_FIELDS: Final[Mapping[str, str]] = {"pays": "dominates"}
-Certificate.__init__ = _with_former_fields(Certificate.__init__)  # type: ignore[method-assign]  # the class is final, its fields are its constructor
+former_fields(Certificate)
 
 
 def sampled_certificate(
@@ -251,7 +264,7 @@ def sampled_certificate(
     return Certificate(
         storage=storage,
         dissipation=halved(decrease),
-        excess=halved(residual),
+        residual=halved(residual),
         delay_lines=kept,
         plant=relations,
         unknown=constants or {},
@@ -261,6 +274,8 @@ def sampled_certificate(
 
 _FORMER: Final[Mapping[str, tuple[str, Any]]] = {
     "SampledCertificate": ("Certificate", sampled_certificate),
+    "Driven": ("StableLinear", StableLinear),
+    "Gathered": ("InformationSquare", InformationSquare),
     "Kept": ("DelayLine", DelayLine),
     "Relation": ("PlantIdentity", PlantIdentity),
 }
@@ -271,7 +286,7 @@ def __getattr__(name: str) -> Any:
     if name not in _FORMER:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     now, value = _FORMER[name]
-    warnings.warn(f"dmframe.certificate.{name} is now {now}", DeprecationWarning, stacklevel=2)
+    warnings.warn(f"dmframe.block.certificate.{name} is now {now}", DeprecationWarning, stacklevel=2)
     return value
 
 
@@ -290,9 +305,8 @@ __all__ = [
     "Consumed",
     "DelayLine",
     "Dissipated",
-    "Driven",
-    "Gathered",
     "Inequality",
+    "InformationSquare",
     "LeastSquaresSteps",
     "Lemma",
     "LogDet",
@@ -301,6 +315,7 @@ __all__ = [
     "PlantIdentity",
     "Potential",
     "Square",
+    "StableLinear",
     "Steps",
     "Stored",
     "TrueValue",

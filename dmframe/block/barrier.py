@@ -7,9 +7,9 @@ from typing import final
 
 import casadi as ca
 
-from dmframe.condition import SX
-from dmframe.fields import Expressions
-from dmframe.naming import operation
+from dmframe.block.condition import SX
+from dmframe.block.fields import Expressions
+from dmframe.block.naming import operation
 
 
 @operation

@@ -15,9 +15,9 @@ import numpy as np
 from pydantic import BaseModel, Field
 from pydantic.fields import FieldInfo
 
-from dmframe.errors import nearest
-from dmframe.gain import Prior, check_definite
-from dmframe.units import Stated, joint_quantity, of_sliding, to_unit
+from dmframe.block.gain import Prior, check_definite
+from dmframe.common.errors import nearest
+from dmframe.common.units import Stated, joint_quantity, of_sliding, to_unit
 
 Scalar = float
 """One number."""

@@ -1,6 +1,6 @@
 """Conditions of a block's proof: inequalities that values decide, and assumptions that a graph cannot decide.
 
-Their texts are words; a text with formulas is a `dmframe.text.sentence`.
+Their texts are words; a text with formulas is a `dmframe.common.text.sentence`.
 """
 
 from __future__ import annotations
@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, final
 
-from dmframe.fields import check_fields
-from dmframe.text import Text
+from dmframe.block.fields import check_fields
+from dmframe.common.text import Text
 
 SX = Any
 """A CasADi expression; the library is untyped."""

@@ -7,7 +7,15 @@ import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Final, final
+from typing import Final, NamedTuple, final
+
+
+class Element(NamedTuple):
+    """One element of a dimension of a shape, such as one dynamic parameter: its name in results, and its unit."""
+
+    name: str
+    unit: str = ""
+
 
 LETTERS: Final = {
     name: letter

@@ -17,8 +17,8 @@ from typing import Any, Final, final
 
 import casadi as ca
 
-from dmframe.errors import DmframeError
-from dmframe.names import distinct, look_alikes, unicode_name
+from dmframe.common.errors import DmframeError
+from dmframe.common.names import distinct, look_alikes, unicode_name
 
 Expression = Any
 """A CasADi expression (SX, MX or DM) or a number; the library is untyped."""
@@ -128,13 +128,13 @@ def named(name: str, expression: Expression) -> Expression:
 class Operation:
     """A function that prints as one sign: `sign` is its notation (see `dmframe.formula.read`), or the function's name.
 
-    `given` are the names of a robot's arguments; `said` has the names of the arguments and the description.
+    `given` are the names of a robot's arguments; `description` has the names of the arguments and the description.
     `function` is the function of an `operation`, which identifies it, since another may have the same name.
     """
 
     sign: str
     given: tuple[str, ...] = ()
-    said: tuple[tuple[str, ...], str] | None = None
+    description: tuple[tuple[str, ...], str] | None = None
     function: Callable[..., Any] | None = None
 
 
@@ -142,7 +142,7 @@ _operations: Final[dict[str, Operation]] = {}
 
 
 @functools.cache
-def said_of(function: Callable[..., Any]) -> tuple[tuple[str, ...], str]:
+def description_of(function: Callable[..., Any]) -> tuple[tuple[str, ...], str]:
     """Required arguments of a function, and the first line of its docstring."""
     parameters = [item for item in inspect.signature(function).parameters.values() if item.default is item.empty]
     text = (inspect.getdoc(function) or "").partition("\n")[0]
@@ -200,7 +200,7 @@ def operation(function: Callable[..., Expression]) -> Callable[..., Expression]:
         sizes = "_".join([*(f"{rows}x{columns}" for rows, columns in (x.shape for x in given)), str(len(_operations))])
         # CasADi's names have only letters, digits and single underscores
         label = "_".join(part for part in f"{name}_{sizes}".split("_") if part)
-        register(label, Operation(function.__name__, said=said_of(function), function=function))
+        register(label, Operation(function.__name__, description=description_of(function), function=function))
         return ca.Function(label, symbols, [ca.densify(function(*symbols))])
 
     @functools.wraps(function)

@@ -11,7 +11,7 @@ from typing import Any, final
 
 import casadi as ca
 
-from dmframe.naming import operation
+from dmframe.block.naming import operation
 
 
 @final

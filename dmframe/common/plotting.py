@@ -9,8 +9,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from dmframe.errors import UnknownNameError
-from dmframe.version import version
+from dmframe.common.errors import UnknownNameError
+from dmframe.common.version import version
 
 COLUMN, PAGE = 3.5, 7.16
 """Widths of one column and of a page of two [inch]."""

@@ -18,8 +18,8 @@ _FIT = '<svg style="max-width:100%;height:auto" '
 
 def heading(name: str, says: str = "") -> str:
     """A name in bold, with an optional text."""
-    said = f": {escape(says)}" if says else ""
-    return f"<p><b>{escape(name)}</b>{said}</p>"
+    detail = f": {escape(says)}" if says else ""
+    return f"<p><b>{escape(name)}</b>{detail}</p>"
 
 
 def table(rows: Iterable[Sequence[str]], heads: Sequence[str] = ()) -> str:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from string import Formatter
 from typing import Any, Final, Protocol, final
 
-from dmframe.names import latex_name, unicode_name
+from dmframe.common.names import latex_name, unicode_name
 
 
 class Formula(Protocol):

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, final
 
-from dmframe.files import encoded, probed
+from dmframe.common.files import encoded, probed
 
 SEAL: Final = "seal.json"
 _KEY: Final = "seal"

@@ -7,8 +7,8 @@ from typing import final
 
 import casadi as ca
 
-from dmframe.condition import SX
-from dmframe.fields import Expressions
+from dmframe.block.condition import SX
+from dmframe.block.fields import Expressions
 
 
 @final

@@ -7,15 +7,15 @@ from html import escape
 from typing import Any, final
 
 from dmframe.block import AbstractBlock, type_name
-from dmframe.config.named import Named
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
+from dmframe.common.units import to_unit
+from dmframe.config.registry import Registry
 from dmframe.graph.graph import Graph
 from dmframe.graph.load import load
 from dmframe.robot.chain import SerialChain
-from dmframe.units import to_unit
 
 
-def graphs() -> Named[Graph]:
+def graphs() -> Registry[Graph]:
     """The packaged graphs, ``dm.graphs()["ur10_fast"]``."""
     from dmframe.catalogue import graphs as packaged
     from dmframe.config.document import read_file
@@ -25,7 +25,7 @@ def graphs() -> Named[Graph]:
         data = read_file(path).data
         times = {key: _seconds(data.get(key, "")) for key in ("duration", "clock")}
         facts[name] = {**times, "title": str(data.get("title", ""))}
-    return Named("graph", facts, load)
+    return Registry("graph", facts, load)
 
 
 def _seconds(value: Any) -> str | float:
@@ -63,19 +63,21 @@ class BlockType:
         return f"<pre>{escape(str(self))}</pre>"
 
 
-def blocks() -> Named[BlockType]:
+def blocks() -> Registry[BlockType]:
     """The block types; ``print(dm.blocks()["dynamic_compensator"])`` is the page of ``dmframe blocks``."""
     from dmframe.catalogue import block_types
     from dmframe.graph.pages import first_line
 
     kinds = block_types()
     facts = {name: {"side": kind.side.value, "summary": first_line(kind)} for name, kind in kinds.items()}
-    return Named("block type", facts, lambda name: BlockType(kinds[name]))
+    return Registry("block type", facts, lambda name: BlockType(kinds[name]))
 
 
-def robots() -> Named[SerialChain]:
+def robots() -> Registry[SerialChain]:
     """The robots that come with installed packages, ``dm.robots()["ur10"]``."""
     from dmframe.robot.library import load as load_robot
     from dmframe.robot.library import robots as known
 
-    return Named("robot", {name: {"description": source.description} for name, source in known().items()}, load_robot)
+    return Registry(
+        "robot", {name: {"description": source.description} for name, source in known().items()}, load_robot
+    )

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
-from typing import NamedTuple, final
+from typing import final
+
+from dmframe.common.names import Element as Element
 
 
 @final
@@ -213,13 +215,6 @@ class State:
 
 DISTRIBUTIONS = ("normal", "uniform")
 """Distributions of a random input."""
-
-
-class Element(NamedTuple):
-    """One element of a dimension of a shape, such as one dynamic parameter: its name in results, and its unit."""
-
-    name: str
-    unit: str = ""
 
 
 @final

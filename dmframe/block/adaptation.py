@@ -74,21 +74,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
-from dmframe.certificate import (
+from dmframe.block.certificate import (
     SX,
     Bounded,
     Clipped,
     Dissipated,
-    Gathered,
+    InformationSquare,
     NormSquare,
     Square,
     Stored,
     beyond,
+    former_fields,
     gathered,
     norm,
 )
-from dmframe.linalg import metric, solve_spd, square, times
-from dmframe.naming import named
+from dmframe.block.linalg import metric, solve_spd, square, times
+from dmframe.block.naming import named
 
 
 @final
@@ -97,12 +98,15 @@ class Terms:
     """Terms of an adaptation in the certificate of its block."""
 
     dissipation: tuple[Dissipated, ...] = ()
-    excess: tuple[Bounded, ...] = ()
+    residual: tuple[Bounded, ...] = ()
     storage: tuple[Stored, ...] = ()
 
     def __add__(self, other: Terms) -> Terms:
         pairs = zip(vars(self).values(), vars(other).values(), strict=True)
         return Terms(*(mine + theirs for mine, theirs in pairs))
+
+
+former_fields(Terms)
 
 
 @final
@@ -180,7 +184,7 @@ class Adaptation:
                 plain = _leaked(estimate, self.error_leak)
                 found += Terms(
                     tuple(_by(term, error) for term in plain.dissipation),
-                    tuple(_by(term, error) for term in plain.excess),
+                    tuple(_by(term, error) for term in plain.residual),
                 )
         return found
 
@@ -188,7 +192,7 @@ class Adaptation:
         """Residual of the dead zone, clip(s, dead_zone)' b; b is the effect of the block's estimation errors."""
         if self.width is None:
             return Terms()
-        return Terms(excess=(Clipped(error, self.width, effect),))
+        return Terms(residual=(Clipped(error, self.width, effect),))
 
 
 @final
@@ -246,8 +250,8 @@ class Fit:
         assert self.state is not None
         return named("G", (self.state + self.state.T) / 2)
 
-    def _gathered(self, estimate: Estimate, weight: SX) -> Gathered:
-        return Gathered(estimate.error, weight, self._memory, self.regressor, self.by, self.forgetting)
+    def _gathered(self, estimate: Estimate, weight: SX) -> InformationSquare:
+        return InformationSquare(estimate.error, weight, self._memory, self.regressor, self.by, self.forgetting)
 
 
 def adaptation(p: Any) -> Adaptation:

@@ -12,11 +12,11 @@ from typing import Final, final
 
 import casadi as ca
 
-from dmframe.condition import SX
-from dmframe.fields import Expressions
-from dmframe.linalg import ldl, solve_spd
-from dmframe.naming import operation
-from dmframe.text import UNNAMED, Text
+from dmframe.block.condition import SX
+from dmframe.block.fields import Expressions
+from dmframe.block.linalg import ldl, solve_spd
+from dmframe.block.naming import operation
+from dmframe.common.text import UNNAMED, Text
 
 
 @final
@@ -158,7 +158,7 @@ class NormSquare(Expressions):
 
 @final
 @dataclass(frozen=True, eq=False)
-class Gathered(Expressions):
+class InformationSquare(Expressions):
     r"""The form :math:`c\,|a|_G^2` with an information matrix G with forgetting.
 
     .. math:: \dot G = -\mathrm{forgetting}\, G + W^\top \mathrm{diag}(r) W, \quad G(0) = 0 \quad\Rightarrow\quad
@@ -319,9 +319,9 @@ class LogDet(Expressions):
         return self.weight * divergence(self.matrix, self.true)
 
 
-Dissipated = Square | NormSquare | Lemma | Gathered
+Dissipated = Square | NormSquare | Lemma | InformationSquare
 """A term that is non-negative by construction."""
-Stored = Square | Gathered | Potential | LogDet
-"""A term of V; all of them except `Gathered` are positive definite."""
+Stored = Square | InformationSquare | Potential | LogDet
+"""A term of V; all of them except `InformationSquare` are positive definite."""
 Bounded = Square | NormSquare | Clipped
 """A term with a known bound."""

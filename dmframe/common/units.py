@@ -16,7 +16,7 @@ from decimal import Decimal
 from fractions import Fraction
 from typing import Final
 
-from dmframe.errors import DmframeError, UnitError, ValueFault, nearest
+from dmframe.common.errors import DmframeError, UnitError, ValueFault, nearest
 
 _DEFINITIONS: Final = """
 m metre meter

@@ -14,29 +14,29 @@ from typing import final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
 from dmframe.block.numberless import remade
 from dmframe.block.steady import same_statement
-from dmframe.certificate import SX
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.small_gain import kappa_needs
 from dmframe.certify.steady import stated_claims
 from dmframe.certify.tacit import tacit
+from dmframe.common.errors import ValueFault
+from dmframe.common.text import Label, Text
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.view import view
-from dmframe.errors import ValueFault
 from dmframe.exact.ends import Ends, enclosing
 from dmframe.exact.rational import Interval, as_float
-from dmframe.text import Label, Text
 
 Intervals = Mapping[str, Sequence[Interval]]
 
 
 @final
 @dataclass(frozen=True)
-class Elsewhere:
+class ParameterMargin:
     """One thing that numbers decide, at any numbers and any starts.
 
     Judge it like this. With a `margin`: evaluate that; it holds where the least element is above zero, or, where
@@ -64,9 +64,9 @@ class Elsewhere:
     opens: bool = False
 
 
-def elsewhere(
+def parameter_margins(
     conditions: Sequence[Checked], claim: Claim | None, uncertain: Intervals, starts: Container[str] = ()
-) -> list[Elsewhere]:
+) -> list[ParameterMargin]:
     """The conditions of a verdict, in their order, and then what is tacit.
 
     Parameters
@@ -80,7 +80,7 @@ def elsewhere(
     if claim is None:
         return []
     inside = _inside(claim, uncertain)
-    found = [Elsewhere(item, *_margin(claim, item, inside, starts), opens=item.sufficient) for item in conditions]
+    found = [ParameterMargin(item, *_margin(claim, item, inside, starts), opens=item.sufficient) for item in conditions]
     return [*found, *_tacit(claim, uncertain, inside, starts)]
 
 
@@ -146,17 +146,17 @@ def _margin(
 
 def _tacit(
     claim: Claim, uncertain: Intervals, inside: Mapping[int, tuple[float, float]], starts: Container[str]
-) -> Iterator[Elsewhere]:
+) -> Iterator[ParameterMargin]:
     for item in tacit(claim, Numbers(claim, uncertain)):
         margin, reads = _margin(claim, item, inside, starts)
         checked = replace(item, margin=margin, reads=reads, begun=None, sufficient=False)
-        yield Elsewhere(checked, margin, reads, tacit=True, opens=item.sufficient)
+        yield ParameterMargin(checked, margin, reads, tacit=True, opens=item.sufficient)
     for parameter in claim.loop.parameters:
         if parameter.label in uncertain:
             text = Text(Label(parameter.label), " lies in the interval that the graph gives")
             margin = _room(stack([parameter.symbol]), inside)
             checked = Checked(text, "", None, True, "", strict=False, margin=margin)
-            yield Elsewhere(checked, margin, tacit=True)
+            yield ParameterMargin(checked, margin, tacit=True)
 
 
 def _room(symbols: SX, inside: Mapping[int, tuple[float, float]]) -> SX:

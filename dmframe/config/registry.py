@@ -6,17 +6,17 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar, final
 
-from dmframe import notebook
-from dmframe.columns import columns
-from dmframe.errors import UnknownNameError, ValueFault
-from dmframe.units import plain
+from dmframe.common import notebook
+from dmframe.common.columns import columns
+from dmframe.common.errors import UnknownNameError, ValueFault
+from dmframe.common.units import plain
 
 T = TypeVar("T")
 
 
 @final
 @dataclass(frozen=True, repr=False, eq=False)
-class Named(Mapping[str, T], Generic[T]):
+class Registry(Mapping[str, T], Generic[T]):
     """A read-only mapping; a notebook and ``str`` display its facts as a table.
 
     Parameters
@@ -36,11 +36,11 @@ class Named(Mapping[str, T], Generic[T]):
     @property
     def summary(self) -> list[dict[str, Any]]:
         """The facts as plain data, which ``--json`` prints."""
-        return [{"name": name, **said} for name, said in self.facts.items()]
+        return [{"name": name, **facts} for name, facts in self.facts.items()]
 
     @property
     def _rows(self) -> list[tuple[str, ...]]:
-        return [(name, *map(_cell, said.values())) for name, said in self.facts.items()]
+        return [(name, *map(_cell, facts.values())) for name, facts in self.facts.items()]
 
     def __getitem__(self, name: str) -> T:
         if not isinstance(name, str):
@@ -68,7 +68,7 @@ class Named(Mapping[str, T], Generic[T]):
         return columns(self._rows, indent="")
 
     def _repr_html_(self) -> str:
-        heads = [head for said in list(self.facts.values())[:1] for head in said]
+        heads = [head for facts in list(self.facts.values())[:1] for head in facts]
         return notebook.table(self._rows, (self.kind, *heads))
 
 

@@ -6,20 +6,20 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import final
 
-from dmframe.certificate import SX, Bounded, Clipped, NormSquare, Square
+from dmframe.block.certificate import SX, Bounded, Clipped, NormSquare, Square
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.symbols import Symbols
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
+from dmframe.common.text import Text, around, square_of
 from dmframe.exact.rational import as_float
 from dmframe.prove.definite import upper
-from dmframe.text import Text, around, square_of
 
 
 @final
 @dataclass(frozen=True)
 class Bound:
-    """The most that one term of the excess can be.
+    """The most that one term of the residual can be.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Bound:
 
 
 def bounds_of(claim: Claim, numbers: Numbers, symbols: Symbols) -> list[Bound]:
-    """Each term of the excess with its bound.
+    """Each term of the residual with its bound.
 
     A clipped term has one only if its width is made of parameters and above zero: `clip` with a negative width, or with
     one that moves, is not held between any two numbers that are known.
@@ -62,7 +62,7 @@ def bounds_of(claim: Claim, numbers: Numbers, symbols: Symbols) -> list[Bound]:
 
 def _bounds(claim: Claim, numbers: Numbers, symbols: Symbols) -> Iterator[Bound]:
     for part in claim.parts:
-        for term in part.certificate.excess:
+        for term in part.certificate.residual:
             value, constant = (
                 _width(term, numbers) if isinstance(term, Clipped) else _size(part.block, term, numbers, symbols)
             )
@@ -113,7 +113,7 @@ def _weight(claim: Claim, part: Part) -> str:
 
 
 def total_bound(bounds: list[Bound], kappa: float) -> float | None:
-    """The most that the whole excess can be; None where a signal multiplies a term, or a bound is not known."""
+    """The most that the whole residual can be; None where a signal multiplies a term, or a bound is not known."""
     if any(bound.times or bound.value is None for bound in bounds):
         return None
     return sum((bound.value or 0.0) * (kappa if bound.weight == "kappa" else 1.0) for bound in bounds)

@@ -15,10 +15,10 @@ from typing import Any, ClassVar, Literal, final
 
 import casadi as ca
 
-from dmframe.condition import SX
-from dmframe.fields import Expressions
+from dmframe.block.condition import SX
+from dmframe.block.fields import Expressions
+from dmframe.block.terms import Square
 from dmframe.prove.rules import Column, Rule, Taken, taken
-from dmframe.terms import Square
 
 
 class _Taking(Expressions):

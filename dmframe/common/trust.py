@@ -16,8 +16,8 @@ from typing import Final
 
 import platformdirs
 
-from dmframe.errors import BlockError, MissingError
-from dmframe.files import reason, write_text
+from dmframe.common.errors import BlockError, MissingError
+from dmframe.common.files import reason, write_text
 
 _MARKS: Final = ("user.xdg.origin.url", "com.apple.quarantine")
 """Attributes with which browsers mark downloads."""
