@@ -98,10 +98,12 @@ def family(kind: type[AbstractBlock]) -> str:
 def index(kinds: dict[str, type[AbstractBlock]]) -> str:
     """All blocks by family, with their summaries."""
     parts = ["# Blocks", "All blocks, grouped by their outputs. `dmframe blocks` prints the same in a terminal."]
-    for key, (title, says) in FAMILIES.items():
+    for key, (title, text) in FAMILIES.items():
         mine = [name for name, kind in kinds.items() if family(kind) == key]
-        parts.append(f"## {title}\n\n{says}")
-        parts.append(_table(("block", "does"), [(f"[`{n}`]({n}.md)", _said(about(kinds[n]).summary)) for n in mine]))
+        parts.append(f"## {title}\n\n{text}")
+        parts.append(
+            _table(("block", "does"), [(f"[`{n}`]({n}.md)", _markdown(about(kinds[n]).summary)) for n in mine])
+        )
     names = "\n".join(name for key in FAMILIES for name, kind in kinds.items() if family(kind) == key)
     parts.append(f"```{{toctree}}\n:hidden:\n\n{names}\n```")
     return "\n\n".join(parts) + "\n"
@@ -109,15 +111,15 @@ def index(kinds: dict[str, type[AbstractBlock]]) -> str:
 
 def page(name: str, kind: type[AbstractBlock]) -> str:
     """One block."""
-    said, shown = about(kind), example(name)
-    parts = [f"# `{name}`", _said(said.summary), f"{FAMILIES[family(kind)][0]}; {_side(kind)}."]
+    doc, shown = about(kind), example(name)
+    parts = [f"# `{name}`", _markdown(doc.summary), f"{FAMILIES[family(kind)][0]}; {_side(kind)}."]
     parts += ["## Law", *_law(kind, shown)]
     parts += ["## Signals", *_signals(kind)]
     parts += ["## Parameters", _parameters(kind)]
     conditions = [] if kind.side is Side.SOURCE else list(_conditions(shown))
     parts += ["## Conditions", "\n".join(conditions), WEIGHTS] * bool(conditions)
-    parts += ["## Notes", _said(said.notes)] * bool(said.notes)
-    parts += ["## Source", *_source(said.source)] * bool(said.source)
+    parts += ["## Notes", _markdown(doc.notes)] * bool(doc.notes)
+    parts += ["## Source", *_source(doc.source)] * bool(doc.source)
     parts += ["## In a graph", *_used(name, shown)]
     parts += list(_what_if(kind, shown)) if shown is not None else []
     return "\n\n".join(parts) + "\n"
@@ -169,8 +171,8 @@ def _energy(law: PrintedLaw) -> Iterator[str]:
             ("", "term"), [(role, f"${formula}$") for role, formula in rows]
         )
     if law.estimates:
-        said = ", ".join(f"${line.right.latex}$ by ${latex_name(line.name)}$" for line in law.estimates)
-        yield f"It estimates {said}."
+        estimates = ", ".join(f"${line.right.latex}$ by ${latex_name(line.name)}$" for line in law.estimates)
+        yield f"It estimates {estimates}."
 
 
 def _aligned(lines: Sequence[Line]) -> str:
@@ -207,26 +209,33 @@ def _signals(kind: type[AbstractBlock]) -> Iterator[str]:
 
 
 def _port(port: Signal, kind: type[AbstractBlock]) -> tuple[str, ...]:
-    said = list[str]()
+    remarks = list[str]()
     if isinstance(port, Output):
         hidden = kind.side is Side.PLANT and port.access is Access.INTERNAL
-        said.append(READERS[Access.HIDDEN if hidden else port.access])
-    said += [f"derivative of `{port.derivative_of}`"] * bool(port.derivative_of) + ["optional"] * port.optional
+        remarks.append(READERS[Access.HIDDEN if hidden else port.access])
+    remarks += [f"derivative of `{port.derivative_of}`"] * bool(port.derivative_of) + ["optional"] * port.optional
     if isinstance(port, Input) and port.drawn:
-        said.append(f"drawn at each sample: {port.drawn}")
+        remarks.append(f"drawn at each sample: {port.drawn}")
     unit = {"*": "any"}.get(port.unit, port.unit or "-")
-    return f"${latex_name(port.name)}$", f"`{port.name}`", port.shape or "1", unit, _meaning(port.name), "; ".join(said)
+    return (
+        f"${latex_name(port.name)}$",
+        f"`{port.name}`",
+        port.shape or "1",
+        unit,
+        _meaning(port.name),
+        "; ".join(remarks),
+    )
 
 
 def _kept(state: Any) -> str:
     sets = [f"`{name}`" for name in (state.box, state.ball) if name]
-    said = ["sampled"] * state.sampled + ["optional"] * state.optional
-    return ", ".join([*said, *[f"projected onto {' or '.join(sets)}"] * bool(sets)])
+    kinds = ["sampled"] * state.sampled + ["optional"] * state.optional
+    return ", ".join([*kinds, *[f"projected onto {' or '.join(sets)}"] * bool(sets)])
 
 
 @cache
 def _words() -> dict[str, str]:
-    return {name: said.means for name, said in meanings().items()}
+    return {name: meaning.means for name, meaning in meanings().items()}
 
 
 def _meaning(name: str) -> str:
@@ -234,14 +243,21 @@ def _meaning(name: str) -> str:
 
 
 def _parameters(kind: type[AbstractBlock]) -> str:
-    said, known = about(kind).parameters, specs(kind)
+    described, known = about(kind).parameters, specs(kind)
     rows = []
     for name, field in kind.model_fields.items():
         spec = known.get(name)
         shape, unit = (spec.shape or "1", " ".join([spec.unit or "-", spec.sign]).strip()) if spec else ("", "option")
         default = "needed" if field.is_required() else _default(field.default, spec)
         rows.append(
-            (f"${latex_name(name)}$" if spec else "", f"`{name}`", shape, unit, default, _said(said.get(name, "")))
+            (
+                f"${latex_name(name)}$" if spec else "",
+                f"`{name}`",
+                shape,
+                unit,
+                default,
+                _markdown(described.get(name, "")),
+            )
         )
     return _table(("symbol", "name", "shape", "unit, sign", "default", "does"), rows) if rows else "None."
 
@@ -275,7 +291,7 @@ def _conditions(shown: Example | None) -> Iterator[str]:
 
 
 def _source(text: str) -> Iterator[str]:
-    yield _said(text)
+    yield _markdown(text)
     yield from (f"- \\[{key}\\] {reference(key)}" for key in dict.fromkeys(re.findall(r"\[(\w+)\]", text)))
 
 
@@ -303,7 +319,7 @@ def _what_if(kind: type[AbstractBlock], shown: Example) -> Iterator[str]:
         yield _table(heads, found.rows)
 
 
-def _said(text: str) -> str:
+def _markdown(text: str) -> str:
     """Marked text for a page: ``[Key]`` is not a link, and the name of a block is one."""
     known = block_modules()
     text = re.sub(r"\[(\w+)\](?!\()", r"\\[\1\\]", text)

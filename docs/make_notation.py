@@ -69,7 +69,7 @@ class Entry:
 def meanings() -> dict[str, Meaning]:
     """The words, by name, in the order of the page."""
     stated: Mapping[str, Any] = YAML(typ="safe").load(WORDS.read_text(encoding="utf-8"))
-    return {name: Meaning(**said) if isinstance(said, dict) else Meaning(said) for name, said in stated.items()}
+    return {name: Meaning(**given) if isinstance(given, dict) else Meaning(given) for name, given in stated.items()}
 
 
 def entries() -> dict[str, Entry]:
@@ -91,18 +91,18 @@ def signs() -> set[str]:
     return FUNCTIONS | set(SIGNS.values()) | set(CONSTANTS.values())
 
 
-def faults(found: Mapping[str, Entry], said: Mapping[str, Meaning]) -> Iterator[str]:
+def faults(found: Mapping[str, Entry], given: Mapping[str, Meaning]) -> Iterator[str]:
     """Where the code and the words differ, and where one symbol would have two meanings."""
-    yield from (f"{name} has no meaning in notation.yaml" for name in found if name not in said)
-    yield from (f"{name} has a meaning, and no block has it" for name in said if name not in found)
+    yield from (f"{name} has no meaning in notation.yaml" for name in found if name not in given)
+    yield from (f"{name} has a meaning, and no block has it" for name in given if name not in found)
     yield from (f"{one} and {other} print alike" for one, other in distinct(sorted(found.keys() | signs())))
     calls = dict[str, str]()
-    for name, meaning in said.items():
+    for name, meaning in given.items():
         first = calls.setdefault(meaning.paper or name, name)
         if first != name:
             yield f"the paper calls {first} and {name} alike"
-    for name in sorted(found.keys() & said.keys()):
-        yield from _meant_twice(found[name], said[name])
+    for name in sorted(found.keys() & given.keys()):
+        yield from _meant_twice(found[name], given[name])
 
 
 def _meant_twice(entry: Entry, meaning: Meaning) -> Iterator[str]:
@@ -134,17 +134,17 @@ def clashes(kind: type[AbstractBlock], found: Mapping[str, Entry]) -> Iterator[s
 
 def lines() -> Iterator[str]:
     """Both tables."""
-    said, found = meanings(), entries()
+    given, found = meanings(), entries()
     for title, parameters in (("Signals, states and true values", False), ("Parameters", True)):
         ends = ["blocks"] if parameters else ["given by", "read by"]
         head = ["symbol", "name", "unit", "shape", "meaning", "in the paper", *ends]
         yield from (f"## {title}", "", _row(head), "|" + "---|" * len(head))
-        for name, meaning in said.items():
+        for name, meaning in given.items():
             if name in found and found[name].parameter == parameters:
                 yield _row(_cells(found[name], meaning))
         yield ""
     yield from ("## Names with several units or meanings", "")
-    yield from (f"- `{name}`: {meaning.because}" for name, meaning in said.items() if meaning.because)
+    yield from (f"- `{name}`: {meaning.because}" for name, meaning in given.items() if meaning.because)
 
 
 def _cells(entry: Entry, meaning: Meaning) -> list[str]:

@@ -77,9 +77,9 @@ def words() -> dict[str, Any]:
     return dict(YAML(typ="safe").load(WORDS.read_text(encoding="utf-8")))
 
 
-def faults(said: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
+def faults(texts: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
     """Packaged graphs without a line, or with two, and lines about unknown graphs."""
-    present, left = said["graphs"].keys(), said["left_out"].keys()
+    present, left = texts["graphs"].keys(), texts["left_out"].keys()
     yield from (f"{name} has no line in which.yaml" for name in names if name not in present | left)
     yield from (f"{name} has a line and is left out" for name in sorted(present & left))
     yield from (f"{name} is no packaged graph" for name in sorted((present | left) - set(names)))
@@ -281,14 +281,14 @@ def _kept(graph: dm.Graph) -> str:
     return next((item.says for item in statements if item.says.startswith("stays between")), "no proof")
 
 
-def table(rows: list[dict[str, str]], said: Mapping[str, Any]) -> Iterator[str]:
+def table(rows: list[dict[str, str]], texts: Mapping[str, Any]) -> Iterator[str]:
     """The table of graphs, in the order of the words."""
     by_name = {row["graph"]: row for row in rows}
     heads = ["use it if", "error", "proved", "controlled", "robot", "servo, command, clock"]
     heads += ["measured", "known exactly", "estimated"]
     yield f"| {' | '.join(heads)} |"
     yield "|" + "---|" * len(heads)
-    for name, word in said["graphs"].items():
+    for name, word in texts["graphs"].items():
         row = by_name[name]
         when = f"{word['when']}<br>[`{name}`]({word['page']})"
         interface = f"{row['servo']}, {row['takes']}, {row['clock']}"
@@ -301,22 +301,22 @@ def in_short(headline: str) -> str:
     return headline.partition(",")[0] if headline.startswith("proved over samples") else headline
 
 
-def law_table(rows: list[dict[str, str]], said: Mapping[str, Any]) -> Iterator[str]:
+def law_table(rows: list[dict[str, str]], texts: Mapping[str, Any]) -> Iterator[str]:
     """The table of laws, one column a circle."""
-    titles = [circle["title"] for circle in said["circles"]]
+    titles = [circle["title"] for circle in texts["circles"]]
     by_cell = {(row["law"], row["circle"]): row for row in rows}
     yield f"| law | {' | '.join(titles)} |"
     yield "|" + "---|" * (1 + len(titles))
-    for law in said["laws"]:
+    for law in texts["laws"]:
         yield f"| {law['title']} | {' | '.join(_cell(by_cell[law['title'], title]) for title in titles)} |"
 
 
-def limit_table(rows: list[dict[str, str]], said: Mapping[str, Any]) -> Iterator[str]:
+def limit_table(rows: list[dict[str, str]], texts: Mapping[str, Any]) -> Iterator[str]:
     """The table of laws near limits, ideal and with non-idealities."""
     by_cell = {(row["law"], row["reality"]): row for row in rows}
     yield "| law | error | least distance | error, `ur` | least distance, `ur` | proved for the joints |"
     yield "|" + "---|" * 6
-    for title in (law["title"] for law in said["limits"]["laws"]):
+    for title in (law["title"] for law in texts["limits"]["laws"]):
         cells = (f"{_cell(by_cell[title, each])} | {_room(by_cell[title, each])}" for each in REALITIES)
         yield f"| {title} | {' | '.join(cells)} | {by_cell[title, 'none']['says']} |"
 
@@ -360,13 +360,13 @@ def fill(
     rows: list[dict[str, str]],
     laws: list[dict[str, str]],
     limits: list[dict[str, str]],
-    said: Mapping[str, Any],
+    texts: Mapping[str, Any],
 ) -> str:
     """The page with its tables put in."""
     parts = (
-        (BEGIN, END, table(rows, said)),
-        (LAWS_BEGIN, LAWS_END, law_table(laws, said)),
-        (LIMITS_BEGIN, LIMITS_END, limit_table(limits, said)),
+        (BEGIN, END, table(rows, texts)),
+        (LAWS_BEGIN, LAWS_END, law_table(laws, texts)),
+        (LIMITS_BEGIN, LIMITS_END, limit_table(limits, texts)),
     )
     for begin, end, lines in parts:
         before, _, rest = text.partition(begin)
@@ -382,19 +382,19 @@ def draw() -> None:
 
 def main(arguments: list[str]) -> None:
     """Compute rows, store them, and draw the page."""
-    said, names = words(), [word for word in arguments if not word.startswith("--")]
-    if wrong := list(faults(said, dm.graphs())):
+    texts, names = words(), [word for word in arguments if not word.startswith("--")]
+    if wrong := list(faults(texts, dm.graphs())):
         sys.exit("\n".join(wrong))
     if not {"--draw", "--laws"} & set(arguments):
         kept = {row["graph"]: row for row in read(TABLE)} if names and TABLE.exists() else {}
-        for name in said["graphs"]:
+        for name in texts["graphs"]:
             if name not in kept or name in names:
                 kept[name] = row_of(name)
                 sys.stderr.write(f"{name}\n")
-        write(TABLE, HEADS, [kept[name] for name in said["graphs"]])
+        write(TABLE, HEADS, [kept[name] for name in texts["graphs"]])
     if "--draw" not in arguments and not names:
-        circles, limits = list(enumerate(said["circles"])), said["limits"]
-        write(LAWS, LAW_HEADS, [law_row(law, k, circle) for law in said["laws"] for k, circle in circles])
+        circles, limits = list(enumerate(texts["circles"])), texts["limits"]
+        write(LAWS, LAW_HEADS, [law_row(law, k, circle) for law in texts["laws"] for k, circle in circles])
         near = [limit_row(law, reality, limits["on"]) for law in limits["laws"] for reality in REALITIES]
         write(LIMITS, LIMIT_HEADS, near)
     draw()

@@ -54,7 +54,7 @@ def cache_folder() -> Path:
             usual = Path(platformdirs.user_cache_dir("dmframe", appauthor=False))
         except RuntimeError:
             usual = Path()
-        if not usual.is_absolute():  # some versions leave a ~ in it
+        if not usual.is_absolute():  # some versions do not expand ~
             raise OSError("this user has no home")
         return usual
     try:

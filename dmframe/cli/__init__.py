@@ -48,8 +48,8 @@ def _status() -> int:
     """Run the command of the arguments and report its faults; returns the exit status."""
     from dmframe.remembered.front import call_of, found, page_of
 
-    begun = "dmframe.catalogue" in sys.modules  # earlier reads of this process were not recorded
-    call = None if begun or COMPLETING in os.environ else call_of(sys.argv[1:])
+    loaded = "dmframe.catalogue" in sys.modules  # earlier reads of this process were not recorded
+    call = None if loaded or COMPLETING in os.environ else call_of(sys.argv[1:])
     if call is not None:
         entry = found(call)
         if entry is not None:

@@ -114,12 +114,12 @@ def rehearse_graph(
     as_json: bool,
 ) -> int:
     """Rehearse a graph and print the result; a passed rehearsal with full runs is kept for `drive`."""
-    from dmframe.drive.kept import keep
+    from dmframe.drive.records import store
 
     _ = graph.diagram
     until = None if seconds is None else time_of("--seconds", seconds)
     found = graph.rehearse(until, limits=limits, **_options(ramp, patience, payload))
-    kept = keep(found)
+    kept = store(found)
     if as_json:
         tell(json.dumps({**found.summary, "kept": kept}, indent=2))
     else:

@@ -57,9 +57,9 @@ def positive_part(A: Any) -> Any:
 
 def _rotate(a: list[list[Any]], v: list[list[Any]], p: int, q: int) -> None:
     """Turn rows and columns p and q, by 45 degrees at most, so that the element where they meet is zero."""
-    across, apart = a[p][q], a[q][q] - a[p][p]
-    sign = ca.if_else(apart < 0, -1, 1)
-    tangent = 2 * across * sign / (ca.fabs(apart) + ca.sqrt(apart * apart + 4 * across * across + TINY))
+    across, difference = a[p][q], a[q][q] - a[p][p]
+    sign = ca.if_else(difference < 0, -1, 1)
+    tangent = 2 * across * sign / (ca.fabs(difference) + ca.sqrt(difference * difference + 4 * across * across + TINY))
     cosine = 1 / ca.sqrt(1 + tangent * tangent)
     sine = tangent * cosine
     a[p][p], a[q][q] = a[p][p] - tangent * across, a[q][q] + tangent * across

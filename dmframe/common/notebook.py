@@ -16,9 +16,9 @@ _LEFT = "text-align:left"
 _FIT = '<svg style="max-width:100%;height:auto" '
 
 
-def heading(name: str, says: str = "") -> str:
+def heading(name: str, description: str = "") -> str:
     """A name in bold, with an optional text."""
-    detail = f": {escape(says)}" if says else ""
+    detail = f": {escape(description)}" if description else ""
     return f"<p><b>{escape(name)}</b>{detail}</p>"
 
 

@@ -234,8 +234,8 @@ def _why_not(found: str, unit: str, dimension: Mapping[str, int], target: Mappin
 
 def _divided(found: str, dimension: Mapping[str, int], target: Mapping[str, int]) -> str:
     """Hint for a unit without a division by seconds or metres: deg for rad/s, kN for N/m."""
-    apart = {key: target.get(key, 0) - dimension.get(key, 0) for key in {*dimension, *target}}
-    (name, power), *others = [(key, value) for key, value in apart.items() if value] or [("", 0)]
+    ratio = {key: target.get(key, 0) - dimension.get(key, 0) for key in {*dimension, *target}}
+    (name, power), *others = [(key, value) for key, value in ratio.items() if value] or [("", 0)]
     if not dimension or others or name not in _DIVIDING or power not in (-1, -2):
         return ""
     if any(_named(factor)[1] == {name: 1} for factor, exponent in factors(found).items() if exponent > 0):

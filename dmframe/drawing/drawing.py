@@ -48,7 +48,7 @@ class Drawing:
         Raises
         ------
         OutputError
-            The extension is another one, or the file cannot be written.
+            The extension is unknown, or the file cannot be written.
         """
         path = expanded(path)
         check_ending(path)

@@ -45,6 +45,6 @@ def _shape(box: Box) -> str:
 
 
 def _plain(text: str, *, keep: bool = False) -> str:
-    """A text within Mermaid's quotes."""
+    """Text escaped for Mermaid's quotes."""
     text = text.replace('"', "#quot;").replace("\n", " ")
     return text if keep else text.replace("<", "#lt;").replace(">", "#gt;")

@@ -205,7 +205,7 @@ def _count(items: Sequence[Member]) -> int:
 
 
 def described(unit: Unit, fmi: Version, token: str) -> str:
-    """modelDescription.xml, as a parser reads it back.
+    """modelDescription.xml, checked by a parser.
 
     Raises `EngineError` for a name that no XML can hold, such as one with a control character.
     """
@@ -219,7 +219,7 @@ def described(unit: Unit, fmi: Version, token: str) -> str:
     found = [item.get("name") for item in root.iter(tag) if item.get("causality") != "independent"]
     if found != list(_names(unit, fmi)) or about != (unit.name, unit.about):
         raise EngineError(
-            f"{unit.name}: modelDescription.xml reads back as something else; expected a title and names of printable "
+            f"{unit.name}: modelDescription.xml is not recovered by a parser; expected a title and names of printable "
             "characters"
         )
     return text

@@ -160,14 +160,14 @@ def _called(name: str, words: dict[str, str]) -> str:
 
 
 def _read_as_xml(name: str, file: str, words: dict[str, str]) -> str:
-    """A file of XML, if a parser reads from it the title that was written. Raises `EngineError` where it does not."""
+    """XML file, checked by a parser that must recover the title; raises `EngineError` if it does not."""
     text = _called(file, words)
     try:
         found = "".join(item.text or "" for item in ElementTree.fromstring(text.encode()).iter("description"))
     except (ElementTree.ParseError, UnicodeEncodeError):
         found = ""
     if not found.startswith(unescape(words["DM_TITLE"])):
-        raise EngineError(f"{name}: {file} reads back as something else; expected a title of printable characters")
+        raise EngineError(f"{name}: {file} is not recovered by a parser; expected a title of printable characters")
     return text
 
 

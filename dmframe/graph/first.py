@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from dmframe.common.errors import RobotError
 from dmframe.robot.chain import Joint, SerialChain, pin_configuration
-from dmframe.robot.convert import FORMATS, read_any, way_to, written
+from dmframe.robot.convert import FORMATS, joints_to, read_any, written
 from dmframe.robot.flange import MOVING, flange_of, repaired
 from dmframe.robot.library import find_robot, load, robots
 
@@ -82,7 +82,7 @@ def first_graph(name: str, folder: Path, tool: str | None = None) -> FirstGraph:
     where = f"robot {path.name}"
     file = read_any(path)
     frame = tool or flange_of(file.root, where)
-    moving = sum(joint.get("type") in MOVING and joint.find("mimic") is None for joint in way_to(file.root, frame))
+    moving = sum(joint.get("type") in MOVING and joint.find("mimic") is None for joint in joints_to(file.root, frame))
     if frame in {link.get("name") for link in file.root.iter("link")} and not AXES[0] <= moving <= AXES[1]:
         raise RobotError(
             f"{where}: {moving} joints move on the way to {frame}; expected an arm with {AXES[0]} to {AXES[1]}: name "

@@ -232,10 +232,10 @@ class Graph(BaseGraph):
         DmframeError
             The graph drives no robot, the file has faults, or the graph may not drive a real robot.
         """
-        from dmframe.drive import driven, load_limits
+        from dmframe.drive import load_limits, run_on_robot
         from dmframe.results.run import Run
 
-        recording = driven(
+        recording = run_on_robot(
             self,
             robot,
             until=None if until is None else seconds("until", until),

@@ -96,12 +96,12 @@ def chosen(twins: Twins, log: Log, say: Callable[[str], None] = lambda text: Non
     """Fit all candidates to a log, those first whose filtered rows leave the least residual."""
     rows, found = rows_of(twins.model, log), Choice({}, floor_of(log), log.noise)
     unknowns = {kind: Unknowns(twins.model, log, kind) for kind in SERVOS}
-    begun = {kind: starts(own, rows) for kind, own in unknowns.items()}
-    order = sorted(begun, key=lambda kind: begun[kind][0][0])
+    started = {kind: starts(own, rows) for kind, own in unknowns.items()}
+    order = sorted(started, key=lambda kind: started[kind][0][0])
     for attempt in range(STARTS):
         for kind in order:
             say(f"fitting {kind}, start {attempt + 1}")
-            _fitted(twins, unknowns[kind], begun[kind][attempt][1], found)
+            _fitted(twins, unknowns[kind], started[kind][attempt][1], found)
         if any(map(found.explained, found.fits)):
             break
     if any(map(found.explained, found.fits)) and not found.sharp(found.best):

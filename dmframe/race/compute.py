@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final, final
 
 from dmframe.batch.columns import Columns
-from dmframe.batch.figures import ERROR, Wanted
+from dmframe.batch.figures import ERROR, MeasuredSignals
 from dmframe.batch.runner import Runner, Runs
 from dmframe.common.errors import DmframeError, EngineError, OutputError, raise_all
 from dmframe.common.files import append, writing
@@ -75,7 +75,7 @@ class Heat:
 
     def _measured(self, graphs: Sequence[Graph]) -> list[tuple[float, str]]:
         found = list[tuple[float, str]]()
-        for measured in self._runner.measure([Runs(graph) for graph in graphs], lambda _: Wanted(), threads=1):
+        for measured in self._runner.measure([Runs(graph) for graph in graphs], lambda _: MeasuredSignals(), threads=1):
             figures = measured.signals.get(ERROR)
             if fault := measured.faults.get(0):
                 found.append((math.nan, str(fault)))

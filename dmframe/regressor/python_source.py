@@ -80,7 +80,7 @@ def python_source(
 ) -> str:
     """A module with a function ``Y_d(q, dq, dq_ref, ddq_ref)``, or ``Y_k(q, psi)``, and its parameters.
 
-    It is the instruction tape of the CasADi function, one line an operation, and works on whole arrays of motions.
+    It is the instruction tape of the CasADi function, one line per operation, and works on whole arrays of motions.
     With `base`, the columns and values are those of the base parameters.
 
     Raises `UnknownNameError` for another kind of friction.

@@ -114,7 +114,7 @@ class Writer:
         """One part."""
         match part:
             case Paragraph():
-                return tag("p", cell(part.says), class_="note" if part.note else "")
+                return tag("p", cell(part.text), class_="note" if part.note else "")
             case Bullets():
                 items = [
                     tag("li", cell(item), class_="fails" if place in part.failing else "")

@@ -11,7 +11,7 @@ from dmframe.common.names import unicode_name
 from dmframe.common.plotting import PAGE, POINTS, draw_curve, frame, look, names_above, page, tame, unit_text
 from dmframe.common.units import sliding
 from dmframe.results.dataset import joint_labels
-from dmframe.results.drawn_runs import (
+from dmframe.results.plotting import (
     Runs,
     joint_slides,
     last_stretch,

@@ -9,7 +9,7 @@ import numpy as np
 from dmframe.common.plotting import DASHES, PAGE, POINTS, draw_curve, frame, look, names_above, page, tame, unit_text
 from dmframe.common.units import sliding
 from dmframe.results.dataset import joint_labels
-from dmframe.results.drawn_runs import (
+from dmframe.results.plotting import (
     Runs,
     joint_slides,
     last_stretch,

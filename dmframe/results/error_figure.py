@@ -20,7 +20,8 @@ from dmframe.common.plotting import (
     tame,
     unit_text,
 )
-from dmframe.results.drawn_runs import (
+from dmframe.results.metrics import turn_error
+from dmframe.results.plotting import (
     Runs,
     coordinate_labels,
     errors_of,
@@ -31,7 +32,6 @@ from dmframe.results.drawn_runs import (
     set_times,
     why_not_with,
 )
-from dmframe.results.metrics import turn_error
 from dmframe.simulate import Recording
 
 
@@ -96,7 +96,7 @@ def _norms(
 
 
 def log_ticks(axes: Any) -> None:
-    """Plain numbers at the decades, and between them where there are fewer than two."""
+    """Plain numbers at the decades, and between them if the axis has fewer than two decades."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     low, high = axes.get_ylim()

@@ -23,7 +23,7 @@ from dmframe.common.plotting import (
 )
 from dmframe.diagram.closed_loop import Variable
 from dmframe.results.dataset import elements
-from dmframe.results.drawn_runs import mark_divergence, run_label, set_times, short
+from dmframe.results.plotting import mark_divergence, run_label, set_times, short
 from dmframe.simulate import Recording
 
 WIDTH = 5.4

@@ -126,7 +126,7 @@ def drawing(runs: Sequence[Run], formats: Sequence[str]) -> Iterator[Callable[[P
 
 
 def safe_name(name: str) -> str:
-    """Portable folder name of a graph: letters, digits, - and _, no dot, so that it is no figure file."""
+    """Portable folder name of a graph: letters, digits, - and _, no dot, which distinguishes it from a figure file."""
     return re.sub(r"[^\w-]", "_", name).strip("_-").encode()[:_LONGEST].decode(errors="ignore") or "graph"
 
 

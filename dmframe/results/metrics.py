@@ -33,13 +33,13 @@ class Deviation:
     Parameters
     ----------
     signal
-        Its name.
+        Name of the signal.
     times
         (N,) [s].
     rms_by_eighth
-        RMS of its size over each eighth of the planned duration; None for eighths that were not reached.
+        RMS of its norm over each eighth of the planned duration; None for eighths that were not reached.
     unit
-        Of all values.
+        Unit of all values.
     """
 
     signal: str
@@ -111,12 +111,12 @@ def turn_of(loop: ClosedLoop) -> SX | None:
     label = apart_of(loop)
     if label is None:
         return None
-    apart = next(signal.expression for signal in loop.outputs if signal.label == label)
-    return ca.asin(ca.sqrt(ca.fmin(ca.fmax(apart / FARTHEST, 0), 1))) * (360 / np.pi)
+    distance = next(signal.expression for signal in loop.outputs if signal.label == label)
+    return ca.asin(ca.sqrt(ca.fmin(ca.fmax(distance / FARTHEST, 0), 1))) * (360 / np.pi)
 
 
 def goal_of(loop: ClosedLoop) -> Followed | None:
-    """What a loop is judged by: its task where it has one, else its joints; None without a goal."""
+    """Goal by which a loop is judged: its task if it has one, else its joints; None without a goal."""
     return loop.goal
 
 

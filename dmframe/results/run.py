@@ -20,7 +20,7 @@ from dmframe.config import BaseGraph
 from dmframe.config.about import AboutGraph
 from dmframe.results.dataset import dataset
 from dmframe.results.metrics import TrackingError, TurnError, tracking_error, turn_error
-from dmframe.results.shown import Shown, shown_by
+from dmframe.results.reported import ReportedEstimate, reported_estimates
 from dmframe.results.storage import SIGNALS, Storage, storage_of, with_storage
 from dmframe.results.summary import summary, summary_of
 from dmframe.simulate import Divergence, Recording
@@ -134,9 +134,9 @@ class Run(AboutGraph):
         return turn_error(self.recording)
 
     @cached_property
-    def shown(self) -> list[Shown]:
+    def shown(self) -> list[ReportedEstimate]:
         """Estimates that blocks report at the end of the run, with their excitation."""
-        return shown_by(self.recording)
+        return reported_estimates(self.recording)
 
     @property
     def summary(self) -> dict[str, Any]:

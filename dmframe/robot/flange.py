@@ -9,16 +9,16 @@ from xml.etree import ElementTree
 import numpy as np
 
 from dmframe.common.errors import RobotError
-from dmframe.robot.convert import Element, children, way_to
+from dmframe.robot.convert import Element, children, joints_to
 from dmframe.robot.urdf_numbers import Lines, faults_of, numbers
 
 MOVING: Final = ("revolute", "continuous", "prismatic")
 FINGERS: Final = 2
-"""A branch with at most so many moving joints in a row is part of a gripper."""
+"""Largest number of consecutive moving joints in a branch of a gripper."""
 ARM: Final = 4
-"""After so many moving joints in a row a branching is a hand, not several arms."""
+"""Number of consecutive moving joints after which a branching is a hand, not several arms."""
 FLANGES: Final = re.compile(r"tool0|tcp|flange|tool|ee|eef|end.?effector|gripper_frame|link_?8|attachment|pinch", re.I)
-"""Names of tool frames, as makers use them."""
+"""Names of tool frames in use by makers."""
 DENSITY: Final = 5.0
 """Placeholder mass of a link per length [kg/m]."""
 LEAST: Final = 0.5
@@ -77,7 +77,7 @@ def _fixed(below: dict[str, list[Element]], link: str) -> list[str]:
 
 
 def _depth(below: dict[str, list[Element]], joint: Element) -> int:
-    """Most moving joints in a row from this one on, without those that mimic another."""
+    """Largest number of consecutive moving joints from this one on, without mimic joints."""
     own = joint.get("type") in MOVING and joint.find("mimic") is None
     return own + max((_depth(below, other) for other in below.get(_child(joint), [])), default=0)
 
@@ -98,12 +98,12 @@ def _child(joint: Element) -> str:
 
 
 def repaired(root: Element, tool: str, where: str) -> list[str]:
-    """Leave out invalid inertias off the way to the tool, and add placeholders on it; returns a note for each.
+    """Remove invalid inertias of links outside the arm, and add placeholders in the arm; returns a note for each.
 
     A placeholder is a sphere of `DENSITY` times the distance to the next joint, half way to it.
     """
-    way, notes = way_to(root, tool), list[str]()
-    on = {_base(root), *map(_child, way)}
+    chain, notes = joints_to(root, tool), list[str]()
+    on = {_base(root), *map(_child, chain)}
     lines = Lines.fromkeys(root.iter(), 0)
     for link in root.findall("link"):
         alone = ElementTree.Element("robot")
@@ -111,14 +111,14 @@ def repaired(root: Element, tool: str, where: str) -> list[str]:
         name, inertial = link.get("name", ""), link.find("inertial")
         if name not in on and inertial is not None and any(faults_of(alone, lines, where)):
             link.remove(inertial)
-            notes.append(f"link {name}: invalid inertia left out; it is not on the way to {tool}")
-    moving = [place for place, joint in enumerate(way) if joint.get("type") in MOVING]
+            notes.append(f"link {name}: invalid inertia removed; the link is not between the base and {tool}")
+    moving = [place for place, joint in enumerate(chain) if joint.get("type") in MOVING]
     links = {link.get("name", ""): link for link in root.findall("link")}
-    for place, following in zip(moving, [*moving[1:], len(way)][: len(moving)], strict=True):
-        group = [links[_child(joint)] for joint in way[place:following]]
+    for place, following in zip(moving, [*moving[1:], len(chain)][: len(moving)], strict=True):
+        group = [links[_child(joint)] for joint in chain[place:following]]
         if any(float(mass.get("value", "0")) > 0 for link in group for mass in link.findall("inertial/mass")):
             continue
-        steps = [_origin(joint) for joint in way[place + 1 : following + 1]]
+        steps = [_origin(joint) for joint in chain[place + 1 : following + 1]]
         reach = np.sum(steps, axis=0) if steps else np.zeros(3)
         notes.append(_placeholder(group[0], np.asarray(reach, dtype=float)))
     return notes

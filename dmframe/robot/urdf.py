@@ -1,7 +1,7 @@
-"""Reading a URDF with faults that name the file, the line and the element.
+"""URDF reader whose faults name the file, the line and the element.
 
 Pinocchio's reader drops elements that it cannot parse, such as a link's inertia with a letter O in its digits, with
-only a message on the terminal. Every number is therefore checked first (`dmframe.robot.urdf_numbers`), the reader gets
+only a message on the terminal. All numbers are therefore checked first (`dmframe.robot.urdf_numbers`), the reader gets
 the file with normalised numbers, and its inertias are compared with the file.
 """
 
@@ -16,18 +16,18 @@ import numpy as np
 
 from dmframe.common.errors import MissingError, RobotError, raise_all
 from dmframe.robot.mimics import Mimic
-from dmframe.robot.urdf_numbers import INERTIA, Lines, faults_of, numbers, spelled_plainly
+from dmframe.robot.urdf_numbers import INERTIA, Lines, faults_of, normalise_numbers, numbers
 
 URDF_PATH = ("robot", "model")
 
 
 def read_urdf(path: Path) -> tuple[Any, dict[str, Mimic]]:
-    """The `pin.Model` of a URDF file, and its joints that follow another one.
+    """Read a URDF file: its `pin.Model`, and its mimic joints.
 
     Raises
     ------
     MissingError
-        No such file, or Pinocchio is not installed.
+        There is no such file, or Pinocchio is not installed.
     RobotError
         The file is not readable, not XML (with line and column), not a URDF, its joints are not a tree, a number is
         malformed, or an inertial element is incomplete; several of the latter as `Faults`.
@@ -49,7 +49,7 @@ def read_urdf(path: Path) -> tuple[Any, dict[str, Mimic]]:
         raise RobotError(f"{where}: expected a readable URDF file in UTF-8: {fault}", path=URDF_PATH) from None
     root, lines = _parse(text, where)
     raise_all([RobotError(text, path=URDF_PATH) for text in faults_of(root, lines, where)])
-    spelled_plainly(root)
+    normalise_numbers(root)
     try:
         model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
         _check_read(model, root, lines, where)
@@ -77,7 +77,7 @@ def _mimics(root: ElementTree.Element, lines: Lines, where: str) -> dict[str, Mi
 
 
 def _parse(text: str, where: str) -> tuple[ElementTree.Element, Lines]:
-    """The tree, and the line of each element, which ElementTree's own parser does not keep."""
+    """XML tree and the line of each element, which ElementTree's own parser does not record."""
     builder, lines = ElementTree.TreeBuilder(), Lines()
     parser = expat.ParserCreate()
     parser.buffer_text = True

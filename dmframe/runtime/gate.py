@@ -139,12 +139,12 @@ class Gate:
         if sample.missed > limits.lost:
             return Stop("lost samples", f"{sample.missed} in a row, at most {limits.lost} are allowed")
         if sample.q_c is not None:
-            apart = np.abs(sample.q - sample.q_c)
-            worst = int(np.argmax(apart))
-            if apart[worst] > limits.deviation:
+            deviation = np.abs(sample.q - sample.q_c)
+            worst = int(np.argmax(deviation))
+            if deviation[worst] > limits.deviation:
                 return Stop(
                     "deviation",
-                    f"{limits.joints[worst]} is {plain(apart[worst], 'rad')} from its target, "
+                    f"{limits.joints[worst]} is {plain(deviation[worst], 'rad')} from its target, "
                     f"at most {plain(limits.deviation, 'rad')} is allowed",
                 )
         if limits.box is not None and sample.x is not None:

@@ -72,8 +72,8 @@ def near_end(value: float, spread: Spread) -> float | None:
     low, high, at = spread.lower, spread.upper, value
     if spread.kind == "log":
         low, high, at = math.log(low), math.log(high), math.log(at)
-    share = (at - low) / (high - low)
-    return spread.lower if share <= CLOSE else spread.upper if share >= 1 - CLOSE else None
+    fraction = (at - low) / (high - low)
+    return spread.lower if fraction <= CLOSE else spread.upper if fraction >= 1 - CLOSE else None
 
 
 def with_unit(value: float, unit: str) -> str:

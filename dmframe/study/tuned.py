@@ -305,7 +305,7 @@ def _other_noise(base: Graph) -> Graph:
 def _broken(tuning: Tuning, rows: Mapping[str, Any], where: str) -> list[str]:
     """Constraints that are violated, with the value of their statistic."""
     values = [(each, each.statistic.of(each.statistic.figures(rows))) for each in tuning.bounds]
-    beyond = [(each, value) for each, value in values if not each.excess(value) <= 0]  # true for nan
+    beyond = [(each, value) for each, value in values if not each.violation(value) <= 0]  # true for nan
     return [f"{where} {each.text} does not hold: it is {each.statistic.shown(value)}" for each, value in beyond]
 
 

@@ -56,7 +56,7 @@ class Arm:
 
     @property
     def whole(self) -> bool:
-        """True where all six joints move."""
+        """True if all six joints move."""
         return len(self.places) == len(JOINTS)
 
     @property

@@ -18,7 +18,7 @@ from dmframe.virtual.budget import (
     MOST_THREADS,
     RATE,
     SECONDARY_FRACTION,
-    Allowance,
+    Budget,
     copied,
     elements,
 )
@@ -93,7 +93,7 @@ class Program:
         self.secondary = found.secondary
         self.words = found.words
         refill = RATE * robot.dt * (SECONDARY_FRACTION if self.secondary else 1)
-        self._allowance = Allowance(refill, robot.bursts.drawn())
+        self._allowance = Budget(refill, robot.bursts.drawn())
         self._robot, self._functions = robot, Functions(robot, self, self._allowance)
         self._globals = dict[str, Any]()
         names: dict[str, Any] = {

@@ -67,12 +67,12 @@ def embedded(
         Command that writes the same page on a reader's machine.
     """
     behind = f' style="background-image:url({escape(still)})"' if still else ""
-    said = f" or by <code>{escape(shlex.join(command))}</code>" if command else ""
+    alternative = f" or by <code>{escape(shlex.join(command))}</code>" if command else ""
     return (
         f'<figure class="live{" wide" * wide}"><div class="live-frame"{behind}>'
         f'<iframe loading="lazy" title="{escape(title)}" src="{escape(address)}" '
         f'height="{height}"></iframe></div>'
-        f'<figcaption>{escape(title)}. <a href="{escape(address)}" target="_blank">Open it alone</a>{said}.'
+        f'<figcaption>{escape(title)}. <a href="{escape(address)}" target="_blank">Open it alone</a>{alternative}.'
         "</figcaption></figure>"
     )
 

@@ -92,8 +92,8 @@ def linked(text: str, page: Path, place: str, show: Callable[[Path], object]) ->
                 return found["text"]
             new = shown_place(path)
             show(path)
-        said = linked(found["text"], page, place, show)
-        return f"{found['image']}[{said}]({os.path.relpath(new, Path(place).parent)}{hash_}{anchor})"
+        label = linked(found["text"], page, place, show)
+        return f"{found['image']}[{label}]({os.path.relpath(new, Path(place).parent)}{hash_}{anchor})"
 
     return "".join(LINK.sub(moved, part) if is_prose else part for is_prose, part in parted(text))
 

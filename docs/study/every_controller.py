@@ -50,7 +50,7 @@ def row_of(name: str, runs: int) -> dict[str, Any]:
     results = study.run(Path("studies/every_controller") / name)
     found = results.table.row(0, named=True)
     (proof,) = proofs_of(study, [name])
-    varied = " and ".join(factor for factor in VARIED if factor in data["sample"]) or "nothing"
+    varied = " and ".join(factor for factor in VARIED if factor in data["sample"]) or "none"
     figures = (found.get("rms_final_median"), found.get("rms_final_q99"))
     return {"graph": name, "varied": varied, "runs": found["runs"], "diverged": found["diverged"]} | {
         "at_most": found["at_most"],

@@ -30,12 +30,12 @@ def in_simd(size: int, seconds: float, step: float) -> dict[str, Any]:
     from dataclasses import replace
 
     from dmframe.batch.batch import Batch
-    from dmframe.batch.figures import Wanted
+    from dmframe.batch.figures import MeasuredSignals
     from dmframe.graph.graph import Graph
 
     loaded = Graph.read(GRAPH)
     settings = {**loaded.settings, "solver": replace(loaded.solver, step=step)}
-    batch = Batch.of(loaded.diagram, seconds, wanted=Wanted(("arm.q",)), engine="compiled", **settings)
+    batch = Batch.of(loaded.diagram, seconds, wanted=MeasuredSignals(("arm.q",)), engine="compiled", **settings)
     gamma, Gamma, Lambda = grid(size).T
     values = {"task.gamma": gamma, "dynamics.Gamma": Gamma, "inverse.Lambda": Lambda}
     batch.measure({label: column[:2] for label, column in values.items()})

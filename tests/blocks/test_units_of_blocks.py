@@ -20,7 +20,7 @@ from dmframe.catalogue import block_types, graphs
 from dmframe.common.errors import DmframeError, raise_all
 from dmframe.diagram import Diagram
 from dmframe.dimensions import check as check_module
-from dmframe.dimensions.check import Check, element_units, unlike
+from dmframe.dimensions.check import Check, declaration_faults, element_units
 from dmframe.dimensions.dimension import BASES, ONE
 
 CHEAP: Final = ("pendulum", "arm2_joint", "slotine_li", "computed_torque", "torque_direct_pi", "torque_direct_pid")
@@ -212,11 +212,11 @@ def test_a_wrong_exponent_of_any_parameter_is_found(kind: str) -> None:
 @pytest.mark.parametrize("kind", sorted(block_types()))
 def test_a_start_and_a_box_have_the_unit_of_their_state(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     block = block_types()[kind]
-    assert list(unlike(block)) == []
+    assert list(declaration_faults(block)) == []
     for name in compared_by_name(block):
         own = specs(block)
         other = {**own, name: replace(own[name], unit=f"A {own[name].unit}")}
         monkeypatch.setattr(check_module, "specs", lambda _, other=other: other)
-        (text,) = unlike(block)
+        (text,) = declaration_faults(block)
         assert text.startswith(f"expected {name}, the ")
         monkeypatch.undo()

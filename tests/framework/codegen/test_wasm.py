@@ -336,7 +336,7 @@ def test_a_state_that_is_no_number_has_left_its_bounds(cart: Any) -> None:
         ("_integrate", lambda right: lambda at, size: right(at, size - 1)),
         ("_integrate", lambda right: lambda at, size: right({**at, "k3": at["k2"]}, size)),
         ("_record", lambda right: lambda at, size: right(at, size + 1)),
-        ("_sound", lambda right: lambda size: right(size - 1)),
+        ("_within_bounds", lambda right: lambda size: right(size - 1)),
         ("_slope", lambda right: lambda at, moved: right({**at, "u": at["z"]}, moved)),
         ("_run", lambda right: lambda at, sizes: right(at, {**sizes, "N": 1})),
         ("_run", lambda right: lambda at, sizes: right({**at, "T": at["u"]}, sizes)),

@@ -79,7 +79,9 @@ def test_of_two_arms_none_is_chosen():
 def test_only_the_way_to_the_tool_must_be_valid(tmp_path):
     head = f'<link name="head">{BAD}</link>' + joint("neck", "l1", "head", "fixed")
     root = ElementTree.fromstring(arm(end=head))
-    assert repaired(root, "l4", "robot a") == ["link head: invalid inertia left out; it is not on the way to l4"]
+    assert repaired(root, "l4", "robot a") == [
+        "link head: invalid inertia removed; the link is not between the base and l4"
+    ]
     path = tmp_path / "a.urdf"
     path.write_text(written(root, []))
     assert SerialChain.from_urdf(path, tool="l4").n == 4

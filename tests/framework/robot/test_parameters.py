@@ -36,7 +36,7 @@ def chain() -> SerialChain:
 
 
 def whole(chain: SerialChain) -> DynamicParameters:
-    return DynamicParameters(chain, ("coulomb", "viscous"), gravity_apart=True, bias=True)
+    return DynamicParameters(chain, ("coulomb", "viscous"), separate_gravity=True, bias=True)
 
 
 def by_name(chain: SerialChain) -> dict[str, float]:

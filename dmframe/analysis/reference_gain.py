@@ -19,32 +19,32 @@ from dmframe.diagram.view import view
 from dmframe.exact.rational import Interval, evaluate
 from dmframe.robot.rational import decimal
 
-TIE: Final = "K_c"
+GAIN: Final = "K_c"
 GAINS: Final = ("K_D", "K_P", "K_I", "B", "K")
 DIGITS: Final = 4
 """Significant digits to which a least K_c is rounded upwards."""
 
 Gain = float | Fraction | tuple[float, float] | Interval
-"""A number, or the lower and the upper end of what is known of it."""
+"""Number, or lower and upper end of its interval."""
 
 
 @final
 @dataclass(frozen=True)
-class TieGain:
-    """K_c of one joint, and the least that makes M_bar >= 0, rounded upwards [1/s].
+class ReferenceGain:
+    """K_c of one joint, and the least K_c with M_bar >= 0, rounded upwards [1/s].
 
     Parameters
     ----------
     block
         The PID inverse.
     own
-        The graph's K_c.
+        K_c of the graph.
     holds
-        Whether M_bar >= 0 with it, decided exactly; `own` may lie between the root and `least`, its rounding.
+        True if M_bar >= 0 for `own`, decided exactly; `own` may lie between the root and `least`, its rounding.
     least
-        With the viscous friction that the graph is sure of, and the motor constant.
+        Least K_c with the lower bound of viscous friction in the graph, and the motor constant.
     least_without_friction
-        B neglected, as Remark 5 of [WangTAC2020]_ does: never below `least`.
+        Least K_c for B = 0, as in Remark 5 of [WangTAC2020]_; never below `least`.
     """
 
     block: str
@@ -58,14 +58,14 @@ class TieGain:
 def least_K_c(
     K_D: Gain, K_P: Gain, K_I: Gain, *, B: Gain = Fraction(0), K: Gain = Fraction(1), digits: int = DIGITS
 ) -> Fraction:
-    r"""The least K_c of one joint that makes M_bar >= 0 wherever the servo's gains lie in their intervals.
+    r"""Least K_c of one joint with M_bar >= 0 for all gains of the servo in their intervals.
 
     .. math::
 
         \bar M(k) &= (K_D + B/K) k + K_P - K_I/k                                             \tag{1} \\
         \bar M(k) \ge 0 &\iff k \ge k_\star = \frac{2 K_I}{K_P + \sqrt{K_P^2 + 4 K_I (K_D + B/K)}}  \tag{2}
 
-    Why one corner of the box of gains is enough: for k > 0
+    One corner of the box of gains suffices: for k > 0
 
     .. math::
 
@@ -73,13 +73,13 @@ def least_K_c(
         \partial \bar M / \partial B = k/K > 0, \quad
         \partial \bar M / \partial K = -B k/K^2 \le 0, \quad \partial \bar M / \partial K_I = -1/k < 0,
 
-    each of one sign all over the box. So, whatever k is, M_bar is least at one and the same corner: K_D, K_P and B at
-    their lower ends, K_I and K at their upper ends. There :math:`k^2 (K_D + B/K) + k K_P - K_I` has, its last
-    coefficient being negative, one root above zero, (2), and rises with k > 0: every k below the root fails at that
-    corner, every k from it upwards holds in the whole box.
+    each of one sign over the whole box. For every k, M_bar is therefore least at the same corner: K_D, K_P and B at
+    their lower ends, K_I and K at their upper ends. There :math:`k^2 (K_D + B/K) + k K_P - K_I` increases with k > 0
+    and has one positive root, (2), since its last coefficient is negative: every smaller k fails at that corner, every
+    larger k is valid in the whole box.
 
-    The root is irrational as a rule. It is bracketed by rational arithmetic alone and rounded upwards, so that the
-    result, written into a graph as it is printed, does make M_bar >= 0; one unit less in its last digit does not.
+    The root is irrational in general. Rational arithmetic brackets it and rounds upwards, so the printed result
+    satisfies M_bar >= 0 when copied into a graph; one unit less in its last digit does not.
 
     Parameters
     ----------
@@ -87,16 +87,16 @@ def least_K_c(
         Gains of the PID servo [V s/rad, V/rad, V/(rad s)], > 0. They may all be multiplied by one factor, such as K,
         together with B/K.
     B
-        Viscous friction [N m s/rad], >= 0. Zero is on the safe side, and Remark 5's choice.
+        Viscous friction [N m s/rad], >= 0. Zero is conservative, as in Remark 5.
     K
         Motor constant [N m/V], > 0.
     digits
-        Significant digits of the result.
+        Number of significant digits of the result.
 
     Raises
     ------
     ValueFault
-        A gain that is not above zero, an interval without a number in it.
+        A gain is not positive, or an interval is empty.
 
     References
     ----------
@@ -110,18 +110,18 @@ def least_K_c(
 @final
 @dataclass(frozen=True)
 class _Worst:
-    """M_bar at its worst corner, times k: a k^2 + b k - c, with a, b, c > 0."""
+    """M_bar at its worst corner, times k: a k^2 + b k - c with a, b, c > 0."""
 
     a: Fraction
     b: Fraction
     c: Fraction
 
     def holds(self, k: Fraction) -> bool:
-        """True where M_bar >= 0 with this K_c: above zero, if k is not below the root."""
+        """True if M_bar >= 0 for this K_c > 0, that is if k is not below the root."""
         return k > 0 and (self.a * k + self.b) * k >= self.c
 
     def root_rounded_up(self, digits: int) -> Fraction:
-        """The least number of so many significant digits that holds."""
+        """Least number with so many significant digits for which M_bar >= 0."""
         power = Fraction(1)
         while self.holds(power):
             power /= 10
@@ -134,7 +134,7 @@ class _Worst:
 
 
 def _worst(K_D: Gain, K_P: Gain, K_I: Gain, B: Gain, K: Gain) -> _Worst:
-    """The corner of the box of gains at which M_bar is least for every K_c."""
+    """Corner of the box of gains at which M_bar is least, for every K_c."""
     positive = {"K_D": K_D, "K_P": K_P, "K_I": K_I, "K": K}
     box = {name: _interval(name, gain, positive=True) for name, gain in positive.items()}
     friction = _interval("B", B, positive=False)
@@ -156,10 +156,12 @@ def _interval(name: str, gain: Gain, *, positive: bool) -> Interval:
     return found
 
 
-def tie_gains(diagram: Diagram, uncertain: Mapping[str, Sequence[Interval]] | None = None) -> tuple[TieGain, ...]:
-    """K_c of each PID inverse and its least admissible value for the servo, joint by joint.
+def reference_gains(
+    diagram: Diagram, uncertain: Mapping[str, Sequence[Interval]] | None = None
+) -> tuple[ReferenceGain, ...]:
+    """K_c of each PID inverse and its least admissible value for the servo, by joint.
 
-    A PID inverse is a block with a parameter K_c whose proof reads K_D, K_P, K_I, B and K of the plant.
+    A PID inverse is a block with a parameter K_c whose certificate reads K_D, K_P, K_I, B and K of the plant.
 
     Parameters
     ----------
@@ -170,22 +172,22 @@ def tie_gains(diagram: Diagram, uncertain: Mapping[str, Sequence[Interval]] | No
     return tuple(gain for name in diagram.blocks for gain in _ties(diagram, name, uncertain or {}))
 
 
-def _ties(diagram: Diagram, name: str, uncertain: Mapping[str, Sequence[Interval]]) -> Iterator[TieGain]:
+def _ties(diagram: Diagram, name: str, uncertain: Mapping[str, Sequence[Interval]]) -> Iterator[ReferenceGain]:
     model = diagram.models[name]
-    if TIE not in model.parameters or not {*GAINS} <= {port.name for port in model.block.truth}:
+    if GAIN not in model.parameters or not {*GAINS} <= {port.name for port in model.block.truth}:
         return
     seen = view(diagram, name)
     if not all(gain in seen.truth for gain in GAINS):
         return
-    n = model.parameters[TIE].shape[0]
-    symbols = [getattr(seen.p, TIE), *(getattr(seen.truth, gain) for gain in GAINS)]
+    n = model.parameters[GAIN].shape[0]
+    symbols = [getattr(seen.p, GAIN), *(getattr(seen.truth, gain) for gain in GAINS)]
     spread = [ca.SX.ones(n) * expression for expression in symbols]
     own, *gains = _values(diagram, spread, uncertain)
     names = diagram.robot.joint_names if diagram.robot is not None else tuple(f"joint {j + 1}" for j in range(n))
     for joint, k, *gains_of_joint in zip(names, own, *gains, strict=True):
         K_D, K_P, K_I, B, K = gains_of_joint
-        K_c = Interval.of(k).lower  # a gain of the controller: no plant's parameter, so never an interval
-        yield TieGain(
+        K_c = Interval.of(k).lower  # a controller gain, so never an interval
+        yield ReferenceGain(
             block=name,
             joint=joint,
             own=K_c,
@@ -198,7 +200,7 @@ def _ties(diagram: Diagram, name: str, uncertain: Mapping[str, Sequence[Interval
 def _values(
     diagram: Diagram, expressions: Sequence[SX], uncertain: Mapping[str, Sequence[Interval]]
 ) -> list[list[Fraction | Interval]]:
-    """Expressions in parameters alone, each a column, at the graph's numbers or over their intervals."""
+    """Values of column expressions in parameters, at the graph's numbers or over their intervals."""
     parameters = diagram.loop.parameters
     known: dict[str, Sequence[Fraction | Interval]] = dict(exact_values(diagram))
     known |= dict(uncertain)

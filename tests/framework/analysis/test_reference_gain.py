@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dmframe.analysis import TieGain, least_K_c, tie_gains
+from dmframe.analysis import ReferenceGain, least_K_c, reference_gains
 from dmframe.certify import verify
 from dmframe.certify.uncertain import intervals
 from dmframe.common.errors import ValueFault
@@ -115,9 +115,9 @@ def test_gains_that_no_servo_has_are_refused(change: dict[str, Any], found: str)
 UNCERTAIN = {"servo.K_D": [300, 1000], "servo.K_P": [800, 2000], "servo.K_I": [200, 900], "arm.viscous": [1, 9]}
 
 
-def of_graph(*overrides: str, uncertain: dict[str, Any] | None = None) -> tuple[TieGain, ...]:
+def of_graph(*overrides: str, uncertain: dict[str, Any] | None = None) -> tuple[ReferenceGain, ...]:
     diagram = Graph.read("theorem_4", overrides).diagram
-    return tie_gains(diagram, intervals(diagram, uncertain or {}))
+    return reference_gains(diagram, intervals(diagram, uncertain or {}))
 
 
 def test_a_graphs_servo_is_read_joint_by_joint() -> None:
@@ -148,4 +148,4 @@ def test_over_intervals_it_is_where_verifys_own_condition_turns() -> None:
 
 def test_a_graph_without_a_pid_inverse_has_none() -> None:
     for name in ("theorem_1", "torque_direct_pid", "ur10_fast_kinematic"):
-        assert tie_gains(Graph.read(name).diagram) == ()
+        assert reference_gains(Graph.read(name).diagram) == ()

@@ -1,4 +1,4 @@
-"""The fewest values in a program that are zero at rest, and without which none of its outputs is other than zero."""
+"""Minimum cut of a program: the fewest values that vanish at an equilibrium and determine all outputs."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from dmframe.analysis.sums import Span, Sum, scaled, sums_of
 from dmframe.program import CONST, INPUT, Node, Program, by_code
 
 SMALL: Final = 1e-6
-"""What is left of a sum, relative to its parts, below which they are taken to cancel at rest."""
+"""Sum, relative to its terms, below which the terms count as cancelling at the equilibrium."""
 
 LEAST: Final = 1e-9
-"""A state below this is zero at rest; of two numbers that are compared, a difference above it says which is larger."""
+"""A smaller state counts as zero at the equilibrium, and a smaller difference of compared numbers as equality."""
 
 _FEW: Final = 250
-"""So many values are looked at one by one, whether the others do without; of more it would take minutes."""
+"""Largest cut whose values are tested one by one for redundancy; a larger one would take minutes."""
 
 _MANY: Final = 4096
-"""Of two cuts with as many values, up to this number, the one with more arguments among them is the lesser."""
+"""Up to this number of values, the cut with more arguments is preferred among cuts of equal size."""
 
 _ANY, _ALL, _ONLY, ITSELF = "any", "all", "only", "itself"
 
@@ -39,7 +39,7 @@ _KINDS: Final[Mapping[int, str]] = by_code(
 
 
 def vanishing(nodes: Sequence[Node], numbers: Sequence[Any]) -> tuple[list[bool], list[str]]:
-    """Which values are zero at rest, up to the point's own error; and which operands make them so."""
+    """Values that vanish at the equilibrium within the point's error, and the operands that cause it."""
     zero, kinds = list[bool](), list[str]()
     for node, number in zip(nodes, numbers, strict=True):
         code, a, b, constant, _ = node
@@ -67,7 +67,7 @@ def vanishing(nodes: Sequence[Node], numbers: Sequence[Any]) -> tuple[list[bool]
 
 @final
 class Cut:
-    """A search for the fewest values that are zero at rest and without which nothing moves."""
+    """Search for the fewest values that vanish at the equilibrium and make all outputs vanish."""
 
     def __init__(self, program: Program, numbers: Sequence[Any]) -> None:
         self.nodes = program.nodes
@@ -77,9 +77,9 @@ class Cut:
         self.chosen = dict[int, int]()
 
     def found(self) -> tuple[list[int], dict[int, Sum]]:
-        """The values; and others that are, identically, sums of these, as factors by value and power of T."""
+        """Values of the cut; and identities: other values as sums of these, factors by value and power of T."""
         cut = self._least()
-        while True:  # a product of two zeros has no slope; but it must vanish with the others, too
+        while True:  # a product of two zeros has zero slope, but must vanish with the cut too
             vanishes, _ = self._vanishing_with(cut)
             reached = self._reached(cut)
             open_ = [
@@ -144,7 +144,7 @@ class Cut:
         return [place for place in self._seen if 2 * place in reached and 2 * place + 1 not in reached]
 
     def _doubtful(self, cut: Sequence[int]) -> list[int]:
-        """Those without which the others may do; of a large cut, such as are chosen, no sums, or sums of others."""
+        """Values that may be redundant: all of a small cut, else chosen operands and dependent values."""
         if len(cut) <= _FEW:
             return sorted(cut, reverse=True)
         _, relations = self._span(cut)
@@ -152,7 +152,7 @@ class Cut:
         return [place for place in sorted(cut, reverse=True) if place in found or self.forms[place] is None]
 
     def _span(self, cut: Sequence[int]) -> tuple[Span, list[Sum]]:
-        """All sums of the cut's values, with powers of T; and relations between these."""
+        """Span of the cut's values as sums with powers of T, and the linear relations between them."""
         span, relations = Span(), list[Sum]()
         for power in (0, 1, -1):
             for place in cut:
@@ -162,7 +162,7 @@ class Cut:
         return span, relations
 
     def _reached(self, cut: Sequence[int]) -> set[int]:
-        """What has to vanish for the outputs to do so, and does not lie behind the cut."""
+        """Values that must vanish for the outputs to vanish and that are not determined by the cut."""
         waiting, reached, inside = list(self.outputs), set[int](), set(cut)
         while waiting:
             place = waiting.pop()
@@ -172,7 +172,7 @@ class Cut:
         return reached
 
     def _vanishing_with(self, cut: Sequence[int]) -> tuple[list[bool], dict[int, Sum]]:
-        """What is zero where the cut is, by the operations alone; and what is so as a sum of the cut's values."""
+        """Values that vanish with the cut by the operations alone; and those that are sums of its values."""
         inside, sums, (basis, _) = set(cut), dict[int, Sum](), self._span(cut)
         vanishes = list[bool]()
         for place, node in enumerate(self.nodes):

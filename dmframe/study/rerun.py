@@ -16,13 +16,13 @@ from dmframe.study.results import Results
 from dmframe.study.store import RUNS, polars
 
 ROUNDING: Final = 1e-9
-"""Relative tolerance: figures of a whole run are summed in another order than those of a batch."""
+"""Relative tolerance: a single run sums its figures in another order than a batch."""
 
 
 @final
 @dataclass(frozen=True)
-class Again:
-    """A repeated run, and the row of the same run.
+class Rerun:
+    """Repeated run, and the row of the same run.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class Again:
     rerun, row
         Figures by column; the row is None if the study's folder does not hold it.
     units
-        By column.
+        Units by column.
     """
 
     run: int
@@ -47,7 +47,7 @@ class Again:
     def difference(self) -> float:
         """Largest relative difference; infinite if only one of them diverged."""
         row = self.row or {}
-        return max((_apart(self.rerun[name], value, _size(name, row)) for name, value in row.items()), default=0.0)
+        return max((_difference(self.rerun[name], value, _size(name, row)) for name, value in row.items()), default=0.0)
 
     @property
     def alike(self) -> bool:
@@ -72,7 +72,7 @@ class Again:
         return {**which, "rerun": _finite(self.rerun), "row": row, "difference": difference, "alike": self.alike}
 
 
-def again(study: Study, run: int, place: Path, into: Path, *, force: bool = False) -> Again:
+def repeat(study: Study, run: int, place: Path, into: Path, *, force: bool = False) -> Rerun:
     """Write a run as a graph into the folder `into`, run that file, and read its row in the study's folder `place`.
 
     Raises
@@ -90,7 +90,7 @@ def again(study: Study, run: int, place: Path, into: Path, *, force: bool = Fals
     figures = study.row_of(done.recording, graph)
     units = {column.name: column.unit for column in study.measures}
     row = _row(study, place, run, list(figures))
-    return Again(run, point, sample, target, place, figures, row, {name: units.get(name, "") for name in figures})
+    return Rerun(run, point, sample, target, place, figures, row, {name: units.get(name, "") for name in figures})
 
 
 def _row(study: Study, place: Path, run: int, names: list[str]) -> Mapping[str, Any] | None:
@@ -111,7 +111,7 @@ def _size(name: str, row: Mapping[str, Any]) -> float:
     return max((value for value in alike if math.isfinite(value)), default=0.0)
 
 
-def _apart(a: Any, b: Any, size: float = 0.0) -> float:
+def _difference(a: Any, b: Any, size: float = 0.0) -> float:
     if a == b or (a != a and b != b):  # nan equals nan
         return 0.0
     if isinstance(a, bool) or a != a or b != b:

@@ -30,14 +30,14 @@ from dmframe.study.box import Box, label_of
 if TYPE_CHECKING:
     from dmframe.study.plan import Study
 
-LOOKED: Final = 20_000
-"""Samples that are examined one by one if the proof does not hold over the whole box."""
+EXAMINED: Final = 20_000
+"""Largest number of samples examined if the proof does not hold over the whole box."""
 EDGE: Final = 1e-12
 """Margins smaller than this, relative to the largest, are decided exactly, because of rounding."""
 EXACT: Final = 200
 """Largest number of samples with margins decided exactly."""
 SINGLE: Final = 6
-"""Samples that are verified one by one if their margins are not decisive."""
+"""Number of samples verified separately if their margins are not decisive."""
 SECONDS: Final = 15.0
 """Time after which no further sample is verified, per grid point [s]."""
 
@@ -46,7 +46,7 @@ HOLDS, FAILS, OPEN = 1, 0, -1
 
 @final
 @dataclass(frozen=True, eq=False)
-class Drawn:
+class SampleProofs:
     """Whether each of the first samples meets every condition of the proof.
 
     Parameters
@@ -71,23 +71,23 @@ class Drawn:
         return int(self.fulfil.sum()), len(self.fulfil), int(self.unknown.sum())
 
 
-def drawn_of(study: Study, index: int, diagram: Diagram, box: Box, verdict: Verdict) -> Drawn:
+def sample_proofs_of(study: Study, index: int, diagram: Diagram, box: Box, verdict: Verdict) -> SampleProofs:
     """Examine the samples of a grid point whose box is not proved as a whole."""
-    count, graph = min(study.samples, LOOKED), study.points[index].graph
+    count, graph = min(study.samples, EXAMINED), study.points[index].graph
     stated, values = graph.intervals(diagram), study.values(index, 0, count)
-    found = None if box.unknown else held_at(diagram, graph.start, values, count, verdict, stated)
+    found = None if box.unknown else conditions_at(diagram, graph.start, values, count, verdict, stated)
     found = np.full(count, OPEN) if found is None else found
-    begun = time.perf_counter()
+    started = time.perf_counter()
     for sample in np.flatnonzero(found == OPEN)[:SINGLE].tolist():
-        if time.perf_counter() - begun > SECONDS:
+        if time.perf_counter() - started > SECONDS:
             break
         with suppress(DmframeError):
             verdict = study.graph_of(sample * len(study.points) + index).verdict()
             found[sample] = HOLDS if verdict.outcome == "proved" else FAILS
-    return Drawn(found == HOLDS, found == OPEN)
+    return SampleProofs(found == HOLDS, found == OPEN)
 
 
-def held_at(
+def conditions_at(
     diagram: Diagram,
     start: Mapping[str, Any],
     values: Mapping[str, np.ndarray],
@@ -113,7 +113,7 @@ def held_at(
         equations.
     """
     claim = verdict.claim
-    if claim is None or diagram.unit_faults or not _but_for_conditions(verdict):
+    if claim is None or diagram.unit_faults or not _only_conditions_fail(verdict):
         return None
     with SYMBOLIC:
         rows = _rows_of(diagram, claim, start, values, count)
@@ -131,7 +131,7 @@ def held_at(
     return found if bounded else np.where(found == HOLDS, OPEN, found)
 
 
-def _but_for_conditions(verdict: Verdict) -> bool:
+def _only_conditions_fail(verdict: Verdict) -> bool:
     """True if the identity is proved and only conditions fail, if anything does."""
     if verdict.test is None or not verdict.test.zero or not verdict.conditions:
         return False
@@ -155,15 +155,17 @@ def _rows_of(
         if label not in shapes:
             continue
         try:
-            rows[label] = _rows(_held(diagram, label, column), shapes[label], count)
+            rows[label] = _rows(_in_loop_layout(diagram, label, column), shapes[label], count)
         except ValueError:  # a matrix that the loop stores in another form
             return None
         if not name.startswith(START) and name.partition(".")[0] in diagram.blocks:
             written[name] = column[0].tolist()
-    return rows if _alone(diagram, claim, written, rows) else None
+    return rows if _only_numbers_differ(diagram, claim, written, rows) else None
 
 
-def _alone(diagram: Diagram, claim: Claim, written: Mapping[str, Any], rows: Mapping[str, np.ndarray]) -> bool:
+def _only_numbers_differ(
+    diagram: Diagram, claim: Claim, written: Mapping[str, Any], rows: Mapping[str, np.ndarray]
+) -> bool:
     """True if the first sample's graph has the same claim, and differs in the drawn numbers only."""
     try:
         changed = with_values(diagram, written)
@@ -179,8 +181,8 @@ def _alone(diagram: Diagram, claim: Claim, written: Mapping[str, Any], rows: Map
     return all(claims_alike(claim, changed, block) for block in blocks)
 
 
-def _held(diagram: Diagram, label: str, values: np.ndarray) -> np.ndarray:
-    """As the loop stores them: it has a row of two ends for each element, where a file has two rows of ends."""
+def _in_loop_layout(diagram: Diagram, label: str, values: np.ndarray) -> np.ndarray:
+    """Values in the loop's layout: a row of two ends per element, where a file has two rows of ends."""
     block, _, name = label.partition(".")
     spec = specs(type(diagram.blocks[block])).get(name) if block in diagram.blocks else None
     if spec is None or spec.form not in PAIRS:

@@ -13,7 +13,7 @@ from dmframe.runtime.signals import measured_as, velocity_command
 
 
 @final
-class Steered:
+class ScaledController:
     """Controller whose time runs `scale` times as fast as the robot's.
 
     Its period is scale T, and it reads velocities dq / scale, so that it sees the same robot on a slower path. Friction

@@ -3,7 +3,7 @@ r"""Reported estimates of a run: mean over the last eighth, and excitation by th
 An adapting block updates its estimates :math:`\hat\theta` along :math:`-W^\top s` with the driving error s, and an
 estimation error :math:`\tilde\theta` acts on the loop by :math:`W \tilde\theta`. Over the last eighth of a run,
 
-.. math:: F = \overline{W^\top W}, \quad \mathrm{felt}(y) = (g^\top F^{+} g)^{-1/2}, \quad
+.. math:: F = \overline{W^\top W}, \quad \mathrm{excitation}(y) = (g^\top F^{+} g)^{-1/2}, \quad
     g = \partial y/\partial\hat\theta
 
 is the RMS effect of a unit change of y that the other estimates of the block cannot compensate; zero where the motion
@@ -12,6 +12,7 @@ does not excite y. For a sliding variable in rad/s it is a torque in N m per uni
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final, final
@@ -39,7 +40,7 @@ SMALL: Final = 1e-9
 
 @final
 @dataclass(frozen=True)
-class Shown:
+class ReportedEstimate:
     """Reported output of a block, over the last eighth of a run.
 
     Parameters
@@ -48,7 +49,7 @@ class Shown:
         ``block.port``, description and unit.
     values
         Mean values.
-    felt
+    excitation
         RMS effect of a unit change of each value [N m for an error in rad/s]; None if the output depends on no
         estimate, or on those of several blocks.
     """
@@ -57,18 +58,24 @@ class Shown:
     words: str
     unit: str
     values: tuple[float, ...]
-    felt: tuple[float, ...] | None
+    excitation: tuple[float, ...] | None
 
     def __str__(self) -> str:
         values = ", ".join(plain(value, self.unit) for value in self.values)
         text = f"{self.words} {values if len(self.values) == 1 else f'[{values}]'}"
-        if self.felt is None:
+        if self.excitation is None:
             return text
-        felt = ", ".join(f"{value:.3g}" for value in self.felt)
-        return f"{text}, felt as {felt if len(self.felt) == 1 else f'[{felt}]'} N m/{self.unit or '1'}"
+        effects = ", ".join(f"{value:.3g}" for value in self.excitation)
+        return f"{text}, excitation {effects if len(self.excitation) == 1 else f'[{effects}]'} N m/{self.unit or '1'}"
+
+    @property
+    def felt(self) -> tuple[float, ...] | None:
+        """Former name of `excitation`."""
+        warnings.warn("ReportedEstimate: felt is now excitation", DeprecationWarning, stacklevel=2)
+        return self.excitation
 
 
-def shown_by(run: Recording) -> list[Shown]:
+def reported_estimates(run: Recording) -> list[ReportedEstimate]:
     """Reported outputs in diagram order; empty for a run that did not reach its last eighth."""
     last = np.flatnonzero(run.time >= run.duration * (1 - 1 / EIGHTHS))
     if (
@@ -77,12 +84,12 @@ def shown_by(run: Recording) -> list[Shown]:
         or not set(run.states) >= {v.label for v in run.diagram.loop.variables}
     ):
         return []
-    chosen, found = last[np.unique(np.linspace(0, last.size - 1, MOST).astype(int))], list[Shown]()
+    chosen, found = last[np.unique(np.linspace(0, last.size - 1, MOST).astype(int))], list[ReportedEstimate]()
     for signal, words in _showing(run.diagram):
         values = _at(run, signal.expression, chosen).mean(axis=0)
-        felt = _felt(run, signal, chosen)
-        effect = None if felt is None else tuple(map(float, felt))
-        found.append(Shown(signal.label, words, signal.unit, tuple(map(float, values.ravel())), effect))
+        effects = _excitation(run, signal, chosen)
+        effect = None if effects is None else tuple(map(float, effects))
+        found.append(ReportedEstimate(signal.label, words, signal.unit, tuple(map(float, values.ravel())), effect))
     return found
 
 
@@ -91,7 +98,7 @@ def _showing(diagram: Diagram) -> Iterator[tuple[Signal, str]]:
     yield from ((signal, texts[signal.label]) for signal in diagram.loop.outputs if texts.get(signal.label))
 
 
-def _felt(run: Recording, signal: Signal, chosen: np.ndarray) -> np.ndarray | None:
+def _excitation(run: Recording, signal: Signal, chosen: np.ndarray) -> np.ndarray | None:
     """Excitation of a reported output, see the module docstring."""
     behind = [
         (name, item.name)
@@ -110,10 +117,10 @@ def _felt(run: Recording, signal: Signal, chosen: np.ndarray) -> np.ndarray | No
         return None
     W, together = ca.horzcat(*found), ca.vertcat(*states)
     gradient = _at(run, ca.jacobian(ca.vec(signal.expression), together), chosen).mean(axis=0)
-    return felt(np.vstack(list(_at(run, W, chosen))), len(chosen), gradient)
+    return excitation(np.vstack(list(_at(run, W, chosen))), len(chosen), gradient)
 
 
-def felt(rows: np.ndarray, instants: int, gradients: np.ndarray) -> np.ndarray:
+def excitation(rows: np.ndarray, instants: int, gradients: np.ndarray) -> np.ndarray:
     """RMS effect of unit changes along `gradients`, from the stacked W of some instants."""
     sizes = np.linalg.norm(rows, axis=0)
     sizes[sizes == 0] = 1.0

@@ -21,7 +21,7 @@ SHOWN: Final = 3
 """Number of changes since a rehearsal that a message names."""
 
 
-def keep(rehearsal: Rehearsal) -> bool:
+def store(rehearsal: Rehearsal) -> bool:
     """Store a complete passed rehearsal, or delete the record of a failed one; True if it is stored.
 
     A shortened rehearsal, or one with other conditions, is neither stored nor deletes a record.

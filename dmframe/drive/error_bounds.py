@@ -15,7 +15,7 @@ import numpy as np
 
 from dmframe.common.units import plain
 
-STILL_SHARE: Final = 0.5
+FOLLOWING_FRACTION: Final = 0.5
 """Largest error of a controller as a fraction of a stationary robot's error; a rule of thumb."""
 RESOLUTION: Final = 1e-5
 """Measurement resolution of arms, below which differences of errors are ignored [m, rad]."""
@@ -52,7 +52,7 @@ class Measured:
     @property
     def follows(self) -> bool:
         """True if the run was completed with at most half the error of a stationary robot."""
-        return not self.stopped and self.last <= STILL_SHARE * self.still
+        return not self.stopped and self.last <= FOLLOWING_FRACTION * self.still
 
     @property
     def farthest(self) -> float:
@@ -62,7 +62,7 @@ class Measured:
 
 @final
 @dataclass(frozen=True)
-class Bar:
+class ErrorBounds:
     """Reference values of the errors.
 
     Parameters
@@ -88,7 +88,7 @@ class Bar:
 
     def _before(self, run: Measured) -> str:
         """Check the second and third quarter."""
-        most = max(STILL_SHARE * run.farthest, self.tolerance or 0.0)
+        most = max(FOLLOWING_FRACTION * run.farthest, self.tolerance or 0.0)
         for name, error in (("second", run.second), ("third", run.third)):
             if not error <= most:
                 return (
