@@ -19,7 +19,7 @@ _layouts: dict[Any, Any] = {}
 
 @contextmanager
 def measured_once() -> Iterator[None]:
-    """Context in which nobody else changes a figure, and matplotlib has the style of `dmframe.common.plotting`."""
+    """Context for a figure that is complete, in the style of `dmframe.common.plotting`."""
     from matplotlib.axis import Axis
     from matplotlib.text import Text
 
