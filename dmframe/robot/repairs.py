@@ -66,9 +66,10 @@ def _limits(root: Element, way: list[Element]) -> Iterator[str]:
             assert limit is not None  # it was completed
             if joint.get("type") == "revolute":
                 joint.set("type", "continuous")
-                limit.attrib.pop("lower", None), limit.attrib.pop("upper", None)
+                for key in ("lower", "upper"):
+                    limit.attrib.pop(key, None)
             else:
-                limit.set("lower", str(-STROKE)), limit.set("upper", str(STROKE))
+                limit.attrib.update(lower=str(-STROKE), upper=str(STROKE))
             missing = ["position", *missing]
         if missing:
             yield f"joint {joint.get('name', '')}: no limit of {' and '.join(missing)} in the file"
