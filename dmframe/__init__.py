@@ -9,19 +9,20 @@ storage function; from that single statement come the simulation, the C code and
 >>> print(g.verify().headline)
 proved
 
-These names are the public interface. Modules that define blocks also import `dmframe.block`, `dmframe.certificate`,
-`dmframe.parameter`, `dmframe.port`, `dmframe.linalg` and `dmframe.naming`; every other module is internal. The
-framework contains no block and no robot: packages register them under the entry-point groups ``dmframe.blocks`` and
-``dmframe.robots``.
+These names are the public interface; modules that define blocks import `dmframe.block` too. Every other module is
+internal. The framework contains no block and no robot: packages register them under the entry-point groups
+``dmframe.blocks`` and ``dmframe.robots``.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
+from dmframe.common.former import accept_former_paths
+
 if TYPE_CHECKING:
     from dmframe.analysis.delay import fitted_delay
-    from dmframe.errors import DmframeError
+    from dmframe.common.errors import DmframeError
     from dmframe.graph.graph import Graph
     from dmframe.graph.load import load
     from dmframe.graph.registries import blocks, graphs, robots
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     __version__: str
 
 _HOMES: Final = {
-    "DmframeError": "errors",
+    "DmframeError": "common.errors",
     "Graph": "graph.graph",
     "Run": "results.run",
     "Runs": "graph.runs",
@@ -83,9 +84,12 @@ __all__ = [
 ]
 
 
+accept_former_paths()
+
+
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        from dmframe.version import version
+        from dmframe.common.version import version
 
         return version()
     if name not in _HOMES:

@@ -21,10 +21,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import TypeGuard
 
-from dmframe import trust
 from dmframe.block import AbstractBlock
-from dmframe.errors import BlockError, UnknownNameError
-from dmframe.files import expanded, is_file, probed
+from dmframe.common import trust
+from dmframe.common.errors import BlockError, UnknownNameError
+from dmframe.common.files import expanded, is_file, probed
 
 GROUP = "dmframe.blocks"
 _LOADED = "__dmframe_source__"

@@ -26,7 +26,7 @@ from dmframe.block import (
     derivative,
     named,
 )
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.parameters import DynamicParameters, Friction, Part
 

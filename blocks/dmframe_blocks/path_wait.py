@@ -52,7 +52,7 @@ class PathWait(AbstractBlock):
 
     Notes
     -----
-    It changes the timing of the path only, not its geometry. Not for: a law that looks ahead over samples; see
+    It changes the timing of the path only, not its geometry. Not for: a law with a preview over samples; see
     `path_pace`.
 
     References

@@ -11,13 +11,13 @@ from dmframe.analysis.emulation import SECONDS, EmulationLimit, emulation_limits
 from dmframe.analysis.linear import Linear, linearise
 from dmframe.analysis.period import Bracket, StablePeriods, linearised_period, simulated_period
 from dmframe.analysis.rational import Passivity, Rational
+from dmframe.analysis.reference_gain import ReferenceGain, reference_gains
 from dmframe.analysis.rounding import averaged
 from dmframe.analysis.servo import JointLoop, servo_transfer
 from dmframe.analysis.stability_proof import StabilityProof, prove_stability
-from dmframe.analysis.tie import TieGain, tie_gains
 from dmframe.certify.true_values import estimates_of
+from dmframe.common.errors import listed
 from dmframe.diagram import Diagram
-from dmframe.errors import listed
 from dmframe.exact.rational import Interval
 from dmframe.simulate import Solver
 
@@ -68,7 +68,7 @@ class LoopAnalysis:
     moving: Linear
     joints: tuple[JointLoop, ...]
     periods: StablePeriods
-    ties: tuple[TieGain, ...]
+    ties: tuple[ReferenceGain, ...]
     proofs: tuple[StabilityProof, StabilityProof]
     emulation: tuple[EmulationLimit, ...] = ()
     unknown: tuple[str, ...] = ()
@@ -121,7 +121,7 @@ def analyse(
         simulated_period(diagram, clock, solver=solver, start=start, horizon=horizon, tell=tell),
     )
     tell("finding the least K_c")
-    ties = tie_gains(diagram, uncertain)
+    ties = reference_gains(diagram, uncertain)
     tell("proving that the linearised loop is stable")
     proof, split = prove_stability(diagram, at_rest, periods.at_rest, clock)
     proofs = proof, prove_stability(diagram, moving, periods.moving, clock, moving=True, split=split)[0]
@@ -210,7 +210,7 @@ def _joint(joint: JointLoop) -> dict[str, Any]:
     }
 
 
-def _tie(tie: TieGain) -> dict[str, Any]:
+def _tie(tie: ReferenceGain) -> dict[str, Any]:
     return {
         "block": tie.block,
         "joint": tie.joint,

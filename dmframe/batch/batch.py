@@ -10,16 +10,16 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from dmframe.batch.figures import ERROR, TURN, Figures, FigureTable, Measured, Wanted
+from dmframe.batch.figures import ERROR, TURN, Figures, FigureTable, Measured, MeasuredSignals
 from dmframe.batch.groups import SimdRunner, slope_of, speeds_of
 from dmframe.batch.simd import SimdLoop, compiled
 from dmframe.batch.starts import starts_of
 from dmframe.batch.values import columns_of, parameters_of, runs_in, varied
 from dmframe.block.model import SYMBOLIC
+from dmframe.common.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault, raise_all
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.parts import Parts
-from dmframe.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault, raise_all
 from dmframe.results.metrics import TurnError, counted_rows, goal_of, rms_by_eighth, tracking_error, turn_error, turn_of
 from dmframe.simulate import Recording, simulate_many
 from dmframe.simulate.block_starts import once
@@ -43,7 +43,7 @@ class Batch:
 
     diagram: Diagram
     duration: float
-    wanted: Wanted
+    wanted: MeasuredSignals
     settings: Mapping[str, Any]
     choice: Choice
     threads: int | None
@@ -55,7 +55,7 @@ class Batch:
         diagram: Diagram,
         duration: float,
         *,
-        wanted: Wanted | None = None,
+        wanted: MeasuredSignals | None = None,
         engine: Choice = "auto",
         threads: int | None = None,
         **settings: Any,
@@ -69,7 +69,7 @@ class Batch:
         """
         if threads is not None and threads < 1:
             raise ValueFault(f"threads: expected at least 1, found {threads}")
-        wanted, loop = wanted or Wanted(), diagram.loop
+        wanted, loop = wanted or MeasuredSignals(), diagram.loop
         known = {*(signal.label for signal in loop.outputs), *(variable.label for variable in loop.variables)}
         raise_all(
             [UnknownNameError("signals", "signal", label, known) for label in wanted.signals if label not in known]
@@ -94,7 +94,7 @@ class Batch:
         Raises
         ------
         UnknownNameError, NeedsDiagramError, ValueFault
-            A parameter that does not exist or that shapes the diagram; columns of different lengths. (Faults of single
+            A parameter is unknown or determines the diagram's structure; columns differ in length. (Faults of single
             runs are in `Measured.faults`.)
         """
         columns = columns_of(values)
@@ -158,7 +158,7 @@ class Batch:
     @cached_property
     def _slope(self) -> Any:
         loop, step = self.diagram.loop, self.prepared.step
-        timed = ca.depends_on(stack(loop.rates_of(loop.flowing)), loop.period)  # then it is another one on each clock
+        timed = ca.depends_on(stack(loop.rates_of(loop.flowing)), loop.period)  # then it depends on the period
         return once(loop.derived, ("slope", step.period if timed else None), lambda: slope_of(step.rate))
 
     def _in_simd(self, runs: int) -> bool:
@@ -206,7 +206,7 @@ class Batch:
                 table.put(np.array([run]), result)
 
 
-def figures_of_run(run: Recording, wanted: Wanted) -> Measured:
+def figures_of_run(run: Recording, wanted: MeasuredSignals) -> Measured:
     """Reduce one recording to its figures, without units."""
     error, turn = tracking_error(run), turn_error(run)
     values = {} if error is None else {ERROR: error.norm[:, None]}

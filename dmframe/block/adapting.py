@@ -1,4 +1,4 @@
-"""Base class of adaptive blocks: a block states the gradient law; the options of `dmframe.adaptation` extend it.
+"""Base class of adaptive blocks: a block states the gradient law; the options of `dmframe.block.adaptation` extend it.
 
 A block declares its estimates and the error that drives them, and states the direction in which the error moves each
 estimate. The framework derives the states, the parameters of the options, the rates, the initial values and the terms
@@ -15,18 +15,18 @@ from typing import Any, ClassVar, Final, final
 import casadi as ca
 from pydantic.fields import FieldInfo
 
-from dmframe.adaptation import Estimate, Fit, Terms, adaptation
+from dmframe.block.adaptation import Estimate, Fit, Terms, adaptation
 from dmframe.block.base import AbstractBlock, Equations, Signals, owner_of, with_estimates
+from dmframe.block.certificate import SX, Certificate, TrueValue
+from dmframe.block.linalg import metric, times
 from dmframe.block.names import type_name
+from dmframe.block.naming import named, reading
 from dmframe.block.numberless import without_numbers
-from dmframe.certificate import SX, Certificate, TrueValue
-from dmframe.errors import BlockError, MissingError, ValueFault, nearest, raise_all
-from dmframe.linalg import metric, times
-from dmframe.names import latex_name
-from dmframe.naming import named, reading
-from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Scalar
-from dmframe.port import ANY, Adapted, State
-from dmframe.units import rate_over
+from dmframe.block.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Scalar
+from dmframe.block.port import ANY, Adapted, State
+from dmframe.common.errors import BlockError, MissingError, ValueFault, nearest, raise_all
+from dmframe.common.names import latex_name
+from dmframe.common.units import rate_over
 
 FITTED: Final = ("R", "forgetting")
 """The parameters of a fit. A block with a fit declares them itself, since R has the size of its prediction error."""
@@ -248,7 +248,7 @@ def option_descriptions(block: type[AbstractBlock]) -> dict[str, str]:
     error = f"${latex_name(block.driven_by)}$"
     robust = (
         "Robust adaptation laws, each off by default: decay towards the initial value; the same, proportional to "
-        f"{error}; no adaptation while {error} is below this width. See `dmframe.adaptation`."
+        f"{error}; no adaptation while {error} is below this width. See `dmframe.block.adaptation`."
     )
     return {name: sets.get(name.rpartition("_")[2], robust) for name in _options(block)}
 

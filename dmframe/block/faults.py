@@ -14,9 +14,9 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from dmframe.block.names import type_name
-from dmframe.errors import BlockError, DmframeError, MissingError, UnknownNameError, ValueFault
-from dmframe.parameter import specs
-from dmframe.units import shorten
+from dmframe.block.parameter import specs
+from dmframe.common.errors import BlockError, DmframeError, MissingError, UnknownNameError, ValueFault
+from dmframe.common.units import shorten
 
 if TYPE_CHECKING:
     from dmframe.block.base import AbstractBlock

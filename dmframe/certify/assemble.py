@@ -8,13 +8,13 @@ from typing import Any, final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX, InformationSquare, LogDet, NormSquare, Potential, Square, Steps
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, InformationSquare, LogDet, NormSquare, Potential, Square, Steps
+from dmframe.block.port import Side
 from dmframe.certify.claim import Claim, NotApplicableError, Part
 from dmframe.certify.form import stepping
 from dmframe.certify.symbols import Group, Symbols, symbols_of
 from dmframe.diagram.closed_loop import stack
-from dmframe.port import Side
 from dmframe.program import Pattern, Program, read
 from dmframe.prove import claim as data
 

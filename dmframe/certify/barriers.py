@@ -13,15 +13,16 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from dmframe.barrier import Barrier
-from dmframe.certificate import SX, Square
+from dmframe.block.barrier import Barrier
+from dmframe.block.certificate import SX, Square
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.starts import has_start, start_expression
 from dmframe.certify.statements import Statement
 from dmframe.certify.symbols import Symbols
+from dmframe.common.errors import DmframeError, ValueFault
+from dmframe.common.text import Label, Text, around, sentence
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import DmframeError, ValueFault
 from dmframe.exact.balls import UndecidedError
 from dmframe.exact.literal import literal
 from dmframe.exact.ranges import ranges
@@ -29,7 +30,6 @@ from dmframe.exact.rational import as_float
 from dmframe.program import read
 from dmframe.prove.definite import lower, upper
 from dmframe.simulate.start import start_state
-from dmframe.text import Label, Text, around, sentence
 
 _OUT: Final = (Context(prec=6, rounding=ROUND_FLOOR), Context(prec=6, rounding=ROUND_CEILING))
 """In which limits are printed: never tighter than they are."""

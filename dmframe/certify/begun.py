@@ -8,8 +8,8 @@ from typing import Final, final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
 
 START: Final = "start."
 """Before a state's label, where parameters and starts stand together."""

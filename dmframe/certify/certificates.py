@@ -8,15 +8,15 @@ from typing import final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX, Certificate
 from dmframe.block.faults import fault_context
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Certificate
+from dmframe.block.port import Side
 from dmframe.certify.form import NotApplicableError, check_form
+from dmframe.common.errors import BlockError
 from dmframe.diagram import Diagram
 from dmframe.diagram.truths import Stated, conflicts
 from dmframe.diagram.view import owners_of, view
-from dmframe.errors import BlockError
-from dmframe.port import Side
 
 
 @final

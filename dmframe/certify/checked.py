@@ -10,19 +10,19 @@ from typing import final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX, Assumption
+from dmframe.block.linalg import ldl
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Assumption
 from dmframe.certify.begun import START, Begun
 from dmframe.certify.claim import Claim
 from dmframe.certify.symbols import exact_values
+from dmframe.common.errors import ValueFault
+from dmframe.common.text import Text
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import ValueFault
 from dmframe.exact.ranges import ranges
 from dmframe.exact.rational import Interval, as_float, evaluate
-from dmframe.linalg import ldl
 from dmframe.program import read
 from dmframe.prove.definite import Number, lower, pivots
-from dmframe.text import Text
 
 
 @final

@@ -20,9 +20,7 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from dmframe.block.faults import fault_context
-from dmframe.block.model import symbols_in
-from dmframe.certificate import (
+from dmframe.block.certificate import (
     SX,
     Certificate,
     Dissipated,
@@ -31,6 +29,10 @@ from dmframe.certificate import (
     Potential,
     Stored,
 )
+from dmframe.block.faults import fault_context
+from dmframe.block.linalg import times
+from dmframe.block.model import symbols_in
+from dmframe.block.port import Side
 from dmframe.certify.certificates import Certificates, certificates_of, is_over_samples
 from dmframe.certify.form import NotApplicableError, unfit
 from dmframe.certify.labels import labelled
@@ -38,16 +40,14 @@ from dmframe.certify.laws import printed_laws
 from dmframe.certify.operators import Flow, Sample
 from dmframe.certify.partial_functions import domains_of
 from dmframe.certify.steady import hold_claims
+from dmframe.common.errors import BlockError, nearest
+from dmframe.common.text import Text
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.projection import Projection
 from dmframe.diagram.truths import Stated
 from dmframe.diagram.wiring import Wire
-from dmframe.errors import BlockError, nearest
 from dmframe.formula.law import PrintedLaw
-from dmframe.linalg import times
-from dmframe.port import Side
-from dmframe.text import Text
 
 
 @final

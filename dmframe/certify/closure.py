@@ -27,18 +27,18 @@ from typing import final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX, Assumption, Condition, StableLinear
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Assumption, Condition, StableLinear
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.linear import is_stable
 from dmframe.certify.movement import Movement
 from dmframe.certify.symbols import Group
+from dmframe.common.text import Label, Text, joined, listed_text, text_of
 from dmframe.diagram.closed_loop import Variable
 from dmframe.diagram.pieces import rows_of
 from dmframe.exact import Tape
 from dmframe.exact.linear import Echelon
-from dmframe.text import Label, Text, joined, listed_text, text_of
 
 SIGNED = (1, -1)
 

@@ -11,9 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from dmframe.block.faults import fault_context
-from dmframe.block.model import symbols_in
-from dmframe.certificate import (
+from dmframe.block.certificate import (
     SX,
     Assumption,
     CommonLyapunov,
@@ -28,6 +26,9 @@ from dmframe.certificate import (
     Square,
     Stored,
 )
+from dmframe.block.faults import fault_context
+from dmframe.block.fields import fault_of
+from dmframe.block.model import symbols_in
 from dmframe.certify.assumed import SIGNS, assumed_weights, decidable, is_assumed
 from dmframe.certify.checked import Checked, Finding, Numbers, sorted_out
 from dmframe.certify.claim import Claim, NotApplicableError, Part
@@ -37,15 +38,14 @@ from dmframe.certify.projections import projection_conditions
 from dmframe.certify.sampler import over_horizon
 from dmframe.certify.small_gain import small_gain_conditions
 from dmframe.certify.wording import worded
+from dmframe.common.errors import BlockError
+from dmframe.common.text import DV, Formula, Label, Text, V, Written, sentence, square_of
 from dmframe.diagram.view import view
-from dmframe.errors import BlockError
 from dmframe.exact.rational import as_float
-from dmframe.fields import fault_of
 from dmframe.formula.reading import place_of
 from dmframe.prove.definite import Number, lower, pivots, upper
 from dmframe.prove.stability import common_margin
 from dmframe.robot.pseudo_inertia import pseudo_inertia
-from dmframe.text import DV, Formula, Label, Text, V, Written, sentence, square_of
 
 ROUNDING = 1e-9
 """Of a load's least eigenvalue, as a share of the largest: a point mass has none above zero."""

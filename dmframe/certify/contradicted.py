@@ -18,16 +18,16 @@ from typing import Any, Final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
 from dmframe.certify.assumed import SIGNS, assumed_positive
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.limits import Vanishing
 from dmframe.certify.smoothness import slope
 from dmframe.certify.starts import has_start, start_expression
+from dmframe.common.text import Text
 from dmframe.diagram.closed_loop import Variable, stack
-from dmframe.text import Text
 
 FEW: Final = 12
 """Numbers in the states up to which a motion is integrated."""

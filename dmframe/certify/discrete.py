@@ -7,8 +7,8 @@ from typing import Any, Final, final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX, Assumption, LeastSquaresSteps, NormalisedSteps, Square, Steps
 from dmframe.block.model import depending, symbols_in
-from dmframe.certificate import SX, Assumption, LeastSquaresSteps, NormalisedSteps, Square, Steps
 from dmframe.certify.checked import Checked, Finding, Numbers
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.conditions import conditions_stated, decide
@@ -21,9 +21,9 @@ from dmframe.certify.points import in_random_field, outputs_at
 from dmframe.certify.projections import outside
 from dmframe.certify.statements import Statement
 from dmframe.certify.symbols import Symbols
+from dmframe.common.text import Label, Text, Written, joined, listed_text, name_of, sentence
 from dmframe.diagram.closed_loop import stack
 from dmframe.exact import Tape, Trial
-from dmframe.text import Label, Text, Written, joined, listed_text, name_of, sentence
 
 SIGNS = sentence("{V} is positive, what it loses and gains not negative")
 LEMMAS: Final[Mapping[type, Text]] = {

@@ -7,18 +7,18 @@ from typing import Final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import depending, symbols_in
-from dmframe.certificate import SX
+from dmframe.block.port import Side
 from dmframe.certify.checked import Checked
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
 from dmframe.certify.points import in_random_field
 from dmframe.certify.sign import Sign, sign_after
 from dmframe.certify.symbols import Group, symbols_of
+from dmframe.common.text import Label, Text, joined, name_of, sentence, square_of
 from dmframe.exact import Tape, Trial
-from dmframe.port import Side
 from dmframe.program import CONST, DIVISIONS, INPUT, OPERATIONS
-from dmframe.text import Label, Text, joined, name_of, sentence, square_of
 
 AWAY: Final = "{of} stays away from zero"
 SHOWN = 60

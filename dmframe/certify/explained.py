@@ -15,12 +15,12 @@ from typing import Final
 
 import numpy as np
 
-from dmframe.certificate import Assumption, Steps
+from dmframe.block.certificate import Assumption, Steps
 from dmframe.certify.checked import Checked, Finding
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.motions import Left, Moved, UnmovedError
-from dmframe.errors import DmframeError
-from dmframe.text import Text, name_of
+from dmframe.common.errors import DmframeError
+from dmframe.common.text import Text, name_of
 
 PERIODS: Final = (0.005, 0.0025, 0.00125)
 """T [s], each half of the one before; where eta has not fallen by then, the next halves are looked at, too."""

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, final
 
 import casadi as ca
 
-from dmframe.block.model import symbols_in
-from dmframe.certificate import (
+from dmframe.block.certificate import (
     MONOTONE,
     SX,
     Assumption,
@@ -21,11 +20,12 @@ from dmframe.certificate import (
     Square,
     StableLinear,
 )
-from dmframe.errors import DmframeError, nearest
-from dmframe.fields import pieces_of
+from dmframe.block.fields import pieces_of
+from dmframe.block.model import symbols_in
+from dmframe.block.steps import packed_size
+from dmframe.common.errors import DmframeError, nearest
 from dmframe.formula.law import ROLES
 from dmframe.program import EDGES, JUMPS, KINKS, codes
-from dmframe.steps import packed_size
 
 if TYPE_CHECKING:
     from dmframe.certify.claim import Claim, Part

@@ -7,21 +7,21 @@ from typing import Final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX, Assumption
+from dmframe.block.linalg import Inverted
 from dmframe.block.model import BlockModel, depending, symbols_in
-from dmframe.certificate import SX, Assumption
+from dmframe.block.port import Access, Side
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
 from dmframe.certify.definite import is_mass_matrix, is_mass_matrix_of_bodies
 from dmframe.certify.divisors import brought_in, domains, written
+from dmframe.common.errors import ValueFault, listed
+from dmframe.common.text import Label, Text, joined, listed_text, name_of, sentence
 from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import known_truths
 from dmframe.diagram.wiring import Wire
-from dmframe.errors import ValueFault, listed
-from dmframe.linalg import Inverted
-from dmframe.port import Access, Side
 from dmframe.program import DIVISIONS, OPERATIONS
-from dmframe.text import Label, Text, joined, listed_text, name_of, sentence
 
 BETWEEN: Final = "is constant between its steps; the proof holds between two steps, each of which starts a new {V}"
 """The assumption on a source that steps."""

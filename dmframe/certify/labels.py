@@ -9,13 +9,13 @@ from typing import Any, Final, final
 
 import casadi as ca
 
-from dmframe.certificate import SX, Certificate, Clipped, Lemma, NormSquare
-from dmframe.errors import DmframeError
+from dmframe.block.certificate import SX, Certificate, Clipped, Lemma, NormSquare
+from dmframe.common.errors import DmframeError
+from dmframe.common.text import Text, joined, name_of
 from dmframe.exact import zero_test
 from dmframe.formula.formula import Formula
 from dmframe.formula.law import ROLES, PrintedLaw, PrintedTerm
 from dmframe.formula.tree import Unprinted
-from dmframe.text import Text, joined, name_of
 
 _DEEP: Final = 1000
 

@@ -6,11 +6,11 @@ from contextlib import suppress
 
 import casadi as ca
 
+from dmframe.block.certificate import SX, StableLinear
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, StableLinear
 from dmframe.certify.checked import Numbers
+from dmframe.common.errors import ValueFault
 from dmframe.diagram.projection import Box
-from dmframe.errors import ValueFault
 from dmframe.exact.rational import Interval
 from dmframe.prove.definite import Number, lower, upper
 from dmframe.prove.stability import is_stable_matrix

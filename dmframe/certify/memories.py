@@ -8,17 +8,17 @@ from typing import Any
 
 import casadi as ca
 
+from dmframe.block.certificate import SX, InformationSquare, LeastSquaresSteps
+from dmframe.block.linalg import ldl
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, InformationSquare, LeastSquaresSteps
 from dmframe.certify.begun import Begun
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.starts import ZERO, begun_at, start_of
+from dmframe.common.text import Text, name_of, sentence, square_of
 from dmframe.diagram.closed_loop import stack
 from dmframe.exact.rational import Interval, evaluate
-from dmframe.linalg import ldl
 from dmframe.prove.definite import Number, is_semidefinite
-from dmframe.text import Text, name_of, sentence, square_of
 
 POSITIVE = sentence("{V} is positive")
 

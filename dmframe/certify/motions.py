@@ -15,22 +15,22 @@ from typing import Any, Final, NamedTuple, final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX, Steps
 from dmframe.block.faults import fault_context
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Steps
+from dmframe.block.sampled import DelayLine
+from dmframe.block.steps import summed
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.driven import DrivenLoop
+from dmframe.common.errors import DmframeError
 from dmframe.diagram import Diagram, Parameter, Variable
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.pieces import rows_of
 from dmframe.diagram.view import view
-from dmframe.errors import DmframeError
-from dmframe.sampled import DelayLine
 from dmframe.simulate.block_starts import has_start
 from dmframe.simulate.instants import Instants
 from dmframe.simulate.start import start_state
 from dmframe.simulate.stiffness import fastest
-from dmframe.steps import summed
 
 ROUNDED: Final = 1e-12
 """The step of a quantiser whose rounding is taken away."""

@@ -6,16 +6,16 @@ import random
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, final
 
-from dmframe.certificate import SX
+from dmframe.block.certificate import SX
+from dmframe.block.linalg import nodes
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.symbols import Group, exact_values, symbols_of
+from dmframe.common.errors import ValueFault
+from dmframe.common.slices import slices
 from dmframe.diagram.pieces import rows_of
-from dmframe.errors import ValueFault
 from dmframe.exact import Tape, random_prime
 from dmframe.exact.shift import Shift, ZeroDivision
-from dmframe.linalg import nodes
-from dmframe.slices import slices
 
 ATTEMPTS: Final = 20
 BITS: Final = 149

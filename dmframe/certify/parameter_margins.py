@@ -14,22 +14,22 @@ from typing import final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
 from dmframe.block.numberless import remade
 from dmframe.block.steady import same_statement
-from dmframe.certificate import SX
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.small_gain import kappa_needs
 from dmframe.certify.steady import stated_claims
 from dmframe.certify.tacit import tacit
+from dmframe.common.errors import ValueFault
+from dmframe.common.text import Label, Text
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.view import view
-from dmframe.errors import ValueFault
 from dmframe.exact.ends import Ends, enclosing
 from dmframe.exact.rational import Interval, as_float
-from dmframe.text import Label, Text
 
 Intervals = Mapping[str, Sequence[Interval]]
 

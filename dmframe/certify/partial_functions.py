@@ -7,7 +7,7 @@ from typing import Final
 
 import casadi as ca
 
-from dmframe.certificate import SX
+from dmframe.block.certificate import SX
 from dmframe.certify.sign import SIGNED, Sign, sign_after
 from dmframe.program import DIVISIONS, OPERATIONS, POWERS, TO_READ, read
 

@@ -22,8 +22,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX, Assumption, TrueValue
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Assumption, TrueValue
 from dmframe.certify.begun import Begun
 from dmframe.certify.checked import Checked, Finding, Numbers, sorted_out
 from dmframe.certify.claim import Claim
@@ -31,14 +31,14 @@ from dmframe.certify.projection_laws import check_law
 from dmframe.certify.sampler import over_horizon
 from dmframe.certify.starts import ZERO, begun_at, start_expression, start_of
 from dmframe.certify.symbols import symbols_of
+from dmframe.common.errors import ValueFault
+from dmframe.common.text import Label, Text, sentence
 from dmframe.diagram.closed_loop import ClosedLoop, stack
 from dmframe.diagram.projection import Projection
-from dmframe.errors import ValueFault
 from dmframe.exact import ZeroDivision
 from dmframe.exact.rational import Interval, evaluate
 from dmframe.prove.definite import Number, lower
 from dmframe.simulate.start import ROUNDING
-from dmframe.text import Label, Text, sentence
 
 ROUNDED = ROUNDING
 """What rounding may take of the room that a source leaves."""

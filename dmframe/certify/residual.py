@@ -6,14 +6,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import final
 
-from dmframe.certificate import SX, Bounded, Clipped, NormSquare, Square
+from dmframe.block.certificate import SX, Bounded, Clipped, NormSquare, Square
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.symbols import Symbols
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
+from dmframe.common.text import Text, around, square_of
 from dmframe.exact.rational import as_float
 from dmframe.prove.definite import upper
-from dmframe.text import Text, around, square_of
 
 
 @final

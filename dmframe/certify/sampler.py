@@ -7,7 +7,7 @@ from typing import Final, final
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX
+from dmframe.block.certificate import SX
 from dmframe.diagram import ClosedLoop
 
 HORIZON: Final = 100.0

@@ -9,13 +9,13 @@ from typing import Any, Final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX
 from dmframe.block.faults import fault_context
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
 from dmframe.certify.begun import Begun
 from dmframe.certify.checked import Numbers
+from dmframe.common.errors import BlockError, ValueFault
 from dmframe.diagram.view import view
-from dmframe.errors import BlockError, ValueFault
 from dmframe.prove.definite import Number
 from dmframe.robot.rational import decimal
 

@@ -9,18 +9,18 @@ from typing import TypeVar, final
 import casadi as ca
 
 from dmframe.block import names_of
+from dmframe.block.certificate import SX, Clipped, InformationSquare, Lemma, LogDet, NormSquare, Square, StableLinear
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Clipped, InformationSquare, Lemma, LogDet, NormSquare, Square, StableLinear
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.closure import Bases, Closure
 from dmframe.certify.limits import Combinations, Vanishing, assumed, combined, goals
 from dmframe.certify.positive import Positive, Signs
 from dmframe.certify.smoothness import slope
 from dmframe.certify.symbols import Symbols
+from dmframe.common.names import symbol
+from dmframe.common.text import Label, Text, Written, around, name_of, sentence, square_of
 from dmframe.diagram.closed_loop import Variable
 from dmframe.diagram.projection import Bodies
-from dmframe.names import symbol
-from dmframe.text import Label, Text, Written, around, name_of, sentence, square_of
 
 T = TypeVar("T", bound=Positive)
 

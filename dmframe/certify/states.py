@@ -13,16 +13,16 @@ from collections.abc import Set as AbstractSet
 
 import casadi as ca
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.partial_functions import domains_of
 from dmframe.certify.smoothness import jumps
 from dmframe.certify.statements import States
+from dmframe.common.errors import ValueFault
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.pieces import rows_of
-from dmframe.errors import ValueFault
 from dmframe.exact import Trial, ZeroDivision, random_prime
 from dmframe.exact.linear import Echelon
 from dmframe.exact.rational import Interval

@@ -10,13 +10,13 @@ from typing import Any, final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
+from dmframe.block.port import Side
 from dmframe.certify.claim import Claim, NotApplicableError
 from dmframe.diagram import ClosedLoop, Diagram, Parameter
 from dmframe.diagram.closed_loop import stack
 from dmframe.exact import zero_test
-from dmframe.port import Side
 from dmframe.program import TO_READ
 from dmframe.robot.rational import decimal
 

@@ -14,8 +14,9 @@ from typing import Any, Final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX, Assumption, Clipped, InformationSquare, LogDet, StableLinear
+from dmframe.block.linalg import ldl, square
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Assumption, Clipped, InformationSquare, LogDet, StableLinear
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Bases, Closure
@@ -32,16 +33,15 @@ from dmframe.certify.sampler import over_horizon
 from dmframe.certify.smoothness import followed_by_numbers
 from dmframe.certify.statements import bases_of
 from dmframe.certify.symbols import symbols_of
+from dmframe.common.errors import ValueFault
+from dmframe.common.text import Label, Text, joined, name_of, sentence
 from dmframe.diagram.closed_loop import Parameter, stack
 from dmframe.diagram.projection import Ball, Bodies, Box, Projection
-from dmframe.errors import ValueFault
 from dmframe.exact import ZeroDivision
-from dmframe.linalg import ldl, square
 from dmframe.program import JUMPS
 from dmframe.prove.definite import Number, lower, upper
 from dmframe.robot.parameters import INERTIAL
 from dmframe.robot.pseudo_inertia import pseudo_inertia
-from dmframe.text import Label, Text, joined, name_of, sentence
 
 ROUNDING: Final = 1e-9 / 4
 """Of a load's trace: less than the share of its largest eigenvalue that `verify` takes for rounding."""

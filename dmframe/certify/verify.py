@@ -11,7 +11,7 @@ from typing import Any, Final, final
 
 import casadi as ca
 
-from dmframe.certificate import Assumption
+from dmframe.block.certificate import Assumption
 from dmframe.certify.assemble import assembled
 from dmframe.certify.barriers import barrier_statements, tubes
 from dmframe.certify.checked import Checked, Numbers, sorted_out
@@ -32,9 +32,10 @@ from dmframe.certify.statements import Statement, States, bases_of, statements_o
 from dmframe.certify.states import sampled_states
 from dmframe.certify.symbols import Symbols, symbols_of
 from dmframe.certify.verdict import Outcome, Verdict
-from dmframe.copies import shared
+from dmframe.common.copies import shared
+from dmframe.common.errors import ValueFault
+from dmframe.common.text import DV, UNNAMED, Text, Written, joined, sentence
 from dmframe.diagram import Diagram
-from dmframe.errors import ValueFault
 from dmframe.exact import ZeroTest
 from dmframe.exact.rational import Interval
 from dmframe.prove import claim as data
@@ -44,7 +45,6 @@ from dmframe.prove.identity import Points, empty, together
 from dmframe.prove.reals import doubt
 from dmframe.prove.refute import Refutation, refute
 from dmframe.prove.sound import hold_sound
-from dmframe.text import DV, UNNAMED, Text, Written, joined, sentence
 
 LONG: Final = 2000
 """Operations of a diagram from which on a proof takes longer than a copy of the process."""

@@ -36,8 +36,8 @@ from dmframe.cli.races import race
 from dmframe.cli.robots import drive, export, rehearse, replay, robot
 from dmframe.cli.streams import tell
 from dmframe.cli.studies import study, tune
-from dmframe.errors import DmframeError
-from dmframe.files import check_place
+from dmframe.common.errors import DmframeError
+from dmframe.common.files import check_place
 
 if TYPE_CHECKING:
     from dmframe.simulate.engine import Choice
@@ -57,7 +57,7 @@ RECORD = "3"
 
 def _version(wanted: bool) -> None:
     if wanted:
-        from dmframe.version import version as installed
+        from dmframe.common.version import version as installed
 
         tell(f"dmframe {installed()}")
         raise typer.Exit

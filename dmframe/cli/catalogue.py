@@ -11,8 +11,8 @@ import typer
 
 from dmframe.cli.arguments import NOTHING, Listed, graph_names, home, lesson_numbers, robot_names, type_names
 from dmframe.cli.streams import tell
-from dmframe.errors import UnknownNameError
-from dmframe.files import write_text
+from dmframe.common.errors import UnknownNameError
+from dmframe.common.files import write_text
 
 if TYPE_CHECKING:
     from dmframe.config.registry import Registry

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import final
 
 from dmframe.cli.streams import tell
-from dmframe.errors import OutputError
-from dmframe.files import check_place, write_text
+from dmframe.common.errors import OutputError
+from dmframe.common.files import check_place, write_text
 from dmframe.robot.chain import SerialChain
 
 NOT_PROVED = 1

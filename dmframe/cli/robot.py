@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from dmframe.cli.options import whole
 from dmframe.cli.streams import tell
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 
 if TYPE_CHECKING:
     from dmframe.graph.graph import Graph

@@ -17,8 +17,9 @@ from typing import Any
 from dmframe.cli import STOPPED
 from dmframe.cli.signals import held_off
 from dmframe.cli.streams import tell
-from dmframe.copies import shared
-from dmframe.errors import OutputError
+from dmframe.common.copies import shared
+from dmframe.common.errors import OutputError
+from dmframe.common.units import seconds
 from dmframe.graph.doubts import doubts
 from dmframe.graph.graph import Graph
 from dmframe.graph.labels import labels_of
@@ -28,7 +29,6 @@ from dmframe.results.folder import drawing, folders_of, safe_name, write_data
 from dmframe.results.place import PAGE, Place, complete, reserved
 from dmframe.results.run import Run, notes_of, numbers_of
 from dmframe.simulate.engine import Choice
-from dmframe.units import seconds
 
 DIVERGED = 1
 MOST = 100

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from dmframe.cli.arguments import NOTHING, Overrides, Trust, home
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 
 
 def study(
@@ -92,7 +92,7 @@ def tune(
     """
     from dmframe.cli.options import whole
     from dmframe.cli.tune import tune_study
-    from dmframe.trust import remember
+    from dmframe.common.trust import remember
 
     if trust:
         remember(Path(study).parent)

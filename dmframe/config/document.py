@@ -27,9 +27,9 @@ from ruamel.yaml.events import (
     SequenceStartEvent,
 )
 
+from dmframe.common.errors import DmframeError, DocumentError, MissingError, ValueFault, nearest, raise_all, visible
+from dmframe.common.units import shorten
 from dmframe.config.syntax import plain_words
-from dmframe.errors import DmframeError, DocumentError, MissingError, ValueFault, nearest, raise_all, visible
-from dmframe.units import shorten
 
 Plain: TypeAlias = "dict[str, Plain] | list[Plain] | str | int | float | bool | None"
 Scalar: TypeAlias = "str | int | float | bool | None"

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from dmframe.common.errors import DocumentError, ValueFault
+from dmframe.common.units import shorten
 from dmframe.config.document import (
     DEEPEST,
     MOST_BYTES,
@@ -21,8 +23,6 @@ from dmframe.config.document import (
     mapping_of,
     unreadable,
 )
-from dmframe.errors import DocumentError, ValueFault
-from dmframe.units import shorten
 
 
 def document_of(data: Mapping[Any, Any], name: str) -> Document:

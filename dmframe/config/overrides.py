@@ -12,10 +12,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
+from dmframe.common.errors import DmframeError, UnknownNameError, ValueFault, visible
+from dmframe.common.units import shorten
 from dmframe.config.document import Document, Node, mapping_of, read_document
 from dmframe.config.given import node_of
-from dmframe.errors import DmframeError, UnknownNameError, ValueFault, visible
-from dmframe.units import shorten
 
 LABELLED: Final = (("start",), ("uncertain",), ("wires",), ("robot", "hold"))
 """Sections whose keys may contain dots, such as ``servo.K_D``: the text after the section's name is one key."""

@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar, final
 
-from dmframe import notebook
-from dmframe.columns import columns
-from dmframe.errors import UnknownNameError, ValueFault
-from dmframe.units import plain
+from dmframe.common import notebook
+from dmframe.common.columns import columns
+from dmframe.common.errors import UnknownNameError, ValueFault
+from dmframe.common.units import plain
 
 T = TypeVar("T")
 

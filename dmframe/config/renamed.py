@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import final
 
 from dmframe.block import AbstractBlock
+from dmframe.common.errors import DmframeError, ValueFault, raise_all
 from dmframe.config.document import Document, Node
 from dmframe.config.places import report
 from dmframe.config.sections import kinds_of
-from dmframe.errors import DmframeError, ValueFault, raise_all
 
 Names = Mapping[str, Mapping[str, str]]
 """Former and new names, by block."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from dmframe.block import AbstractBlock
+from dmframe.block.parameter import Spec, spec_of
 from dmframe.block.prose import about
 from dmframe.catalogue import block_types
 from dmframe.config.grammar import GraphFile
 from dmframe.config.sections import NAME
 from dmframe.formula.unmarked import unmarked
-from dmframe.parameter import Spec, spec_of
 from dmframe.robot.library import robots
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
@@ -21,7 +21,7 @@ PRIOR = {
     "required": ["inverse_of"],
     "additionalProperties": False,
 }
-"""Schema of `dmframe.gain.Prior`."""
+"""Schema of `dmframe.block.gain.Prior`."""
 
 
 def json_schema() -> dict[str, Any]:

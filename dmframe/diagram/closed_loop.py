@@ -10,11 +10,11 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
+from dmframe.block.port import Side
 from dmframe.diagram.pieces import Followed, Leaf, Noise, Parameter, Signal, Variable, rows_of
 from dmframe.diagram.projection import Projection
-from dmframe.port import Side
 
 
 @final

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import BlockModel, symbols_in
-from dmframe.certificate import SX
+from dmframe.block.port import Side
 from dmframe.diagram.closed_loop import ClosedLoop, Noise, Parameter, Signal, Variable
 from dmframe.diagram.pieces import Leaf
 from dmframe.diagram.resolve import Resolver, loop_fault
 from dmframe.diagram.wiring import End, Wire
-from dmframe.port import Side
 
 
 def flatten(resolver: Resolver, parameters: Sequence[Parameter]) -> ClosedLoop:

@@ -14,16 +14,16 @@ from typing import final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import BlockModel, symbol, symbols_in
+from dmframe.block.port import TIME, Access, Side, State
 from dmframe.block.sizes import Sizes
-from dmframe.certificate import SX
+from dmframe.common.errors import AlgebraicLoopError, DerivativeError, DmframeError, ValueFault
 from dmframe.diagram.bodies import TEN, Bodies
 from dmframe.diagram.pieces import Leaf
 from dmframe.diagram.projection import Ball, Box, Projection
 from dmframe.diagram.wiring import Ahead, Derived, Drawn, End, Period, Source, Time, Wire
-from dmframe.errors import AlgebraicLoopError, DerivativeError, DmframeError, ValueFault
 from dmframe.exact import zero_test
-from dmframe.port import TIME, Access, Side, State
 
 
 @final

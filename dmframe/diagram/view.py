@@ -9,12 +9,12 @@ from typing import Any, final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Signals
+from dmframe.block.certificate import SX
 from dmframe.block.model import Recalled, signals_of
-from dmframe.certificate import SX
+from dmframe.block.port import Input
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.diagram import Diagram
 from dmframe.diagram.truths import Stated, owner_of, value_of
-from dmframe.port import Input
 
 
 @final

@@ -66,16 +66,16 @@ class Algebra:
         if not one:
             return other
         a, b = self.of(one), self.of(other)
-        apart = product(a, b, -1)
-        if apart.unknowns:
-            self._solve(apart, exact=apart.angular and not a.number and not b.number)
+        ratio = product(a, b, -1)
+        if ratio.unknowns:
+            self._solve(ratio, exact=ratio.angular and not a.number and not b.number)
             return self._sharper(one, other)
-        *powers, angles = ((base not in self.ignored) * power for base, power in zip(BASES, apart.powers, strict=True))
+        *powers, angles = ((base not in self.ignored) * power for base, power in zip(BASES, ratio.powers, strict=True))
         if b.number:
             angles -= angles == 1  # a literal number may be in radians
         elif a.number:
             angles += angles == -1
-        if any(powers) or (apart.angular and angles):
+        if any(powers) or (ratio.angular and angles):
             return None
         return self._sharper(one, other)
 
@@ -94,10 +94,10 @@ class Algebra:
         a, b = self.of(one), self.of(other)
         return one if (not a.number, a.angular) >= (not b.number, b.angular) else other
 
-    def _solve(self, apart: Dimension, *, exact: bool) -> None:
+    def _solve(self, ratio: Dimension, *, exact: bool) -> None:
         """Set the newest unknown so that the equation is satisfied."""
-        key, power = apart.unknowns[-1]
-        rest = apart._replace(unknowns=apart.unknowns[:-1], angular=exact, number=False)
+        key, power = ratio.unknowns[-1]
+        rest = ratio._replace(unknowns=ratio.unknowns[:-1], angular=exact, number=False)
         value = product(ONE, rest, -power if power in (1, -1) else Fraction(-1) / power)
         for other, known in self._solved.items():
             for held, exponent in known.unknowns:

@@ -18,7 +18,9 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.block import AbstractBlock
-from dmframe.errors import BlockError, DmframeError, raise_all
+from dmframe.block.parameter import specs
+from dmframe.common.errors import BlockError, DmframeError, raise_all
+from dmframe.common.names import Symbol
 from dmframe.formula.alone import variants
 from dmframe.formula.latex import evaluate, name_in, spelled
 from dmframe.formula.laws import ReadBlock
@@ -26,8 +28,6 @@ from dmframe.formula.matrices import Numbers, UnreadableLatexError
 from dmframe.formula.meanings import point_of, undotted, values_at
 from dmframe.formula.points import ALL_SIZES, FEW, NEAR, differs, differs_near, is_rounding, jittered
 from dmframe.formula.stated import Stated, equations_of, shown, source_of
-from dmframe.names import Symbol
-from dmframe.parameter import specs
 
 
 @final

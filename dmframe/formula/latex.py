@@ -1,7 +1,7 @@
 r"""Numeric evaluation of LaTeX formulas in docstrings, for comparison with the code.
 
 The grammar: sums, products by juxtaposition or ``\cdot``, quotients, brackets, ``\frac``, ``|a|^2_W`` (bars of any
-kind), ``\top``, ``^{-1}``, powers, ``bmatrix``, common functions, and names as in `dmframe.names`. A product is
+kind), ``\top``, ``^{-1}``, powers, ``bmatrix``, common functions, and names as in `dmframe.common.names`. A product is
 evaluated from right to left; a column that is not its last factor means a diagonal matrix.
 """
 
@@ -13,6 +13,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from dmframe.common.names import LETTERS, Symbol, unicode_symbol
 from dmframe.formula.matrices import (
     Eye,
     Numbers,
@@ -25,7 +26,6 @@ from dmframe.formula.matrices import (
     scaled,
     stacked,
 )
-from dmframe.names import LETTERS, Symbol, unicode_symbol
 
 _TOKEN: Final = re.compile(r"\\[A-Za-z]+|\\.|\d+(?:\.\d+)?|[A-Za-z]|\S")
 _BLANK: Final = (

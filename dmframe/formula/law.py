@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, Final, final
 
-from dmframe.certificate import (
+from dmframe.block.certificate import (
     Certificate,
     Clipped,
     InformationSquare,
@@ -19,12 +19,12 @@ from dmframe.certificate import (
     beyond,
     clip,
 )
+from dmframe.block.naming import description_of
+from dmframe.block.terms import divergence, potential
 from dmframe.formula import tree
 from dmframe.formula.formula import Formula
 from dmframe.formula.robot import CONSTANTS, quantity
 from dmframe.formula.tree import SCALAR, Applied, Equation, Name, Node, Norm, Number, Product, Rate
-from dmframe.naming import description_of
-from dmframe.terms import divergence, potential
 
 
 @final

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from flint import arb
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact import zero_test
 from dmframe.exact.balls import UndecidedError, enclosed
 from dmframe.program import OPERATIONS, codes, read, run

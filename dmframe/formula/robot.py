@@ -8,9 +8,9 @@ from typing import Any, Final, final
 
 import casadi as ca
 
+from dmframe.block.naming import Expression, Operation, as_mx, call, description_of, register
 from dmframe.formula import tree
 from dmframe.formula.tree import Applied, Node, Number, Shape
-from dmframe.naming import Expression, Operation, as_mx, call, description_of, register
 from dmframe.robot.symbolic import SymbolicRobot
 
 SIGNS: Final[Mapping[str, str]] = {

@@ -7,13 +7,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import fields
 from typing import Any, Final
 
+from dmframe.common.names import unicode_name
 from dmframe.formula import tree
 from dmframe.formula.dialects import UNICODE
 from dmframe.formula.law import Line
 from dmframe.formula.reading import GIVEN, START
 from dmframe.formula.robot import MEANINGS
 from dmframe.formula.tree import Applied, Derivative, Diagonal, Name, Node, Norm, Piece, Product, Stack
-from dmframe.names import unicode_name
 
 _SUMMED: Final = "the sum of the elements of a"
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 from dmframe.block.model import SYMBOLIC
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
 from dmframe.simulate import Recording
-from dmframe.units import plain
 
 LONG: Final = 10.0
 """From this duration [s] on a run also checks the stability near the set-point, half a second for a UR10."""

@@ -19,9 +19,9 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from dmframe.errors import RobotError
+from dmframe.common.errors import RobotError
 from dmframe.robot.chain import Joint, SerialChain, pin_configuration
-from dmframe.robot.convert import FORMATS, Element, read_any, way_to, written
+from dmframe.robot.convert import FORMATS, Element, joints_to, read_any, written
 from dmframe.robot.flange import AXES, MOVING, flange_of
 from dmframe.robot.library import find_robot, load, robots
 from dmframe.robot.repairs import repaired
@@ -84,7 +84,7 @@ def first_graph(
     name : a packaged robot, or the path of a URDF, xacro or MJCF file
     folder : where the graph will be
     tool : frame at the end of the arm; by default the flange
-    hold : joints on the way to the tool that do not move, with their positions [rad, m]
+    hold : joints between the base and the tool that do not move, with their positions [rad, m]
 
     Raises
     ------
@@ -132,7 +132,7 @@ def _check_axes(root: Element, frame: str, hold: Mapping[str, float], where: str
         return  # reported with the names of the frames when the robot is read
     moving = [
         joint.get("name", "")
-        for joint in way_to(root, frame)
+        for joint in joints_to(root, frame)
         if joint.get("type") in MOVING and joint.find("mimic") is None and joint.get("name") not in hold
     ]
     least, most = AXES
@@ -187,7 +187,7 @@ blocks:
   # Initially w is half its true value, 1/K_D.
   inverse:  {{type: pid_inverse, K_c: 2, Lambda: {_list(Lambda)}, Lambda_P: 1, Lambda_I: 1,
              w: {_list(0.5 / K_D)}, w_P: 2, w_I: 0.7, w_box: {box}, w_P_box: [1, 3], w_I_box: [0.5, 2]}}
-  # Placeholders, hidden from the controller: makers do not publish them.
+  # Placeholders, hidden from the controller: manufacturers do not publish them.
   servo:    {{type: pid_servo, K_D: {_list(K_D)}, K_P: {_list(RATIO_P * K_D)}, K_I: {_list(RATIO_I * K_D)}}}
   arm:      {{type: manipulator, viscous: {_list(VISCOUS * K_D)}, coulomb: {_list(COULOMB * K_D)},
              rotor: {_list(rotor)}}}

@@ -8,8 +8,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from dmframe.block import AbstractBlock, type_name
+from dmframe.block.parameter import PAIRS, Spec, specs
+from dmframe.block.port import Access, Input, Output, Side, Signal, State
 from dmframe.block.prose import about, prose
-from dmframe.columns import columns, page_width, width
+from dmframe.common.columns import columns, page_width, width
+from dmframe.common.names import unicode_name
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.diagram.wiring import Ahead, Derived, Drawn, Period, Source, Time, Wire
@@ -19,11 +23,7 @@ from dmframe.formula.docstring import check_docstring
 from dmframe.formula.unmarked import unmarked
 from dmframe.formula.where import sizes_show, where
 from dmframe.formula.wrap import wrapped
-from dmframe.names import unicode_name
-from dmframe.parameter import PAIRS, Spec, specs
-from dmframe.port import Access, Input, Output, Side, Signal, State
 from dmframe.simulate.warnings import unread
-from dmframe.units import plain
 
 
 def check_page(graph: BaseGraph) -> str:

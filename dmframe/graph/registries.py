@@ -7,12 +7,12 @@ from html import escape
 from typing import Any, final
 
 from dmframe.block import AbstractBlock, type_name
+from dmframe.common.errors import DmframeError
+from dmframe.common.units import to_unit
 from dmframe.config.registry import Registry
-from dmframe.errors import DmframeError
 from dmframe.graph.graph import Graph
 from dmframe.graph.load import load
 from dmframe.robot.chain import SerialChain
-from dmframe.units import to_unit
 
 
 def graphs() -> Registry[Graph]:

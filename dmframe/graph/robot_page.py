@@ -8,9 +8,9 @@ import textwrap
 from collections.abc import Mapping
 from typing import Any, Final
 
-from dmframe.columns import columns, page_width
+from dmframe.common.columns import columns, page_width
+from dmframe.common.units import plain
 from dmframe.robot.library import RobotSource, find_robot, load
-from dmframe.units import plain
 
 UNITS: Final[Mapping[str, Mapping[str, str]]] = {
     "revolute": {"lower": "rad", "upper": "rad", "velocity": "rad/s", "effort": "N m"},

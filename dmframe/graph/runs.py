@@ -8,18 +8,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final, overload
 
-from dmframe import notebook
+from dmframe.common import notebook
+from dmframe.common.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault, raise_all
+from dmframe.common.plotting import FORMATS
+from dmframe.common.units import plain, seconds, shorten
 from dmframe.config import BaseGraph
-from dmframe.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault, raise_all
 from dmframe.graph.doubts import doubts
 from dmframe.graph.graph import Graph
 from dmframe.graph.labels import labels_of
 from dmframe.graph.load import load
 from dmframe.graph.progress import Bars
-from dmframe.plotting import FORMATS
 from dmframe.results.run import HEADS, NOTE, Run, drawn, ended, row, saved, table_of
 from dmframe.simulate import Recording, simulate_many
-from dmframe.units import plain, seconds, shorten
 
 if TYPE_CHECKING:
     import pandas

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.identification.log import Array, Log
 from dmframe.robot.chain import SerialChain
 

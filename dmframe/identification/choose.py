@@ -78,9 +78,9 @@ def floor_of(log: Log) -> Array:
 def chosen(twins: Twins, log: Log, say: Callable[[str], None] = lambda text: None) -> Choice:
     """Fit all candidates to a log."""
     rows, found = rows_of(twins.model, log), Choice({}, floor_of(log))
-    begun = {kind: starts(Unknowns(twins.model, log, kind), rows) for kind in SERVOS}
+    started = {kind: starts(Unknowns(twins.model, log, kind), rows) for kind in SERVOS}
     for attempt in range(STARTS):
-        for kind, some in begun.items():
+        for kind, some in started.items():
             say(f"fitting {kind}, start {attempt + 1}")
             rounds = BRIEF if any(map(found.explained, found.fits)) else ROUNDS
             fit = solved(twins, Unknowns(twins.model, log, kind), some[attempt][1], rounds)

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from dmframe.errors import MissingError, UnknownNameError, ValueFault
+from dmframe.common.errors import MissingError, UnknownNameError, ValueFault
 from dmframe.identification.table import LogTable
 
 _TIME: Final = ("t", "time", "timestamp")

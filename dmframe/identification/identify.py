@@ -12,7 +12,8 @@ from typing import Final
 import numpy as np
 
 from dmframe.catalogue import graphs
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
+from dmframe.common.version import version
 from dmframe.identification.checked import checked_log
 from dmframe.identification.choose import chosen
 from dmframe.identification.columns import signals_of
@@ -24,7 +25,6 @@ from dmframe.identification.verdict import with_verdict
 from dmframe.identification.write import written
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.library import load
-from dmframe.version import version
 
 FAR: Final = 3.0
 """Deviation of an inertial parameter from the robot's file, in standard deviations, above which there is a notice."""

@@ -21,7 +21,7 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from dmframe.linalg import solve_spd
+from dmframe.block.linalg import solve_spd
 from dmframe.regressor.base_parameters import BaseParameters, base_parameters
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.symbolic import SymbolicRobot

@@ -7,13 +7,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from dmframe.common.plotting import COLORS, COLUMN, DASHES, draw_curve, figure_svg, frame, names_above, page
+from dmframe.common.units import plain
 from dmframe.identification.answer import Judged, millimetres
 from dmframe.identification.found import Identified
 from dmframe.identification.model import Array
-from dmframe.plotting import COLORS, COLUMN, DASHES, draw_curve, figure_svg, frame, names_above, page
 from dmframe.report.parts import Bullets, Cell, Columns, Lead, Marked, Paragraph, Picture, Section, Table, Titled, Word
 from dmframe.study.pages import study_page
-from dmframe.units import plain
 
 CLASSES: Final = {"pi": "PI servo", "pid": "PID servo", "p_pi": "P-PI cascade"}
 MEANINGS: Final = {

@@ -7,7 +7,7 @@ from typing import Final, final
 
 import numpy as np
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.identification.choose import SHARE
 from dmframe.identification.excitation import Excitation
 from dmframe.identification.log import Array, Log

@@ -12,8 +12,9 @@ from typing import Final
 import numpy as np
 
 from dmframe.build.compiler import find_compiler
-from dmframe.errors import DisagreementError, DmframeError, OutputError, ValueFault
-from dmframe.files import write_text
+from dmframe.common.errors import DisagreementError, DmframeError, OutputError, ValueFault
+from dmframe.common.files import write_text
+from dmframe.common.units import plain
 from dmframe.identification.answer import (
     BY_PATH,
     NOT_WORTH_IT,
@@ -34,7 +35,6 @@ from dmframe.race.run import Finished, run_race
 from dmframe.study.execute import State
 from dmframe.study.executor import Executor
 from dmframe.study.packing import write_graph
-from dmframe.units import plain
 
 DRAWS: Final = 20
 LEAST_DRAWS: Final = 8

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from dmframe.catalogue import find_twin
-from dmframe.files import write_text, writing
+from dmframe.common.files import write_text, writing
 from dmframe.identification.drawn import Plant, periods, plain, thetas, whole
 from dmframe.identification.found import Identified
 from dmframe.identification.model import Array

@@ -9,7 +9,7 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX
+from dmframe.block.certificate import SX
 from dmframe.certify import Verdict
 from dmframe.certify.checked import Checked
 from dmframe.certify.claim import Claim
@@ -143,7 +143,7 @@ def functions_of(
     loop, posed, followed = diagram.loop, _posed(diagram), goal_of(diagram.loop)
     units = {signal.label: signal.unit for signal in loop.outputs}
     claim = verdict.claim
-    started, begun = symbolic_start(diagram, start, posed)
+    started, initial = symbolic_start(diagram, start, posed)
     known, reach = [_pose(posed), loop.period, loop.p], _reach(diagram, posed, start)
     starts, labels = _starts(loop, _function("start", known, [started]), reach)
     everything = parameter_margins(verdict.conditions, claim, uncertain or {}, labels)
@@ -200,7 +200,7 @@ def functions_of(
     return Functions(
         parts=build_parts(loop, clock, ca.SX(0, 1)),
         posed=posed,
-        begin=_function("begin", known, [begun]),
+        begin=_function("begin", known, [initial]),
         reach=reach,
         shown=_function("shown", reads, [ca.substitute(shown, loop.drawn, ca.SX.zeros(loop.drawn.numel()))]),
         judged=_function("judged", known, [_started(claim, judged, started)]),

@@ -10,7 +10,7 @@ example writes WebAssembly text for sums, products and roots (`dmframe.codegen.w
 
 .. code-block:: python
 
-    from dmframe.errors import EngineError
+    from dmframe.common.errors import EngineError
     from dmframe.program import CONST, INPUT, by_code, read, run
 
     RULES = by_code(

@@ -7,12 +7,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
+from dmframe.common.text import Label, Text
 from dmframe.exact import Evaluation, Trial, ZeroDivision, random_prime
 from dmframe.prove.claim import Claim
 from dmframe.prove.identity import ATTEMPTS, BITS, inputs_at
 from dmframe.prove.point import Equality, Point, equalities
-from dmframe.text import Label, Text
 
 
 @final

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, Final, final
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact import Evaluation, Trial, Witness, ZeroDivision, ZeroTest, random_prime
 from dmframe.exact.identity import log2_error
 from dmframe.exact.ring import evaluated

@@ -10,11 +10,11 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple, final
 
+from dmframe.common.text import UNNAMED, Text, sentence, text_of
 from dmframe.exact import Tape, Trial
 from dmframe.exact.ring import compute
 from dmframe.prove.claim import Claim, Line, Out, Part, Steps, Term, made_of
 from dmframe.prove.rules import Taken, form, pushed, taken
-from dmframe.text import UNNAMED, Text, sentence, text_of
 
 Numbers = Sequence[Any]
 Known = dict[tuple[str, int], tuple[dict[str, list[Any]], Taken]]

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Final, final
 
 from dmframe.batch.columns import Columns
-from dmframe.batch.figures import ERROR, Wanted
+from dmframe.batch.figures import ERROR, MeasuredSignals
 from dmframe.batch.runner import Runner, Runs
-from dmframe.errors import DmframeError, EngineError, OutputError, raise_all
-from dmframe.files import append, writing
+from dmframe.common.errors import DmframeError, EngineError, OutputError, raise_all
+from dmframe.common.files import append, writing
 from dmframe.graph.graph import Graph
 from dmframe.race.plan import Race, Run
 from dmframe.study.chunks import Chunk
@@ -75,7 +75,7 @@ class Heat:
 
     def _measured(self, graphs: Sequence[Graph]) -> list[tuple[float, str]]:
         found = list[tuple[float, str]]()
-        for measured in self._runner.measure([Runs(graph) for graph in graphs], lambda _: Wanted(), threads=1):
+        for measured in self._runner.measure([Runs(graph) for graph in graphs], lambda _: MeasuredSignals(), threads=1):
             figures = measured.signals.get(ERROR)
             if fault := measured.faults.get(0):
                 found.append((math.nan, str(fault)))

@@ -9,13 +9,13 @@ from typing import Annotated, Any, Final, Literal, TypeAlias, final
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, PlainValidator, WithJsonSchema
 
+from dmframe.common.errors import DmframeError, Faults
+from dmframe.common.units import plain, to_unit
 from dmframe.config.document import Document, Kind
 from dmframe.config.grammar import Length, Path, RobotSection, Seconds, Section, Speed, robot_name, seed_of, shown
 from dmframe.config.grammar import version as checked_version
 from dmframe.config.places import placed
-from dmframe.errors import DmframeError, Faults
 from dmframe.study.grammar import Labels, counted
-from dmframe.units import plain, to_unit
 
 RACE: Final = Kind("race", "dmframe-race: 1")
 VERSION: Final = "dmframe-race"

@@ -8,12 +8,12 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
+from dmframe.common.units import plain
 from dmframe.race.plan import listed
 from dmframe.race.protocol import QUANTILES, RESAMPLES, Row, Spread, spread
 from dmframe.race.run import Finished
 from dmframe.report.parts import Bullets, Cell, Lead, Marked, Paragraph, Section, Subsection, Table, Word
 from dmframe.study.pages import study_page
-from dmframe.units import plain
 
 NEAR: Final = 1.15
 """A ratio up to this counts as nearly as good."""

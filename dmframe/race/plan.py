@@ -11,13 +11,13 @@ from typing import Any, Final, final
 
 import scipy
 
+from dmframe.common.errors import DmframeError, ValueFault
+from dmframe.common.units import plain, to_unit
 from dmframe.config.document import Document, Node, mapping_of
 from dmframe.config.given import node_of
-from dmframe.errors import DmframeError, ValueFault
 from dmframe.graph.graph import Graph
 from dmframe.race.grammar import LawSection, RaceFile
 from dmframe.study.identity import key_of
-from dmframe.units import plain, to_unit
 
 Entries = Mapping[str, tuple[Node, Node]]
 Values = tuple[tuple[str, float], ...]

@@ -9,7 +9,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from dmframe.errors import DisagreementError
+from dmframe.common.errors import DisagreementError
 from dmframe.race.compute import Errors
 from dmframe.race.plan import Cell, Race, Run, Values
 from dmframe.study.statistics import quantile

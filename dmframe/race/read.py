@@ -12,7 +12,11 @@ from typing import Any, Final
 from pydantic import ValidationError
 
 from dmframe.block import AbstractBlock, type_name
+from dmframe.block.parameter import specs
+from dmframe.block.port import Side
 from dmframe.catalogue import find_graph, find_race, find_reality
+from dmframe.common.errors import DmframeError, MissingError, UnknownNameError, ValueFault
+from dmframe.common.units import to_unit
 from dmframe.config.document import Document, Node, mapping_of, read_file
 from dmframe.config.grammar import KEYS as GRAPH_KEYS
 from dmframe.config.grammar import fault_of, shown
@@ -21,13 +25,9 @@ from dmframe.config.reality import KEY as REALITY
 from dmframe.config.reality import LIKE, NONE, models_of
 from dmframe.config.sections import kinds_of
 from dmframe.diagram.diagram import doubtful
-from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault
-from dmframe.parameter import specs
-from dmframe.port import Side
 from dmframe.race.grammar import RACE, LawSection, RaceFile, keys_at, raise_placed
 from dmframe.race.plan import PATH, Law, Race, Run, listed
 from dmframe.race.sources import Sources
-from dmframe.units import to_unit
 
 SECTIONS: Final = ("robot", "start", "plants", "paths", "realities")
 

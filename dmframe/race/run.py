@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, final
 
-from dmframe.errors import OutputError
-from dmframe.files import write_text, writing
+from dmframe.common.errors import OutputError
+from dmframe.common.files import write_text, writing
 from dmframe.race.compute import JOURNAL, Heat, Kept, computed
 from dmframe.race.plan import Race, Run
 from dmframe.race.protocol import Choice, Row, chosen, judged_runs, rows_of, tuning_runs
 from dmframe.study.execute import State
 from dmframe.study.executor import Executor
-from dmframe.study.kernel_lock import alone_in
+from dmframe.study.kernel_lock import exclusive
 from dmframe.study.packing import write_graph
 
 WORST: Final = 6
@@ -72,7 +72,7 @@ def run_race(
     folder = Path(out)
     with writing(folder, "folder"):
         folder.mkdir(parents=True, exist_ok=True)
-    with alone_in(folder):
+    with exclusive(folder):
         _check_folder(folder)
         kept = Kept(folder)
 

@@ -15,7 +15,7 @@ from typing import final
 
 from dmframe.block import AbstractBlock
 from dmframe.catalogue import packages
-from dmframe.version import version
+from dmframe.common.version import version
 
 
 @final

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from typing import Any, Final, final
 
-from dmframe import copies
+from dmframe.common import copies
 from dmframe.remembered import store
 from dmframe.remembered.front import Call
 from dmframe.remembered.inputs import ABSENT, states_of

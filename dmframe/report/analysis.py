@@ -9,15 +9,15 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, final
 
-from dmframe import notebook
-from dmframe.columns import columns
+from dmframe.common import notebook
+from dmframe.common.columns import columns
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
 from dmframe.config.about import AboutGraph
 from dmframe.report.linear import EMULATION_HEADS, JOINT_HEADS, LinearView, rows_of
-from dmframe.units import plain
 
 if TYPE_CHECKING:
-    from dmframe.analysis import LoopAnalysis, TieGain
+    from dmframe.analysis import LoopAnalysis, ReferenceGain
 
 LOOP_HEADS: Final = ("", "at rest", "moving (no slope of Coulomb friction)")
 TIE_HEADS: Final = ("joint", "K_c of the graph", "least K_c", "least without friction")
@@ -147,7 +147,7 @@ class Analysis(AboutGraph):
             yield ""
 
     def _least_K_c(self) -> Iterator[str]:
-        ties: Sequence[TieGain] = self.found.ties
+        ties: Sequence[ReferenceGain] = self.found.ties
         if ties:
             over = "the intervals of uncertain:" if self.graph.file.uncertain else "the graph's own servo gains"
             yield f"K_c of the PID inverse [1/s]: the least that makes M̄ ≥ 0 over {over}, rounded upwards"
@@ -155,6 +155,6 @@ class Analysis(AboutGraph):
             yield ""
 
 
-def _tie(tie: TieGain) -> tuple[str, ...]:
+def _tie(tie: ReferenceGain) -> tuple[str, ...]:
     own = f"{float(tie.own):.6g}" + ("" if tie.holds else ", too small")
     return tie.joint, own, f"{float(tie.least):g}", f"{float(tie.least_without_friction):g}"

@@ -7,24 +7,24 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, final
 
+from dmframe.block.parameter import specs
 from dmframe.block.prose import About, about
 from dmframe.certify import Verdict
 from dmframe.certify.checked import Checked
 from dmframe.certify.statements import Statement
 from dmframe.certify.summary import summary
+from dmframe.common.text import Text, text_of
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.formula import PrintedLaw, laws_of
 from dmframe.formula.where import where
-from dmframe.parameter import specs
 from dmframe.report.linear import LinearView, linear_view
 from dmframe.report.measured import Measured, measure
 from dmframe.report.parts import Row
 from dmframe.report.planar import RobotModel, robot_model
 from dmframe.report.terms import Terms, parameter_text, rows_of_lines, terms_of
 from dmframe.report.words import Meaning, meaning_of
-from dmframe.text import Text, text_of
-from dmframe.units import plain
 
 
 @final

@@ -10,26 +10,26 @@ from functools import cached_property
 from html import escape
 from typing import Any, Final, NamedTuple, final
 
-from dmframe import notebook
+from dmframe.block.parameter import specs
+from dmframe.block.port import Access, Side
 from dmframe.certify import Verdict
-from dmframe.columns import page_width
+from dmframe.common import notebook
+from dmframe.common.columns import page_width
+from dmframe.common.errors import listed
+from dmframe.common.names import unicode_name
+from dmframe.common.text import text_of
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
 from dmframe.config.about import AboutGraph
 from dmframe.diagram.knowledge import WORDS
-from dmframe.errors import listed
 from dmframe.exact.rational import as_float
 from dmframe.formula.unmarked import unmarked
 from dmframe.formula.wrap import wrapped
-from dmframe.names import unicode_name
-from dmframe.parameter import specs
-from dmframe.port import Access, Side
 from dmframe.report.command import command
 from dmframe.report.explained import BlockFacts, exchange, facts_of
-from dmframe.report.sentences import Said, described, signal, supplies
+from dmframe.report.sentences import Sentence, described, signal, supplies
 from dmframe.report.verdict_text import HARD
 from dmframe.report.words import everywhere, meaning_of
-from dmframe.text import text_of
-from dmframe.units import plain
 
 _INDENT: Final = 2
 _UNIT: Final = re.compile(r" \[[^\]]*\]")
@@ -43,7 +43,7 @@ class Section(NamedTuple):
     """Heading with its sentences and formulas."""
 
     heading: str
-    sentences: tuple[Said, ...]
+    sentences: tuple[Sentence, ...]
 
 
 @final
@@ -75,9 +75,9 @@ class Explanation(AboutGraph):
             for place, block in enumerate(self.blocks, start=1)
         ]
         head = f"{self.name}: {self.graph.file.title}".rstrip(": ")
-        seen = Section("Signals of the plant that the controller reads", tuple(map(Said, self._seen())))
+        seen = Section("Signals of the plant that the controller reads", tuple(map(Sentence, self._seen())))
         return (
-            Section(head, tuple(map(Said, self._whole()))),
+            Section(head, tuple(map(Sentence, self._whole()))),
             *blocks,
             *[seen] * bool(seen.sentences),
             Section("What the certificate says", tuple(self._certificate())),
@@ -153,26 +153,26 @@ class Explanation(AboutGraph):
             and any(sides[reader] is Side.CONTROLLER for reader, _ in item.readers) is read
         ]
 
-    def _certificate(self) -> Iterator[Said]:
+    def _certificate(self) -> Iterator[Sentence]:
         verdict = self.verdict
-        yield from map(Said, self._energy())
+        yield from map(Sentence, self._energy())
         shown = command(self.graph, "verify")
         given = f", with {shown.before}" if shown.before else ""
-        yield Said(f"Verdict: {verdict.headline} ({shown.text}{given}).".replace("`", ""))
+        yield Sentence(f"Verdict: {verdict.headline} ({shown.text}{given}).".replace("`", ""))
         clock = self.graph.file.clock
         meaning = unmarked(meaning_of(verdict, clock).sentence).replace(_RATE, "d/dt ")
-        yield Said(meaning[:1].upper() + meaning[1:])
+        yield Sentence(meaning[:1].upper() + meaning[1:])
         if clock is not None and verdict.outcome == "proved" and verdict.samples is None:
-            yield Said(
+            yield Sentence(
                 f"The proof holds in continuous time; the effect of sampling every {plain(clock, 's')} is not proved."
             )
         if verdict.conditions:
             failing = [item.name.unicode for item in verdict.conditions if not item.holds]
             met = f"All {len(verdict.conditions)} conditions hold {unmarked(everywhere(verdict))}."
-            yield Said(f"Conditions that fail: {listed(failing)}." if failing else met)
+            yield Sentence(f"Conditions that fail: {listed(failing)}." if failing else met)
         if verdict.assumptions:
-            yield Said("Assumptions:")
-            yield from (Said(f"- {text_of(item.text).unicode}") for item in verdict.assumptions)
+            yield Sentence("Assumptions:")
+            yield from (Sentence(f"- {text_of(item.text).unicode}") for item in verdict.assumptions)
 
     def _energy(self) -> Iterator[str]:
         claim = self.verdict.flow_claim

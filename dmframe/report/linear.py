@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, final
 
+from dmframe.common.errors import DmframeError, listed
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
 from dmframe.diagram.fingerprint import short
-from dmframe.errors import DmframeError, listed
-from dmframe.units import plain
 
 if TYPE_CHECKING:
     from dmframe.analysis import Bracket, EmulationLimit, JointLoop, Linear, LoopAnalysis, StabilityProof

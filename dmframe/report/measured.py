@@ -9,15 +9,15 @@ from typing import Any, final
 import numpy as np
 
 from dmframe.certify import Verdict
+from dmframe.common.errors import DmframeError
+from dmframe.common.plotting import figure_svg
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
-from dmframe.errors import DmframeError
 from dmframe.exact.rational import as_float
-from dmframe.plotting import figure_svg
-from dmframe.results.along import Along, along
+from dmframe.results.along import StorageTrace, along
 from dmframe.results.metrics import tracking_error, turn_error
 from dmframe.results.storage_figure import storage_picture
 from dmframe.simulate import Log, Recording
-from dmframe.units import plain
 
 ROUNDING = 1e-6
 """Relative increase of V, of its initial value, that the integration error explains."""
@@ -97,7 +97,7 @@ def _sentence(clock: float | None, verdict: Verdict) -> str:
     )
 
 
-def _judged(found: Along, clock: float | None) -> str:
+def _judged(found: StorageTrace, clock: float | None) -> str:
     if not found.largest_increase:
         return "Along the run $V$ never rose from one sample to the next."
     ratio = found.largest_increase / found.V[0] if found.V[0] else float("inf")
@@ -115,7 +115,7 @@ def _judged(found: Along, clock: float | None) -> str:
     )
 
 
-def _judged_over_samples(found: Along) -> str:
+def _judged_over_samples(found: StorageTrace) -> str:
     """Rises of V against what the claim over samples allows."""
     which = f"$V$ is evaluated {found.about}. " if found.about else ""
     rose = f"Along the run $V$ rose from one sample to the next in {found.rises} of {found.steps.size} cases. "
@@ -130,12 +130,12 @@ def _judged_over_samples(found: Along) -> str:
     )
 
 
-def _climbed(found: Along) -> str:
+def _climbed(found: StorageTrace) -> str:
     """Largest rise of V above an earlier value, as a fraction of its fall."""
     climb = found.climb
     if climb.since is None or climb.until is None:
         return "That is within rounding. "
-    fraction = "" if climb.share is None else f", which is {100 * climb.share:.3g} % of its fall"
+    fraction = "" if climb.fraction is None else f", which is {100 * climb.fraction:.3g} % of its fall"
     between = f"between {plain(climb.since, 's')} and {plain(climb.until, 's')}"
     jumps = f"; its {len(found.jumps)} jumps at the steps of a source are excluded" if found.jumps else ""
     return f"It rose by {climb.rise:.3g} {between}{fraction}{jumps}. "
@@ -164,7 +164,7 @@ def _run_facts(run: Recording) -> tuple[list[tuple[str, str]], dict[str, Any]]:
     return facts, numbers
 
 
-def _along(verdict: Verdict, run: Recording) -> tuple[Along | None, str]:
+def _along(verdict: Verdict, run: Recording) -> tuple[StorageTrace | None, str]:
     claim = verdict.claim
     if claim is None:
         return None, "A graph without a certificate has no $V$."
@@ -181,7 +181,7 @@ def _along(verdict: Verdict, run: Recording) -> tuple[Along | None, str]:
         return None, f"$V$ is not shown: {error.text}."
 
 
-def _v_facts(found: Along, clock: float | None) -> tuple[list[tuple[str, str]], dict[str, Any]]:
+def _v_facts(found: StorageTrace, clock: float | None) -> tuple[list[tuple[str, str]], dict[str, Any]]:
     every, climb = "sample" if clock is not None else "recorded instant", found.climb
     facts = [
         ("$V$ at the start and at the end", f"{found.V[0]:.6g} and {found.V[-1]:.6g}"),
@@ -200,7 +200,7 @@ def _v_facts(found: Along, clock: float | None) -> tuple[list[tuple[str, str]], 
         "rises": found.rises,
         "steps": int(found.steps.size),
         "rise": climb.rise,
-        "rise_share": climb.share,
+        "rise_share": climb.fraction,
         "rise_from": climb.since,
         "rise_until": climb.until,
         "fall": climb.fall if np.isfinite(climb.fall) else None,
@@ -214,7 +214,7 @@ def _v_facts(found: Along, clock: float | None) -> tuple[list[tuple[str, str]], 
     return facts, numbers
 
 
-def _increase(found: Along) -> str:
+def _increase(found: StorageTrace) -> str:
     if found.increase_at is None:
         return "none"
     return f"{found.largest_increase:.3g}, at t = {plain(found.increase_at, 's')}"

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from dmframe.plotting import unit_text
+from dmframe.common.plotting import unit_text
 from dmframe.report.content import BlockLaw, Content, Follows, Opening
 from dmframe.report.linear import EMULATION_HEADS, JOINT_HEADS
 from dmframe.report.parts import (

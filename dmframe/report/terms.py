@@ -9,17 +9,17 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX, Clipped, InformationSquare, Lemma, LogDet, Potential
+from dmframe.block.certificate import SX, Clipped, InformationSquare, Lemma, LogDet, Potential
+from dmframe.block.parameter import Spec
+from dmframe.block.port import Signal, State
 from dmframe.certify.claim import Claim, Part
+from dmframe.common.names import latex_name
 from dmframe.diagram.closed_loop import Parameter
 from dmframe.diagram.truths import value_of
 from dmframe.diagram.view import owners_of
 from dmframe.formula import Line, PrintedLaw, PrintedTerm
 from dmframe.formula.robot import CONSTANTS
 from dmframe.formula.tree import Name, Node
-from dmframe.names import latex_name
-from dmframe.parameter import Spec
-from dmframe.port import Signal, State
 from dmframe.report.parts import Row
 
 FEW = 4

@@ -9,11 +9,11 @@ from typing import Any, Final
 
 from dmframe.certify import Verdict
 from dmframe.certify.checked import Checked
-from dmframe.columns import columns
+from dmframe.common.columns import columns
+from dmframe.common.names import unicode_name
+from dmframe.common.text import DV, KAPPA, Text, joined, text_of
 from dmframe.diagram.fingerprint import short
 from dmframe.diagram.wiring import Wire
-from dmframe.names import unicode_name
-from dmframe.text import DV, KAPPA, Text, joined, text_of
 
 HARD: Final = "\N{NO-BREAK SPACE}"
 WIDEST: Final = 116

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, final
 
 from dmframe.certify import Verdict
 from dmframe.certify.summary import summary
+from dmframe.common.files import expanded
 from dmframe.config import BaseGraph
 from dmframe.config.about import AboutGraph
-from dmframe.files import expanded
 from dmframe.report.verdict_text import verdict_text
 
 if TYPE_CHECKING:
-    from dmframe.certificate import Assumption
+    from dmframe.block.certificate import Assumption
     from dmframe.certify.checked import Checked
     from dmframe.certify.statements import Statement
 

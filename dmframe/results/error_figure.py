@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dmframe.plotting import (
+from dmframe.common.plotting import (
     COLUMN,
     POINTS,
     VANISHING,
@@ -20,7 +20,8 @@ from dmframe.plotting import (
     tame,
     unit_text,
 )
-from dmframe.results.drawn_runs import (
+from dmframe.results.metrics import turn_error
+from dmframe.results.plotting import (
     Runs,
     coordinate_labels,
     errors_of,
@@ -32,7 +33,6 @@ from dmframe.results.drawn_runs import (
     shown_unit,
     why_not_with,
 )
-from dmframe.results.metrics import turn_error
 from dmframe.simulate import Recording
 
 
@@ -98,7 +98,7 @@ def _norms(
 
 
 def log_ticks(axes: Any) -> None:
-    """Plain numbers at the decades, and between them where there are fewer than two."""
+    """Plain numbers at the decades, and between them if the axis has fewer than two decades."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     low, high = axes.get_ylim()

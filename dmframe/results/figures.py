@@ -9,18 +9,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any, final
 
-from dmframe import notebook
-from dmframe.copies import shared
-from dmframe.errors import OutputError
-from dmframe.files import expanded, write_bytes, writing
-from dmframe.plotting import FORMATS, checked_formats, files_of, loaded
+from dmframe.common import notebook
+from dmframe.common.copies import shared
+from dmframe.common.errors import OutputError
+from dmframe.common.files import expanded, write_bytes, writing
+from dmframe.common.plotting import FORMATS, checked_formats, files_of, loaded
 from dmframe.results.command_figure import command_figure
-from dmframe.results.drawn_runs import Runs
 from dmframe.results.effort_figure import effort_figure
 from dmframe.results.error_figure import error_figure
 from dmframe.results.estimate_figure import estimate_figure
 from dmframe.results.path_figure import path_figure
 from dmframe.results.place import FIGURES, OF_EACH
+from dmframe.results.plotting import Runs
 from dmframe.results.run import Run
 from dmframe.results.signal_figure import signal_figure
 from dmframe.results.storage_figure import storage_figure

@@ -14,17 +14,17 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
+from dmframe.common.errors import OutputError
+from dmframe.common.files import encoded, made_distinct, write_bytes, writing
+from dmframe.common.plotting import FORMATS, checked_formats
+from dmframe.common.version import version_of
 from dmframe.config import BaseGraph
 from dmframe.config.resolved import companions, resolved_text, robot_source
-from dmframe.errors import OutputError
-from dmframe.files import encoded, made_distinct, write_bytes, writing
-from dmframe.plotting import FORMATS, checked_formats
 from dmframe.results import figures
 from dmframe.results.dataset import netcdf
 from dmframe.results.place import SAMPLES, Place, built, clear_figures, complete, reserved
 from dmframe.results.run import Run
 from dmframe.results.summary import summary_of
-from dmframe.version import version_of
 
 _PACKAGES = (
     "dmframe",
@@ -126,7 +126,7 @@ def drawing(runs: Sequence[Run], formats: Sequence[str]) -> Iterator[Callable[[P
 
 
 def safe_name(name: str) -> str:
-    """Portable folder name of a graph: letters, digits, - and _, no dot, so that it is no figure file."""
+    """Portable folder name of a graph: letters, digits, - and _, no dot, which distinguishes it from a figure file."""
     return re.sub(r"[^\w-]", "_", name).strip("_-").encode()[:_LONGEST].decode(errors="ignore") or "graph"
 
 

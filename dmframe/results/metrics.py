@@ -9,7 +9,9 @@ from typing import final
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX
+from dmframe.block.certificate import SX
+from dmframe.common.text import Text
+from dmframe.common.units import plain, sliding
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import ClosedLoop, Followed
 from dmframe.formula import Formula, tree
@@ -17,8 +19,6 @@ from dmframe.formula.tree import SCALAR, Name
 from dmframe.robot.chain import SerialChain
 from dmframe.simulate import Recording
 from dmframe.simulate.keep import apart_of
-from dmframe.text import Text
-from dmframe.units import plain, sliding
 
 EIGHTHS = 8
 DEGREES = "deg"
@@ -35,13 +35,13 @@ class Deviation:
     Parameters
     ----------
     signal
-        Its name.
+        Name of the signal.
     times
         (N,) [s].
     rms_by_eighth
-        RMS of its size over each eighth of the planned duration; None for eighths that were not reached.
+        RMS of its norm over each eighth of the planned duration; None for eighths that were not reached.
     unit
-        Of all values.
+        Unit of all values.
     """
 
     signal: str
@@ -116,12 +116,12 @@ def turn_of(loop: ClosedLoop) -> SX | None:
     label = apart_of(loop)
     if label is None:
         return None
-    apart = next(signal.expression for signal in loop.outputs if signal.label == label)
-    return ca.asin(ca.sqrt(ca.fmin(ca.fmax(apart / FARTHEST, 0), 1))) * (360 / np.pi)
+    distance = next(signal.expression for signal in loop.outputs if signal.label == label)
+    return ca.asin(ca.sqrt(ca.fmin(ca.fmax(distance / FARTHEST, 0), 1))) * (360 / np.pi)
 
 
 def goal_of(loop: ClosedLoop) -> Followed | None:
-    """What a loop is judged by: its task where it has one, else its joints; None without a goal."""
+    """Goal by which a loop is judged: its task if it has one, else its joints; None without a goal."""
     return loop.goal
 
 

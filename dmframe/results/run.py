@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from dmframe import notebook
-from dmframe.columns import columns
+from dmframe.common import notebook
+from dmframe.common.columns import columns
+from dmframe.common.errors import DmframeError, UnknownNameError, ValueFault
+from dmframe.common.files import expanded
+from dmframe.common.plotting import FORMATS
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
 from dmframe.config.about import AboutGraph
-from dmframe.errors import DmframeError, UnknownNameError, ValueFault
-from dmframe.files import expanded
-from dmframe.plotting import FORMATS
 from dmframe.results.dataset import dataset
 from dmframe.results.metrics import TrackingError, TurnError, tracking_error, turn_error
-from dmframe.results.shown import Shown, shown_by
+from dmframe.results.reported import ReportedEstimate, reported_estimates
 from dmframe.results.storage import SIGNALS, Storage, storage_of, with_storage
 from dmframe.results.summary import summary, summary_of
 from dmframe.simulate import Divergence, Recording
-from dmframe.units import plain
 
 if TYPE_CHECKING:
     import xarray
@@ -134,9 +134,9 @@ class Run(AboutGraph):
         return turn_error(self.recording)
 
     @cached_property
-    def shown(self) -> list[Shown]:
+    def shown(self) -> list[ReportedEstimate]:
         """Estimates that blocks report at the end of the run, with their excitation."""
-        return shown_by(self.recording)
+        return reported_estimates(self.recording)
 
     @property
     def summary(self) -> dict[str, Any]:

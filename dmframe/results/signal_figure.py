@@ -1,4 +1,4 @@
-"""Figure of selected signals over time: a panel a signal, a curve an element and run."""
+"""Figure of selected signals over time: one panel per signal, one curve per element and run."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from dmframe.common.errors import UnknownNameError, raise_all
+from dmframe.common.plotting import PAGE, POINTS, draw_curve, frame, look, page, tame, unit_text
 from dmframe.diagram.closed_loop import Signal, Variable
-from dmframe.errors import UnknownNameError, raise_all
-from dmframe.plotting import PAGE, POINTS, draw_curve, frame, look, page, tame, unit_text
 from dmframe.results.dataset import elements
-from dmframe.results.drawn_runs import Runs, mark_divergence, run_label, set_times
 from dmframe.results.estimate_figure import element
+from dmframe.results.plotting import Runs, mark_divergence, run_label, set_times
 from dmframe.simulate import Recording
 
 NAMED = 12

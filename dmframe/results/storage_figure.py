@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from dmframe.errors import DmframeError
-from dmframe.plotting import draw_curve, frame, look, page, span, tame, verbatim
-from dmframe.results.along import Along
-from dmframe.results.drawn_runs import note_below, run_label
+from dmframe.common.errors import DmframeError
+from dmframe.common.plotting import draw_curve, frame, look, page, span, tame, verbatim
+from dmframe.results.along import StorageTrace
+from dmframe.results.plotting import note_below, run_label
 from dmframe.results.run import Run
 from dmframe.simulate import Recording
 
@@ -38,11 +38,11 @@ def storage_figure(name: str, run: Run) -> Any:
 
 
 def storage_picture(
-    found: Along, names: Sequence[str], run: Recording, title: str = "", note: str = "", unit: str = ""
+    found: StorageTrace, names: Sequence[str], run: Recording, title: str = "", note: str = "", unit: str = ""
 ) -> Any:
-    """V above, its largest terms below on a logarithmic axis; the largest rise of V is shaded.
+    """Draw V above and its largest terms below on a logarithmic axis; the largest rise of V is shaded.
 
-    Below is also the residual of a claim over samples: what V may gain from each sample to the next.
+    For a discrete-time certificate, the lower panel also shows the residual: the allowed increase of V per sample.
     """
     diverged = run.divergence is not None
     tops = [span(tame(term.values), diverged)[1] for term in found.terms]

@@ -1,4 +1,4 @@
-"""The unit of V, derived from the units of what its blocks store."""
+"""Unit of V, derived from the units of the blocks' storage functions."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from dmframe.dimensions.dimension import RAD, Dimension, declared, product, spel
 @final
 @dataclass(frozen=True)
 class StorageUnit:
-    """Units in V, with angles as plain numbers, as SI has them.
+    """Units in V; angles are dimensionless, as in SI.
 
     Parameters
     ----------
     unit, rate
-        Of V and of dV/dt; empty where no block's unit was derived, or V adds terms of several units.
+        Units of V and of dV/dt; empty if no block's unit was derived or V adds terms of several units.
     parts
-        Of what each block stores, where it was derived, before kappa turns it into V's.
+        Unit of each block's storage function, if derived, before the multiplication by kappa.
     several
-        The units that V adds with one weight, where they are several: the weights 1 then have units of their own.
+        Units of terms that V adds with the same weight, if there are several: the unit weights then carry units.
     """
 
     unit: str
@@ -33,15 +33,15 @@ class StorageUnit:
 
     @property
     def about(self) -> str:
-        """What a figure or a table says of a V without one unit."""
+        """Note on a V without a common unit."""
         return f"its terms are in {' and '.join(self.several)}, each counted in SI's units" if self.several else ""
 
 
 def storage_unit(claim: Claim) -> StorageUnit:
-    """Derive V's unit.
+    """Derive the unit of V.
 
-    Without a cascade all blocks have the weight 1. With one, kappa has the unit that turns those of the servo level
-    into that of the cascade, which is V's.
+    Without a cascade all blocks have weight 1. With one, kappa converts the unit of the servo level to that of the
+    cascade, which is the unit of V.
     """
     diagram = claim.diagram
     stored = [part for part in claim.parts if part.certificate.storage or part.certificate.steps]

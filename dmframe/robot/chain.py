@@ -1,4 +1,4 @@
-"""A serial chain of one-degree joints, its numbers rational and its rotations exactly orthogonal."""
+"""Serial chain of one-degree-of-freedom joints with rational numbers and exactly orthogonal rotations."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from typing import Any, Literal, final
 import numpy as np
 from numpy.typing import NDArray
 
-from dmframe import notebook
-from dmframe.errors import ValueFault
+from dmframe.common import notebook
+from dmframe.common.errors import ValueFault
 from dmframe.robot.mimics import Mimic
 from dmframe.robot.rational import Matrix, Vector, decimal, rational_axis, rational_rotation
 from dmframe.robot.reduction import check_inertia, model_configuration, motion_subspace, reduce_model
 from dmframe.robot.urdf import read_urdf
 
 AXES = ("x", "y", "z", "xy", "xz", "yz", "xyz")
-# Translations below this are rounding errors of a quarter turn with ten digits. [m]
+# Smaller translations are rounding errors of a quarter turn with ten digits. [m]
 NOTHING = 1e-11
 
 
 @final
 @dataclass(frozen=True)
 class Joint:
-    """One joint: its frame at q = 0 in its parent's, its axis in its own frame, and the maker's limits.
+    """Joint: its frame at q = 0 in the parent's, its axis in its own frame, and the maker's limits.
 
-    `rotation` carries this frame's coordinates to the parent's, as Pinocchio's `jointPlacements` do. Limits in rad,
-    rad/s and N m (m, m/s and N for a prismatic joint); infinite where the robot states none.
+    `rotation` maps coordinates of this frame to the parent's, as Pinocchio's `jointPlacements` do. Limits in rad,
+    rad/s and N m (m, m/s and N for a prismatic joint); infinite if the file has none.
     """
 
     name: str
@@ -54,18 +54,18 @@ class SerialChain:
     ----------
     joints : n joints, from the base to the tool
     tool : (3,), m
-        The tool point in the last joint's frame.
+        Tool position in the last joint's frame.
     tool_rotation : (3, 3)
-        The tool's frame in the last joint's: it carries coordinates of the tool to the joint's.
+        Rotation from the tool's frame to the last joint's.
     inertia : n rows of 10
         The elements of `dmframe.robot.parameters.Inertial`, link by link.
     gravity : (3,), m/s^2
     axes : "xyz", "xy", ...
-        Which coordinates of the tool's position are the task.
-    rotation_change : largest change of an entry of a rotation or an axis by making it rational
-    model, model_tool : the reduced `pin.Model` and the tool's frame in it, the oracle
+        Coordinates of the tool position in the task.
+    rotation_change : largest change of a rotation's or axis's entry by the rational approximation
+    model, model_tool : reduced `pin.Model` and its tool frame, the reference for tests
     friction_velocity : rad/s
-        Where smooth Coulomb friction reaches tanh(1).
+        Velocity at which smooth Coulomb friction reaches tanh(1).
     """
 
     name: str
@@ -84,7 +84,7 @@ class SerialChain:
         return f"<SerialChain {self.name}: {self.n} joints, {', '.join(self.joint_names)}>"
 
     def _repr_html_(self) -> str:
-        """For a notebook: the joints with their limits."""
+        """HTML table of the joints with their limits."""
         rows = [
             (
                 joint.name,
@@ -98,22 +98,22 @@ class SerialChain:
 
     @property
     def n(self) -> int:
-        """The number of joints."""
+        """Number of joints."""
         return len(self.joints)
 
     @property
     def m(self) -> int:
-        """The number of task coordinates."""
+        """Number of task coordinates."""
         return len(self.axes)
 
     @property
     def k(self) -> int:
-        """The number of kinematic parameters: a translation a joint, and the tool's."""
+        """Number of kinematic parameters: a translation per joint, and the tool's."""
         return 3 * (self.n + 1)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """The free joints' names, from the base to the tool."""
+        """Names of the free joints, from the base to the tool."""
         return tuple(joint.name for joint in self.joints)
 
     @classmethod
@@ -128,7 +128,7 @@ class SerialChain:
         name: str | None = None,
         friction_velocity: float = 0.005,
     ) -> SerialChain:
-        """The chain of a URDF file; see :meth:`from_model` for the arguments.
+        """Chain of a URDF file; see :meth:`from_model` for the arguments.
 
         Raises
         ------
@@ -160,12 +160,12 @@ class SerialChain:
         friction_velocity: float = 0.005,
         mimics: Mapping[str, Mimic] = MappingProxyType({}),
     ) -> SerialChain:
-        """The chain of a `pin.Model`.
+        """Chain of a `pin.Model`.
 
         Parameters
         ----------
         free : joint names, in any order
-            All others are locked, at `hold` or at 0. Default: the joints on the way to the tool that `hold` lacks.
+            All others are locked, at `hold` or at 0. Default: the joints between base and tool that are not in `hold`.
         hold : joint name to angle, rad (m for a prismatic joint)
         tool : frame name, or (3,) in m in the last free joint's frame
             Default: the last body frame of the only chain.
@@ -205,7 +205,7 @@ class SerialChain:
 
 
 def pin_configuration(chain: SerialChain, q: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
-    """The configuration of `chain.model` at joint angles q; Pinocchio keeps an unbounded angle as cosine and sine."""
+    """Configuration of `chain.model` at joint angles q; Pinocchio represents an unbounded angle by cosine and sine."""
     return model_configuration(chain.model, dict(zip(chain.joint_names, np.asarray(q, dtype=float), strict=True)))
 
 
@@ -222,7 +222,7 @@ def _check_numbers(name: str, axes: str, friction_velocity: float) -> None:
 
 
 def _joint(model: Any, index: int) -> tuple[Joint, float]:
-    """A joint of a reduced model, and its largest change by making it rational."""
+    """Joint of a reduced model with rational numbers, and its largest change by rounding."""
     joint, placement = model.joints[index], model.jointPlacements[index]
     subspace = motion_subspace(joint)
     revolute = bool(np.any(subspace[3:]))
@@ -244,7 +244,7 @@ def _joint(model: Any, index: int) -> tuple[Joint, float]:
 
 
 def _rotation(placement: Any) -> tuple[Matrix, float]:
-    """A placement's rotation made rational, and the largest change of an entry."""
+    """Rational rotation of a placement, and the largest change of an entry."""
     exact = rational_rotation(placement.rotation)
     return exact, float(np.max(np.abs(np.array(exact, dtype=float) - placement.rotation)))
 

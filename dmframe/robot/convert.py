@@ -15,7 +15,7 @@ from xml.parsers import expat
 
 import numpy as np
 
-from dmframe.errors import MissingError, RobotError
+from dmframe.common.errors import MissingError, RobotError
 from dmframe.robot.reduction import motion_subspace
 from dmframe.robot.urdf_numbers import INERTIA
 from dmframe.robot.xml_tree import parse_xml
@@ -78,7 +78,7 @@ def _expanded(path: Path, where: str) -> str:
     except Exception as fault:  # xacro evaluates expressions of the file, which may raise anything
         reason = re.sub(r"<class '[\w.]+'>: ", "", " ".join(str(fault).split())) or type(fault).__name__
         raise RobotError(
-            f"{where}: xacro cannot expand it: {reason}; if it needs arguments or packages, expand it where they are: "
+            f"{where}: xacro cannot expand it: {reason}; if it needs arguments or packages, expand it there: "
             f"xacro {path.name} name:=value > {path.name.partition('.')[0]}.urdf"
         ) from None
     return str(text)
@@ -191,7 +191,7 @@ def children(root: Element) -> dict[str, list[Element]]:
     return found
 
 
-def way_to(root: Element, link: str) -> list[Element]:
+def joints_to(root: Element, link: str) -> list[Element]:
     """Joints from the base to a link."""
     above = {_end(joint, "child"): joint for joint in root.findall("joint")}
     return list(reversed(list(_upwards(above, link))))

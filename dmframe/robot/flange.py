@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from dmframe.errors import RobotError
+from dmframe.common.errors import RobotError
 from dmframe.robot.convert import Element, children
 
 MOVING: Final = ("revolute", "continuous", "prismatic")

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from dmframe.robot.convert import Element, way_to
+from dmframe.robot.convert import Element, joints_to
 from dmframe.robot.flange import MOVING
 from dmframe.robot.urdf_numbers import INERTIA, numbers, part_faults
 from dmframe.robot.xml_tree import Lines
@@ -31,7 +31,7 @@ def repaired(root: Element, tool: str, where: str) -> list[str]:
     replaced by none, and links without inertia get a placeholder: a sphere of `DENSITY` times the distance to the next
     joint, half way to it.
     """
-    way = way_to(root, tool)
+    way = joints_to(root, tool)
     return [*_without_faults(root, way, tool, where), *_limits(root, way), *_inertias(root, way)]
 
 
@@ -43,7 +43,7 @@ def _without_faults(root: Element, way: list[Element], tool: str, where: str) ->
         if link.get("name", "") not in on and inertial is not None and part_faults(link, lines, where):
             for found in link.findall("inertial"):
                 link.remove(found)
-            yield f"link {link.get('name', '')}: invalid inertia left out; it is not on the way to {tool}"
+            yield f"link {link.get('name', '')}: invalid inertia removed; the link is not between the base and {tool}"
     for joint in root.findall("joint"):
         if joint in way or joint.get("type") == "fixed":
             continue
@@ -53,7 +53,7 @@ def _without_faults(root: Element, way: list[Element], tool: str, where: str) ->
             for tag in ("axis", "limit", "dynamics", "mimic", "safety_controller", "calibration"):
                 for found in joint.findall(tag):
                     joint.remove(found)
-            yield f"joint {joint.get('name', '')}: invalid, and fixed; it is not on the way to {tool}"
+            yield f"joint {joint.get('name', '')}: invalid, made fixed; the joint is not between the base and {tool}"
 
 
 def _limits(root: Element, way: list[Element]) -> Iterator[str]:

@@ -1,7 +1,7 @@
-"""Reading a URDF with faults that name the file, the line and the element.
+"""URDF reader whose faults name the file, the line and the element.
 
 Pinocchio's reader drops elements that it cannot parse, such as a link's inertia with a letter O in its digits, with
-only a message on the terminal. Every number is therefore checked first (`dmframe.robot.urdf_numbers`), the reader gets
+only a message on the terminal. All numbers are therefore checked first (`dmframe.robot.urdf_numbers`), the reader gets
 the file with normalised numbers, and its inertias are compared with the file.
 """
 
@@ -15,10 +15,10 @@ from xml.parsers import expat
 
 import numpy as np
 
-from dmframe.errors import MissingError, RobotError, raise_all
-from dmframe.robot.convert import children, way_to
+from dmframe.common.errors import MissingError, RobotError, raise_all
+from dmframe.robot.convert import children, joints_to
 from dmframe.robot.mimics import Mimic
-from dmframe.robot.urdf_numbers import INERTIA, faults_of, numbers, part_faults, spelled_plainly
+from dmframe.robot.urdf_numbers import INERTIA, faults_of, normalise_numbers, numbers, part_faults
 from dmframe.robot.xml_tree import Lines, parse_xml
 
 URDF_PATH = ("robot", "model")
@@ -38,7 +38,7 @@ def read_urdf(
     Raises
     ------
     MissingError
-        No such file, or Pinocchio is not installed.
+        There is no such file, or Pinocchio is not installed.
     RobotError
         The file is not readable, not XML (with line and column), not a URDF, its joints are not a tree, a number is
         malformed, or an inertial element is incomplete; several of the latter as `Faults`.
@@ -61,7 +61,7 @@ def read_urdf(
     root, lines = _parse(text, where)
     _leave_out(root, lines, where, _moved(root, free, hold, tool))
     raise_all([RobotError(text, path=URDF_PATH) for text in faults_of(root, lines, where)])
-    spelled_plainly(root)
+    normalise_numbers(root)
     try:
         model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
         _check_read(model, root, lines, where)
@@ -77,7 +77,7 @@ def _moved(root: ElementTree.Element, free: Sequence[str] | None, hold: Collecti
     if free is not None:
         first = [joint for joint in root.findall("joint") if joint.get("name") in free]
     elif isinstance(tool, str) and tool in links:
-        way = [joint for joint in way_to(root, tool) if joint.get("type") != "fixed"]
+        way = [joint for joint in joints_to(root, tool) if joint.get("type") != "fixed"]
         first = [joint for joint in way if joint.get("name") not in hold]
     else:
         return links

@@ -8,13 +8,13 @@ from typing import Any
 
 import casadi as ca
 
+from dmframe.block.certificate import SX
 from dmframe.block.faults import fault_context
 from dmframe.block.steady import hold_steady
-from dmframe.certificate import SX
+from dmframe.common.errors import BlockError, StartError, listed
 from dmframe.diagram import Diagram, Variable
 from dmframe.diagram.closed_loop import columns, stack
 from dmframe.diagram.view import recalling, stated_start, view
-from dmframe.errors import BlockError, StartError, listed
 
 Made = dict[tuple[Any, ...], Any]
 """Cache of expressions and functions shared by all parameter values of a diagram."""

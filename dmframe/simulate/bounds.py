@@ -8,10 +8,10 @@ from typing import Final, final
 
 import numpy as np
 
+from dmframe.block.port import Side
+from dmframe.common.errors import EngineError
+from dmframe.common.units import plain
 from dmframe.diagram import Diagram, Variable
-from dmframe.errors import EngineError
-from dmframe.port import Side
-from dmframe.units import plain
 
 TIMES: Final = 100.0
 """Multiple of a joint's velocity limit that counts as divergence."""

@@ -15,8 +15,8 @@ import numpy as np
 from dmframe.build import first_time, load
 from dmframe.build.library import address
 from dmframe.build.trial import called
+from dmframe.common.errors import EngineError, ValueFault
 from dmframe.diagram.rosenbrock import ROS34PW2
-from dmframe.errors import EngineError, ValueFault
 from dmframe.simulate.step import FIXED, Solver, Step
 
 Choice = Literal["auto", "compiled", "interpreted"]

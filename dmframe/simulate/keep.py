@@ -9,9 +9,9 @@ from typing import Final, final
 
 import numpy as np
 
+from dmframe.common.errors import EngineError, UnknownNameError, ValueFault, raise_all
 from dmframe.diagram import Diagram, Variable
 from dmframe.diagram.closed_loop import ClosedLoop, Signal
-from dmframe.errors import EngineError, UnknownNameError, ValueFault, raise_all
 from dmframe.simulate.warnings import warning_signals
 
 MOST_NUMBERS = 500_000_000

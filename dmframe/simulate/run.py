@@ -13,9 +13,10 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.model import SYMBOLIC
+from dmframe.common.errors import DmframeError, EngineError, ValueFault, raise_all
+from dmframe.common.units import plain
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal, Variable, stack
-from dmframe.errors import DmframeError, EngineError, ValueFault, raise_all
 from dmframe.simulate.block_starts import Made
 from dmframe.simulate.bounds import Divergence, bounds_of
 from dmframe.simulate.engine import Choice, Compiled, Engine, choose
@@ -28,7 +29,6 @@ from dmframe.simulate.start import check_start, start_state
 from dmframe.simulate.step import FIXED, MOST_SUBSTEPS, Method, Solver, Step, build_step, substeps_of
 from dmframe.simulate.stiffness import EXPLICIT_TAKES, MOST_SLOPE, RK4_STEPS, left_out, speed_of, stiffness
 from dmframe.simulate.warnings import between, exceptions, too_fast, unread, warning_signals
-from dmframe.units import plain
 
 LATER = 1.5
 """Factor in the time of divergence at shorter steps above which the integrator caused the divergence."""

@@ -10,16 +10,16 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.model import symbols_in
+from dmframe.block.port import Side
+from dmframe.common.errors import DmframeError, StartError, UnknownNameError, ValueFault, raise_all
+from dmframe.common.units import plain
 from dmframe.diagram import ClosedLoop, Diagram, Variable
 from dmframe.diagram.bodies import Bodies
 from dmframe.diagram.closed_loop import Followed, stack
 from dmframe.diagram.projection import Projection
-from dmframe.errors import DmframeError, StartError, UnknownNameError, ValueFault, raise_all
-from dmframe.port import Side
 from dmframe.simulate.block_starts import Made, at_start, block_starts, has_start, in_order, once
 from dmframe.simulate.instants import DRAWN, Instants
 from dmframe.simulate.keep import apart_of
-from dmframe.units import plain
 
 NEAR = "near"
 """Key under `start` that selects a branch of the inverse kinematics."""

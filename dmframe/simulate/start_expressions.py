@@ -8,8 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
 from dmframe.diagram import Diagram, Variable
 from dmframe.diagram.closed_loop import stack
 from dmframe.simulate.block_starts import Made, at_start, block_starts, has_start, in_order

@@ -23,12 +23,12 @@ from typing import Any, Literal, final, get_args
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX
+from dmframe.block.certificate import SX
+from dmframe.common.errors import EngineError, ValueFault
 from dmframe.diagram import ClosedLoop
 from dmframe.diagram.closed_loop import columns, stack
 from dmframe.diagram.parts import Parts
 from dmframe.diagram.rosenbrock import ROS34PW2
-from dmframe.errors import EngineError, ValueFault
 from dmframe.simulate.block_starts import once
 from dmframe.simulate.instants import DRAWN, LENGTH, TIME, Instants
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from dmframe.common.errors import EngineError
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.rosenbrock import ROS34PW2
-from dmframe.errors import EngineError
 from dmframe.simulate.step import FIXED, RK4_STABLE, Solver, Step
 
 RK4_STEPS = 10

@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from dmframe.block.port import Access
+from dmframe.common.errors import listed
+from dmframe.common.units import plain
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal
 from dmframe.diagram.wiring import Way
-from dmframe.errors import listed
-from dmframe.port import Access
-from dmframe.units import plain
 
 
 def warning_signals(diagram: Diagram) -> list[Signal]:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from dmframe.plotting import figure_svg
+from dmframe.common.plotting import figure_svg
+from dmframe.common.units import plain
 from dmframe.report.parts import Badge, Bullets, Cell, Lead, Marked, Paragraph, Picture, Section, Table, Word
 from dmframe.study.cautions import LONGER
 from dmframe.study.numbers import distribution
 from dmframe.study.pages import study_page
-from dmframe.units import plain
 
 if TYPE_CHECKING:
     from dmframe.study.plan import Study

@@ -41,7 +41,7 @@ COSTS: Final = {
 
 
 @final
-class Allowance:
+class Budget:
     """Budget of operations, or of words (token bucket).
 
     Parameters

@@ -10,7 +10,7 @@ from contextlib import suppress
 from types import GeneratorType
 from typing import TYPE_CHECKING, Any, Final, cast, final
 
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.virtual.arithmetic import Pose, is_number
 from dmframe.virtual.budget import (
     COUNTED,
@@ -18,7 +18,7 @@ from dmframe.virtual.budget import (
     MOST_THREADS,
     RATE,
     SECONDARY_FRACTION,
-    Allowance,
+    Budget,
     copied,
     elements,
 )
@@ -93,7 +93,7 @@ class Program:
         self.secondary = found.secondary
         self.words = found.words
         refill = RATE * robot.dt * (SECONDARY_FRACTION if self.secondary else 1)
-        self._allowance = Allowance(refill, robot.bursts.drawn())
+        self._allowance = Budget(refill, robot.bursts.drawn())
         self._robot, self._functions = robot, Functions(robot, self, self._allowance)
         self._globals = dict[str, Any]()
         names: dict[str, Any] = {

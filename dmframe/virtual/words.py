@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import Final, NamedTuple, final
 
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 
 
 @final
@@ -96,7 +96,7 @@ def scopes(words: Sequence[Token]) -> tuple[dict[int, Names], set[str]]:
 
 
 @final
-class Arriving:
+class ScriptBuffer:
     """Buffer for a text that arrives in pieces; it scans each character once and returns whole programs."""
 
     def __init__(self) -> None:

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 import dmframe as dm
 from dmframe.block import AbstractBlock
-from dmframe.certificate import Assumption, Certificate, StableLinear
+from dmframe.block.certificate import Assumption, Certificate, StableLinear
 from dmframe.certify import Verdict, verify
+from dmframe.common.errors import DmframeError
 from dmframe.config.document import read_document
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError
 from dmframe.graph.graph import Graph
 from dmframe.results.metrics import tracking_error
 from dmframe.robot.library import find_robot

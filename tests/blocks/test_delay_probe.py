@@ -9,7 +9,7 @@ import pytest
 
 import dmframe as dm
 from dmframe.catalogue import block_types
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 
 KIND = block_types()["delay_probe"]
 T = 0.05

@@ -8,7 +8,7 @@ import pytest
 import scipy
 
 from dmframe.certify import Verdict, verify
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.graph.graph import Graph
 from dmframe.robot.chain import SerialChain, pin_configuration
 from dmframe.simulate import Solver, simulate

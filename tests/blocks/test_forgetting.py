@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import scipy
 
-from dmframe.adaptation import Fit
-from dmframe.certificate import SX, Certificate, InformationSquare
+from dmframe.block.adaptation import Fit
+from dmframe.block.certificate import SX, Certificate, InformationSquare
 from dmframe.certify import Verdict, verify
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.formula.docstring import check_docstring
 from dmframe.graph.graph import Graph
 from dmframe.report.terms import terms_of

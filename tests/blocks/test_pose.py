@@ -18,7 +18,7 @@ from dmframe.catalogue import find_block
 from dmframe.certify import verify
 from dmframe.certify.closure import Closure
 from dmframe.certify.limits import Combinations, Goal, Made, Vanishing, combined
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.exact import zero_test
 from dmframe.graph.graph import Graph
 from dmframe.results.metrics import turn_error

@@ -13,8 +13,8 @@ from sampled_arm2 import sampled_arm2
 import dmframe as dm
 import dmframe.simulate.engine
 from dmframe.batch.batch import Batch
+from dmframe.block.linalg import inverse_factors, inverting
 from dmframe.build.compiler import find_compiler
-from dmframe.linalg import inverse_factors, inverting
 from dmframe.simulate.engine import SCALES, SHARES, TAME, Trial
 
 

@@ -15,7 +15,7 @@ from test_sampled_by_hand import K_D, K_I, K_P, PATH, START, T, inertial, ur10
 
 import dmframe as dm
 from dmframe.certify.verify import verify
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.report.measured import measure
 from dmframe.results.along import Along
 from dmframe.results.claimed import claimed_along
@@ -172,7 +172,7 @@ def test_states_that_are_not_kept_are_recomputed_with_what_each_sample_drew(inve
 def test_a_run_that_does_not_keep_every_sample_has_no_v_and_says_why() -> None:
     run = run_of({**arm2(), "log": {"every": "80 ms"}})
     with pytest.raises(
-        DmframeError, match=r"expected a run that keeps inverse\.rows.* or a simulation that keeps every"
+        DmframeError, match=r"expected a run that records inverse\.rows.* or a simulation that records every"
     ):
         run["V"]
 
@@ -188,7 +188,7 @@ def test_a_constant_that_no_sample_determines_is_named() -> None:
 def test_a_constant_outside_its_box_is_named_and_v_rises_beyond_its_claim() -> None:
     run = run_of(arm2(filtered=False, offset_box=[-1e-3, 1e-3]))
     assert len(run.storage.along.notes) == 2
-    assert "inverse.theta[3] that leaves least of the data unexplained, -0.41" in run.storage.notice
+    assert "inverse.theta[3] identified from the run, -0.41" in run.storage.notice
     assert run.storage.along.beyond > 0
 
 

@@ -8,8 +8,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from dmframe.adaptation import Adaptation, Estimate
-from dmframe.certificate import Clipped, NormSquare, Square, beyond, clip, norm
+from dmframe.block.adaptation import Adaptation, Estimate
+from dmframe.block.certificate import Clipped, NormSquare, Square, beyond, clip, norm
 
 GAIN, WEIGHT = np.array([2.0, 3.0]), 1 / np.array([2.0, 3.0])
 TRUTH, NOMINAL = np.array([1.0, -0.5]), np.array([0.2, 0.1])

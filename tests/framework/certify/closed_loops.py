@@ -14,12 +14,12 @@ import numpy as np
 import pinocchio as pin
 
 from dmframe.block import AbstractBlock
+from dmframe.block.port import Side
 from dmframe.catalogue import block_types
 from dmframe.certify import Claim
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.graph.graph import Graph
-from dmframe.port import Side
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.library import load
 from dmframe.simulate.step import Solver, build_step

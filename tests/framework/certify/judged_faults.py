@@ -16,22 +16,22 @@ from seeded_faults import LIBRARY, Mutant, mutated_block
 
 from dmframe.block import AbstractBlock, Signals
 from dmframe.block.adapting import AdaptingBlock
+from dmframe.block.certificate import Certificate
 from dmframe.block.model import BlockModel, Recalled, model_block, signals_of, symbols_in
+from dmframe.block.port import Side
 from dmframe.block.steady import collected, stated_equations
-from dmframe.certificate import Certificate
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.assemble import assembled
 from dmframe.certify.steady import hold_claims
+from dmframe.common.errors import DmframeError
+from dmframe.common.text import Text
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError
-from dmframe.port import Side
 from dmframe.prove.export import digest
 from dmframe.prove.identity import identity
 from dmframe.prove.reals import doubt
 from dmframe.robot import recursion
 from dmframe.robot.bodies import Body
 from dmframe.robot.symbolic import SymbolicRobot
-from dmframe.text import Text
 
 OUTCOMES = {
     "refuted": "the certifier refutes it",

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scalar_blocks import scalar_loop
 
-from dmframe.certificate import Certificate, Square
+from dmframe.block.certificate import Certificate, Square
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.checked import Numbers
 from dmframe.certify.contradicted import kept_above

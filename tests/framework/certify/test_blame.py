@@ -11,7 +11,7 @@ import pytest
 from closed_loops import Loop, known_blocks, loop_of
 
 from dmframe.block import AbstractBlock, Signals
-from dmframe.certificate import Certificate, Square
+from dmframe.block.certificate import Certificate, Square
 from dmframe.certify import claim_of, verify
 from dmframe.certify.assemble import assembled
 from dmframe.certify.summary import summary

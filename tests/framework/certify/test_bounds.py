@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scalar_blocks import scalar_loop
 
-from dmframe.certificate import Certificate, Clipped, InformationSquare, Square, clip
+from dmframe.block.certificate import Certificate, Clipped, InformationSquare, Square, clip
 from dmframe.certify import claim_of, verify
 from dmframe.certify.assemble import assembled
 from dmframe.certify.checked import Checked, Numbers
@@ -22,15 +22,15 @@ from dmframe.certify.memories import memory_starts
 from dmframe.certify.residual import bounds_of
 from dmframe.certify.summary import summary
 from dmframe.certify.symbols import symbols_of
+from dmframe.common.errors import DmframeError
+from dmframe.common.text import Text
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError
 from dmframe.exact.rational import as_float
 from dmframe.graph.graph import Graph
 from dmframe.prove.definite import is_semidefinite
 from dmframe.prove.faults import inject_faults
 from dmframe.report.content import Condition
 from dmframe.report.verdict_text import verdict_text
-from dmframe.text import Text
 
 ONE = ca.SX(1)
 

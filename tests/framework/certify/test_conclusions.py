@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scalar_blocks import scalar_loop
 
-from dmframe.certificate import Assumption, Certificate, Consumed, Square, StableLinear
+from dmframe.block.certificate import Assumption, Certificate, Consumed, Square, StableLinear
 from dmframe.certify import verify
 from dmframe.exact import ZeroDivision
 from dmframe.graph.graph import Graph
@@ -193,8 +193,8 @@ def _cascade(weight, *, task):
     from typing import Any, final
 
     from dmframe.block import AbstractBlock, Equations
+    from dmframe.block.port import Input, Output, State
     from dmframe.diagram import Diagram
-    from dmframe.port import Input, Output, State
 
     @final
     class Dominating(AbstractBlock):

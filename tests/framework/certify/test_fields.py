@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from closed_loops import known_blocks, loop_of
 
-from dmframe import certificate
-from dmframe.certificate import (
+from dmframe.block import certificate
+from dmframe.block.certificate import (
     Assumption,
     Certificate,
     Clipped,

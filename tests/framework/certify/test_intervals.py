@@ -14,15 +14,15 @@ import pytest
 
 import dmframe as dm
 from dmframe.block import AbstractBlock, Equations
+from dmframe.block.certificate import Certificate, Inequality, Square, StableLinear
 from dmframe.block.model import SYMBOLIC
-from dmframe.certificate import Certificate, Inequality, Square, StableLinear
+from dmframe.block.parameter import Positive, Real, Scalar
+from dmframe.block.port import TIME, Input, Output, Side, State
 from dmframe.certify import Verdict, verify
 from dmframe.certify.over import NEEDED
 from dmframe.certify.parameter_margins import parameter_margins
 from dmframe.diagram import Diagram
 from dmframe.exact.rational import Interval
-from dmframe.parameter import Positive, Real, Scalar
-from dmframe.port import TIME, Input, Output, Side, State
 
 CERTIFY = Path(dm.__file__).parent / "certify"
 
@@ -66,7 +66,7 @@ class Follower(AbstractBlock):
         more = (Inequality("a < 1", 1 - p.a, "test"),)
         weight = p.k * p.k - 2 * p.k + 2
         driven = (StableLinear((x.y,), ((-1,),), (x.y,), more),)
-        return Certificate((Square(e, weight),), (Square(e, weight * p.k),), driven=driven)
+        return Certificate((Square(e, weight),), (Square(e, weight * p.k),), linear=driven)
 
     def start(self, u: Any, p: Any, truth: Any) -> dict[str, Any]:
         return {"x": ca.SX(0)}

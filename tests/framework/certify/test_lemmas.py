@@ -12,7 +12,7 @@ from closed_loops import known_blocks, loop_of, true_in_numbers
 from user_blocks import FilteredDamping, OddDamping, SaturatedDamping
 
 from dmframe.block import AbstractBlock, Signals
-from dmframe.certificate import MONOTONE, Certificate, Consumed, InformationSquare, Lemma, Square, TrueValue
+from dmframe.block.certificate import MONOTONE, Certificate, Consumed, InformationSquare, Lemma, Square, TrueValue
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.checked import Numbers
 from dmframe.certify.conditions import conditions_of

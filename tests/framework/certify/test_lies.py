@@ -9,11 +9,11 @@ import pytest
 from scalar_blocks import scalar_loop
 
 from dmframe.block import AbstractBlock, Equations
-from dmframe.certificate import Assumption, Certificate, Consumed, Square, StableLinear
+from dmframe.block.certificate import Assumption, Certificate, Consumed, Square, StableLinear
+from dmframe.block.parameter import Box, Interval
+from dmframe.block.port import TIME, Access, Input, Output, Side, State
 from dmframe.certify import Verdict, verify
 from dmframe.diagram import Diagram
-from dmframe.parameter import Box, Interval
-from dmframe.port import TIME, Access, Input, Output, Side, State
 
 
 def says(verdict: Verdict) -> set[tuple[str, str]]:

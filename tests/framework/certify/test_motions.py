@@ -11,13 +11,13 @@ import pytest
 from test_samples import B, Carts, Learner, M
 
 from dmframe.block import Equations, Signals
-from dmframe.certificate import Certificate, DelayLine
+from dmframe.block.certificate import Certificate, DelayLine
+from dmframe.block.port import Access, Output, State
 from dmframe.certify import Verdict, verify
 from dmframe.certify.claim import claim_of
 from dmframe.certify.driven import known_elements, with_nodes
 from dmframe.certify.motions import Moved
 from dmframe.diagram import Diagram
-from dmframe.port import Access, Output, State
 
 T = 0.005
 

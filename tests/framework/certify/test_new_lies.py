@@ -14,12 +14,12 @@ from scalar_blocks import scalar_loop
 
 import dmframe as dm
 from dmframe.block import AbstractBlock, Equations
-from dmframe.certificate import Assumption, Barrier, Certificate, Potential, Square, StableLinear
+from dmframe.block.certificate import Assumption, Barrier, Certificate, Potential, Square, StableLinear
+from dmframe.block.port import TIME, Input, Output, Side, State
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.smoothness import smoothness
 from dmframe.diagram import Diagram
 from dmframe.exact import random_prime, zero_test
-from dmframe.port import TIME, Input, Output, Side, State
 
 
 def says(verdict: Verdict, what: str) -> list[str]:

@@ -10,9 +10,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from dmframe import certificate
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import (
+from dmframe.block import AbstractBlock, Equations, Signals, certificate
+from dmframe.block.certificate import (
     Assumption,
     Certificate,
     Condition,
@@ -23,6 +22,8 @@ from dmframe.certificate import (
     Square,
     StableLinear,
 )
+from dmframe.block.parameter import Box, Interval, NonNegative, Positive, Real, Scalar
+from dmframe.block.port import PERIOD, TIME, Access, Input, Output, Side, State
 from dmframe.certify import verify
 from dmframe.certify.assemble import assembled
 from dmframe.certify.checked import Numbers
@@ -32,8 +33,6 @@ from dmframe.certify.statements import States as Known
 from dmframe.certify.states import sampled_states
 from dmframe.certify.summary import summary
 from dmframe.diagram import Diagram
-from dmframe.parameter import Box, Interval, NonNegative, Positive, Real, Scalar
-from dmframe.port import PERIOD, TIME, Access, Input, Output, Side, State
 from dmframe.prove.refute import replay
 from dmframe.report.verdict_text import verdict_text
 from dmframe.report.words import meaning_of
@@ -689,7 +688,9 @@ def test_the_former_names_give_the_same_proof_with_a_notice() -> None:
 
         def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Any:
             left = 1 - p.a**2
-            with pytest.warns(DeprecationWarning, match="dmframe.certificate.SampledCertificate is now Certificate"):
+            with pytest.warns(
+                DeprecationWarning, match="dmframe.block.certificate.SampledCertificate is now Certificate"
+            ):
                 former = certificate.SampledCertificate
             return former(
                 storage=(Square(x.f),),

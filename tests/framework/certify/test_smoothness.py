@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scalar_blocks import scalar_loop
 
-from dmframe.certificate import (
+from dmframe.block.certificate import (
     Barrier,
     Certificate,
     InformationSquare,
@@ -22,11 +22,11 @@ from dmframe.certificate import (
 from dmframe.certify import claim_of, verify
 from dmframe.certify.claim import flow_part
 from dmframe.certify.smoothness import Smoothness, is_smooth_over, smoothness
+from dmframe.common.text import Text
 from dmframe.diagram import Diagram
 from dmframe.exact import Tape
 from dmframe.graph.graph import Graph
 from dmframe.program import KINKS
-from dmframe.text import Text
 
 ONE = ca.SX(1)
 

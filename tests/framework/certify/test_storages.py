@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scalar_blocks import Rates, scalar_loop
 
-from dmframe.certificate import Certificate, Clipped, LogDet, Potential, Square, beyond, clip, soft_clip
+from dmframe.block.certificate import Certificate, Clipped, LogDet, Potential, Square, beyond, clip, soft_clip
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.assemble import assembled
 from dmframe.certify.checked import Numbers

@@ -8,8 +8,8 @@ from contextlib import suppress
 import casadi as ca
 import pytest
 
-from dmframe import interrupts
-from dmframe.interrupts import Insistent
+from dmframe.common import interrupts
+from dmframe.common.interrupts import Insistent
 
 
 def interrupted() -> None:

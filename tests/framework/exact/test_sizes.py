@@ -12,7 +12,7 @@ import casadi as ca
 import pytest
 import sympy
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact.ring import evaluated
 from dmframe.exact.sizes import Size, Sizes, free
 from dmframe.exact.tangent import Tangents

@@ -17,7 +17,7 @@ import pytest
 from ruamel.yaml import YAML
 
 import dmframe as dm
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.export import c, fmu, ros2
 from dmframe.export.program import Member, Program, members, own_name, program_of
 from dmframe.export.robot import robot_of

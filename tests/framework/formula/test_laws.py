@@ -12,21 +12,21 @@ import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.certificate import Certificate, Square
+from dmframe.block.naming import named
+from dmframe.block.parameter import Diagonal, Positive
+from dmframe.block.port import Output, Side, State
 from dmframe.catalogue import block_types
-from dmframe.certificate import Certificate, Square
 from dmframe.certify import NotApplicableError, claim_of
+from dmframe.common.errors import BlockError
+from dmframe.common.names import unicode_name
 from dmframe.diagram import Diagram
-from dmframe.errors import BlockError
 from dmframe.formula import laws_of, printed
 from dmframe.formula.alone import law_of_type, options_of, plainest, read_type, variants
 from dmframe.formula.points import Pair, agree, in_balls
 from dmframe.formula.tree import Applied, Name, Node, Unprinted
 from dmframe.formula.where import where
 from dmframe.graph.graph import Graph
-from dmframe.names import unicode_name
-from dmframe.naming import named
-from dmframe.parameter import Diagonal, Positive
-from dmframe.port import Output, Side, State
 from dmframe_blocks.adaptive_kinematics import links, tool
 from dmframe_blocks.regressor import heavy
 from dmframe_blocks.sampled_inverse import SampledInverse

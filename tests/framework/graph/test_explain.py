@@ -11,15 +11,15 @@ import pytest
 import dmframe as dm
 from dmframe.certify import Verdict
 from dmframe.certify.claim import claim_of
+from dmframe.common.text import Text
 from dmframe.diagram import Diagram
 from dmframe.report.exchange import exchange_of
 from dmframe.report.explanation import Explanation
 from dmframe.report.flow import order
-from dmframe.text import Text
 
 BLOCK = """
 from dmframe.block import AbstractBlock, Equations
-from dmframe.port import Access, Input, Output
+from dmframe.block.port import Access, Input, Output
 
 
 class Plain(AbstractBlock):
@@ -187,7 +187,7 @@ def test_a_cross_term_without_a_dominating_block_is_reported(tmp_path: Path) -> 
     """A tracking loop on a command with an empty certificate, whose dissipation dominates nothing."""
     certificate = "    def certificate(self, u, x, p, truth):\n        return Certificate()\n"
     source = BLOCK.format(doc='"""Sends on."""')
-    (tmp_path / "plain.py").write_text(f"from dmframe.certificate import Certificate\n{source}\n{certificate}")
+    (tmp_path / "plain.py").write_text(f"from dmframe.block.certificate import Certificate\n{source}\n{certificate}")
     text = dm.load("ur10_slow_kinematic").text.replace("kinematic_command", "plain.py:Plain")
     (tmp_path / "own.yaml").write_text(text)
     found = dm.load(tmp_path / "own.yaml").explain()
@@ -201,9 +201,9 @@ def test_supply_rates_that_do_not_cancel_are_reported(tmp_path: Path) -> None:
     path = tmp_path / "twice.py"
     path.write_text(
         "from typing import ClassVar\n"
-        "from dmframe.certificate import Certificate, Square\n"
+        "from dmframe.block.certificate import Certificate, Square\n"
         "from dmframe.block import AbstractBlock, Equations\n"
-        "from dmframe.port import Input, Output, State\n\n\n"
+        "from dmframe.block.port import Input, Output, State\n\n\n"
         "class Twice(AbstractBlock):\n"
         '    """Gathers the sliding variable."""\n\n'
         '    inputs = (Input("sigma", "n", "rad/s"),)\n'

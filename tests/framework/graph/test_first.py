@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import dmframe as dm
-from dmframe.errors import RobotError, UnknownNameError
+from dmframe.common.errors import RobotError, UnknownNameError
 from dmframe.graph.first import first_graph, is_robot
 
 LIMIT = '<limit lower="-2.5" upper="2.5" velocity="3" effort="50"/>'

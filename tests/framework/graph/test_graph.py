@@ -17,7 +17,7 @@ from PIL import Image
 
 import dmframe as dm
 from dmframe.catalogue import graphs
-from dmframe.errors import DmframeError, OutputError, UnknownNameError, ValueFault
+from dmframe.common.errors import DmframeError, OutputError, UnknownNameError, ValueFault
 from dmframe.report.linear import LinearView
 from dmframe.report.verification import Verification
 from dmframe.simulate import simulate

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import dmframe as dm
-from dmframe.errors import DmframeError, MissingError
+from dmframe.common.errors import DmframeError, MissingError
 from dmframe.identification.checked import checked_log
 from dmframe.identification.columns import signals_of
 from dmframe.identification.identify import chain_of

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.identification.identify import chain_of, identify
 from tests.framework.identify.plants import Hidden, record, steps, write
 

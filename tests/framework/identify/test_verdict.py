@@ -19,7 +19,7 @@ from ruamel.yaml import YAML
 
 from dmframe.catalogue import find_race
 from dmframe.cli import STOPPED, main
-from dmframe.errors import DisagreementError, OutputError, ValueFault
+from dmframe.common.errors import DisagreementError, OutputError, ValueFault
 from dmframe.identification import verdict as verdicts
 from dmframe.identification.answer import Verdict
 from dmframe.identification.choose import Choice, floor_of

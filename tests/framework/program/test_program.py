@@ -15,7 +15,7 @@ import pytest
 
 import dmframe.program
 import dmframe.program.program as module
-from dmframe.errors import EngineError
+from dmframe.common.errors import EngineError
 from dmframe.exact.arithmetic import ARITHMETIC
 from dmframe.program import (
     CONST,

@@ -15,10 +15,10 @@ import casadi as ca
 import pytest
 
 import dmframe as dm
-from dmframe.certificate import LeastSquaresSteps, NormalisedSteps
+from dmframe.block.certificate import LeastSquaresSteps, NormalisedSteps
 from dmframe.certify import claim_of
 from dmframe.certify.assemble import assembled
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact import Tape, Trial, random_prime
 from dmframe.exact.balls import ball
 from dmframe.prove.claim import Claim, Steps

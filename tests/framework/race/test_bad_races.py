@@ -8,7 +8,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.race.grammar import race_schema
 from dmframe.race.plan import Race
 from dmframe.race.read import load_race

@@ -19,7 +19,7 @@ from typing import ClassVar
 import installed
 import helper
 from dmframe.block import AbstractBlock, Equations
-from dmframe.port import Side, State
+from dmframe.block.port import Side, State
 
 
 class Mine(AbstractBlock):

@@ -13,8 +13,8 @@ import platformdirs
 import pytest
 
 from dmframe.build.cache import cache_folder
-from dmframe.copies import shared
-from dmframe.files import probed
+from dmframe.common.copies import shared
+from dmframe.common.files import probed
 from dmframe.remembered import recorder, store
 from dmframe.remembered.front import Call, call_of, found, page_of
 from dmframe.remembered.inputs import states_of, unchanged
@@ -140,7 +140,7 @@ def test_what_a_copy_would_read_unseen_is_read_and_recorded_here(
     def read() -> tuple[int, str]:
         return os.getpid(), (tmp_path / "data").read_text()
 
-    monkeypatch.setattr("dmframe.copies.threading.active_count", lambda: 1)
+    monkeypatch.setattr("dmframe.common.copies.threading.active_count", lambda: 1)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
     (tmp_path / "data").write_text("1")
     begun._written.clear()

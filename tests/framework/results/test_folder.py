@@ -14,14 +14,14 @@ import pytest
 
 import dmframe.results.folder as folder_module
 import dmframe.results.run as run_module
+from dmframe.common.errors import OutputError
+from dmframe.common.files import hidden_name, write_bytes
+from dmframe.common.seal import seal_of
 from dmframe.config.resolved import resolved_text
-from dmframe.errors import OutputError
-from dmframe.files import hidden_name, write_bytes
 from dmframe.graph.graph import Graph
 from dmframe.results.folder import safe_name, write_data, write_run
 from dmframe.results.place import reserved
 from dmframe.results.run import Run
-from dmframe.seal import seal_of
 from dmframe.simulate import simulate
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import dmframe as dm
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.results.along import along
 from dmframe.results.climb import climb_of
 from dmframe_plants.arm2.closed_form import jacobian

@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from dmframe.errors import DmframeError, MissingError, RobotError, UnknownNameError, ValueFault
+from dmframe.common.errors import DmframeError, MissingError, RobotError, UnknownNameError, ValueFault
 from dmframe.robot.chain import SerialChain, pin_configuration
 from dmframe.robot.library import find_robot, load
 

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from dmframe.errors import DmframeError, MissingError, RobotError
+from dmframe.common.errors import DmframeError, MissingError, RobotError
 from dmframe.robot.chain import SerialChain, pin_configuration
 from dmframe.robot.convert import read_any, written
 from dmframe.robot.flange import flange_of
@@ -134,7 +134,8 @@ def test_joints_off_the_way_are_fixed_where_their_numbers_are_invalid(tmp_path):
     with pytest.raises(DmframeError, match="expected lower <= upper"):
         SerialChain.from_urdf(path, tool="l4")
     root = read_any(path).root
-    assert repaired(root, "l4", "robot a") == ["joint to_head1: invalid, and fixed; it is not on the way to l4"]
+    (note,) = repaired(root, "l4", "robot a")
+    assert note == "joint to_head1: invalid, made fixed; the joint is not between the base and l4"
     path.write_text(written(root, []))
     chain = SerialChain.from_urdf(path, tool="l4")
     assert [float(body[0]) for body in chain.inertia] == [6, 2, 2, 2]  # the head counts
@@ -153,7 +154,9 @@ def test_a_mass_without_moments_gets_those_of_a_sphere(tmp_path):
 def test_only_the_way_to_the_tool_must_be_valid(tmp_path):
     head = f'<link name="head">{BAD}</link>' + joint("neck", "l1", "head", "fixed")
     root = ElementTree.fromstring(arm(end=head))
-    assert repaired(root, "l4", "robot a") == ["link head: invalid inertia left out; it is not on the way to l4"]
+    assert repaired(root, "l4", "robot a") == [
+        "link head: invalid inertia removed; the link is not between the base and l4"
+    ]
     path = tmp_path / "a.urdf"
     path.write_text(written(root, []))
     assert SerialChain.from_urdf(path, tool="l4").n == 4

@@ -10,11 +10,11 @@ import pytest
 import scipy
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.parameter import Box, Interval, Real, Scalar
+from dmframe.block.port import TIME, Access, Input, Output, Side, State
+from dmframe.common.errors import DmframeError, EngineError, ValueFault
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError, EngineError, ValueFault
 from dmframe.graph.graph import Graph
-from dmframe.parameter import Box, Interval, Real, Scalar
-from dmframe.port import TIME, Access, Input, Output, Side, State
 from dmframe.simulate import Recording, Solver, simulate
 
 

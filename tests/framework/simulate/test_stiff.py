@@ -11,11 +11,11 @@ import pytest
 import scipy
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.parameter import Real, Scalar
+from dmframe.block.port import TIME, Access, Output, Side, State
+from dmframe.common.errors import ValueFault
 from dmframe.diagram import Diagram
-from dmframe.errors import ValueFault
 from dmframe.graph.graph import Graph
-from dmframe.parameter import Real, Scalar
-from dmframe.port import TIME, Access, Output, Side, State
 from dmframe.simulate import Log, Recording, Solver, simulate, simulate_many
 from dmframe.simulate.engine import _work
 from dmframe.simulate.run import Prepared, prepare

@@ -19,12 +19,12 @@ from dmframe.study import sections
 from dmframe.study.answer import ReportData, proof_in_short
 from dmframe.study.box import COVERAGE, box_of
 from dmframe.study.design import Spread
-from dmframe.study.drawn import HOLDS, OPEN, _Samples, held_at
 from dmframe.study.findings import Findings
 from dmframe.study.plan import Study
 from dmframe.study.proof import proofs_of
 from dmframe.study.read import load_study
 from dmframe.study.report import reported
+from dmframe.study.sample_proofs import HOLDS, OPEN, _Samples, conditions_at
 from dmframe.study.varied import Factor
 
 
@@ -146,7 +146,7 @@ def test_margins_are_of_the_point_and_not_of_the_graph() -> None:
 
 def test_samples_of_a_loop_without_a_claim_are_undecided() -> None:
     found = study("servo.K_D: {scale: [0.9, 1.1]}", graph="pendulum_kinematic")
-    assert held_at(of(found), {}, found.values(0, 0, 5), 5, verify(of(found))) is None
+    assert conditions_at(of(found), {}, found.values(0, 0, 5), 5, verify(of(found))) is None
 
 
 def test_only_the_first_points_are_decided(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -184,9 +184,9 @@ LEAKY = '''"""A tank with one number."""
 from typing import Any, ClassVar, final
 
 from dmframe.block import AbstractBlock, Equations
-from dmframe.certificate import Certificate, Square
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import Output, Side, State
+from dmframe.block.certificate import Certificate, Square
+from dmframe.block.parameter import Positive, Scalar
+from dmframe.block.port import Output, Side, State
 
 
 @final
@@ -240,7 +240,7 @@ def test_a_graph_with_one_scalar_state_and_nothing_to_measure_runs(tank: Callabl
 @pytest.mark.parametrize(
     ("dissipated", "begins", "outcome"),
     [
-        ("p.rate", "Proved over what was drawn; of 20", "proved"),
+        ("p.rate", "Proved over the sampled box; of 20", "proved"),
         ("2 * p.rate", "The proof is refuted; of 20", "refuted"),
     ],
 )
