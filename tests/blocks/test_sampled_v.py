@@ -17,7 +17,7 @@ import dmframe as dm
 from dmframe.certify.verify import verify
 from dmframe.common.errors import DmframeError
 from dmframe.report.measured import measure
-from dmframe.results.along import Along
+from dmframe.results.along import StorageTrace
 from dmframe.results.claimed import claimed_along
 from dmframe.simulate import Log, Recording, simulate
 
@@ -47,7 +47,7 @@ def run_of(data: dict[str, Any], *overrides: tuple[str, Any]) -> dm.Run:
     return dm.load(yaml.safe_dump(data)).set(dict(overrides)).run(judge=False)
 
 
-def along_of(run: dm.Run, **changed: Any) -> Along:
+def along_of(run: dm.Run, **changed: Any) -> StorageTrace:
     """V along a run whose recording was changed."""
     recording = replace(run.recording, **changed)
     return claimed_along(recording, {}, run.graph.start)[1]
