@@ -13,11 +13,15 @@ from dmframe.identification.found import Identified
 from dmframe.identification.model import Array
 from dmframe.identification.solve import MOST_DELAY
 from dmframe.identification.unknowns import SERVOS, Unknowns
+from dmframe.robot.parameters import DynamicParameters
 
 NARROW: Final = 0.05
 """Two standard deviations of a delay below which it is not drawn [samples]."""
 MOST_SAMPLES: Final = 4.0
 """Longest delay of a graph, in samples of its clock."""
+PROJECTIONS: Final = 1000
+SMALLEST: Final = 1e-5
+"""Least eigenvalue of a pseudo-inertia, relative to the largest parameter of the link."""
 WHOLE: Final = 0.02
 """Deviation from a whole number of samples below which a delay is rounded."""
 
@@ -118,8 +122,42 @@ def bodies_of(unknowns: Unknowns, beta: Array) -> tuple[Array, Array]:
     start[rotors] = np.maximum(nearest(values, root)[rotors], 0.0)
     fixed = root.copy()
     fixed[rotors] = 0.0
-    everything = nearest(start, fixed)
+    everything = physical(nearest(start, fixed), beta, model.grouping, parameters)
     return everything[parameters.inertial].reshape(model.n, -1), everything[rotors]
+
+
+def physical(values: Array, beta: Array, grouping: Array, parameters: DynamicParameters) -> Array:
+    """Parameters of bodies with mass everywhere positive, near `values` and with the same base parameters.
+
+    By alternating projections on the base parameters and on positive definite pseudo-inertias
+    [[tr(I)/2 - I, m r], [m r', m]]; `values` if they do not meet within `PROJECTIONS`.
+    """
+    links = np.arange(len(values))[parameters.inertial].reshape(-1, 10)
+    back, found = np.linalg.pinv(grouping), values.copy()
+    least = SMALLEST * np.abs(values[links]).max(axis=1)[:, None]
+    for _ in range(PROJECTIONS):
+        sizes, axes = np.linalg.eigh(np.array([_pseudo_inertia(found[own]) for own in links]))
+        if np.all(sizes > 0.5 * least) and np.all(found[parameters.places("rotor")] >= 0):
+            return found
+        P = np.einsum("lij,lj,lkj->lik", axes, np.maximum(sizes, least), axes)
+        for own, matrix in zip(links, P, strict=True):
+            found[own] = _parameters(matrix)
+        found[parameters.places("rotor")] = np.maximum(found[parameters.places("rotor")], 0.0)
+        found += back @ (beta - grouping @ found)
+    return values
+
+
+def _pseudo_inertia(own: Array) -> Array:
+    """Of m, m r, xx, xy, yy, xz, yz, zz."""
+    mass, moment, (xx, xy, yy, xz, yz, zz) = own[0], own[1:4], own[4:]
+    I = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return np.block([[np.trace(I) / 2 * np.eye(3) - I, moment[:, None]], [moment[None], np.array([[mass]])]])
+
+
+def _parameters(P: Array) -> Array:
+    """The inverse of `_pseudo_inertia`."""
+    I = np.trace(P[:3, :3]) * np.eye(3) - P[:3, :3]
+    return np.array([P[3, 3], *P[:3, 3], I[0, 0], I[0, 1], I[1, 1], I[0, 2], I[1, 2], I[2, 2]])
 
 
 def thetas(found: Identified, count: int, seed: int = 0) -> Array:
