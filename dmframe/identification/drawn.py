@@ -19,9 +19,11 @@ NARROW: Final = 0.05
 """Two standard deviations of a delay below which it is not drawn [samples]."""
 MOST_SAMPLES: Final = 4.0
 """Longest delay of a graph, in samples of its clock."""
-PROJECTIONS: Final = 1000
-SMALLEST: Final = 1e-5
-"""Least eigenvalue of a pseudo-inertia, relative to the largest parameter of the link."""
+PROJECTIONS: Final = 2000
+LENGTH: Final = 0.3
+"""Unit of lengths in a pseudo-inertia, with which its elements are of similar size [m]."""
+SMALLEST: Final = 1e-4
+"""Least eigenvalue of a pseudo-inertia, relative to its largest one."""
 WHOLE: Final = 0.02
 """Deviation from a whole number of samples below which a delay is rounded."""
 
@@ -127,37 +129,41 @@ def bodies_of(unknowns: Unknowns, beta: Array) -> tuple[Array, Array]:
 
 
 def physical(values: Array, beta: Array, grouping: Array, parameters: DynamicParameters) -> Array:
-    """Parameters of bodies with mass everywhere positive, near `values` and with the same base parameters.
+    """Parameters of bodies whose mass is nowhere negative, with the same base parameters, near `values`.
 
-    By alternating projections on the base parameters and on positive definite pseudo-inertias
-    [[tr(I)/2 - I, m r], [m r', m]]; `values` if they do not meet within `PROJECTIONS`.
+    By alternating reflections at the positive definite pseudo-inertias P and projections on the base parameters, in the
+    Frobenius norm of P with lengths relative to `LENGTH`; `values` if they do not meet within `PROJECTIONS`.
     """
-    links = np.arange(len(values))[parameters.inertial].reshape(-1, 10)
-    back, found = np.linalg.pinv(grouping), values.copy()
-    least = SMALLEST * np.abs(values[links]).max(axis=1)[:, None]
+    links, rotors = np.arange(len(values))[parameters.inertial].reshape(-1, 10), parameters.places("rotor")
+    root, turned = np.eye(len(values)), np.array([_pseudo_inertia(row) for row in np.eye(10)])
+    corner = np.triu_indices(4)
+    weight = np.where(corner[0] == corner[1], 1.0, np.sqrt(2.0))
+    own = np.array([matrix[corner] * weight for matrix in turned]).T  # the coordinates of a link's parameters
+    for link in links:
+        root[np.ix_(link, link)] = own
+    to, x = np.linalg.inv(root), root @ values
+    G = grouping @ to
+    back = np.linalg.pinv(G)
     for _ in range(PROJECTIONS):
-        sizes, axes = np.linalg.eigh(np.array([_pseudo_inertia(found[own]) for own in links]))
-        if np.all(sizes > 0.5 * least) and np.all(found[parameters.places("rotor")] >= 0):
-            return found
-        P = np.einsum("lij,lj,lkj->lik", axes, np.maximum(sizes, least), axes)
-        for own, matrix in zip(links, P, strict=True):
-            found[own] = _parameters(matrix)
-        found[parameters.places("rotor")] = np.maximum(found[parameters.places("rotor")], 0.0)
-        found += back @ (beta - grouping @ found)
+        P = np.zeros((len(links), 4, 4))
+        P[:, corner[0], corner[1]] = P[:, corner[1], corner[0]] = x[links] / weight
+        sizes, axes = np.linalg.eigh(P)
+        least = SMALLEST * sizes[:, -1:]
+        if np.all(sizes > 0.5 * least) and np.all(x[rotors] >= 0):
+            return np.asarray(to @ x)
+        P = np.einsum("lij,lj,lkj->lik", axes, np.maximum(sizes, 2 * least - sizes), axes)
+        x[links] = P[:, corner[0], corner[1]] * weight
+        x[rotors] = np.abs(x[rotors])
+        x += back @ (beta - G @ x)
     return values
 
 
 def _pseudo_inertia(own: Array) -> Array:
-    """Of m, m r, xx, xy, yy, xz, yz, zz."""
-    mass, moment, (xx, xy, yy, xz, yz, zz) = own[0], own[1:4], own[4:]
-    I = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return np.block([[np.trace(I) / 2 * np.eye(3) - I, moment[:, None]], [moment[None], np.array([[mass]])]])
-
-
-def _parameters(P: Array) -> Array:
-    """The inverse of `_pseudo_inertia`."""
-    I = np.trace(P[:3, :3]) * np.eye(3) - P[:3, :3]
-    return np.array([P[3, 3], *P[:3, 3], I[0, 0], I[0, 1], I[1, 1], I[0, 2], I[1, 2], I[2, 2]])
+    """[[tr(I)/2 - I, m r], [m r', m]] of m, m r, xx, xy, yy, xz, yz, zz, with lengths relative to `LENGTH`."""
+    mass, moment, (xx, xy, yy, xz, yz, zz) = own[0], own[1:4] / LENGTH, own[4:] / LENGTH**2
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    second = np.trace(inertia) / 2 * np.eye(3) - inertia
+    return np.block([[second, moment[:, None]], [moment[None], np.array([[mass]])]])
 
 
 def thetas(found: Identified, count: int, seed: int = 0) -> Array:

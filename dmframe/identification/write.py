@@ -109,8 +109,9 @@ def graph_text(found: Identified) -> str:
 def adaptive_text(found: Identified) -> str | None:
     """The twin as a graph with an adaptive law in continuous time, whose proof `verify` checks.
 
-    The law has columns of links, rotors and friction. Its boxes contain the identified values. Delay and Stribeck friction
-    are left out, since the proof excludes them. None for a cascade without feed-forward, for which there is no such law.
+    The law has columns of links, rotors and friction. Its boxes contain the identified values. Delay and Stribeck
+    friction are left out, since the proof excludes them. None for a cascade without feed-forward, for which there is no
+    such law.
     """
     unknowns = found.fit.unknowns
     plant, data = Plant.of(unknowns, found.fit.theta), _template(found, f"adaptive_{found.kind}")
@@ -118,8 +119,8 @@ def adaptive_text(found: Identified) -> str | None:
     if found.kind == "p_pi" and np.min(servo["feed_forward"]) < LEAST_FEED_FORWARD:
         return None
     data["title"] = (
-        f"Identified {unknowns.model.chain.name} without delay and Stribeck friction, which follows a joint path with an "
-        "adaptive law"
+        f"Identified {unknowns.model.chain.name} without delay and Stribeck friction, which follows a joint path with "
+        "an adaptive law"
     )
     data["clock"] = float(round(unknowns.log.period, 9))
     data["start"]["q"] = plain(unknowns.log.q[0])
