@@ -100,7 +100,9 @@ class Movement:
         (flat,) = self.differences(expressions, 0, [direction])
         return [flat[part] for part in slices(expression.numel() for expression in expressions)]
 
-    def differences(self, expressions: Sequence[SX], place: int, directions: Sequence[Sequence[int]]) -> list[list[int]]:
+    def differences(
+        self, expressions: Sequence[SX], place: int, directions: Sequence[Sequence[int]]
+    ) -> list[list[int]]:
         """By how much each element of columns moves along each direction, at one of the two points."""
         for _ in range(ATTEMPTS):
             try:
