@@ -99,19 +99,10 @@ def taken(
             known[j] = own, _RULES[steps.rule](ring, own)
         found.append(known[j][1])
     moves = {steps.estimate: [x for item in found for x in item.theta]}
-    if steps.memory:
+    if steps.rule == "least_squares":
         moves[steps.memory] = [x for item in found for x in item.G]
-    return Taken(
-        moves,
-        *(
-            _half(ring, ring.reduced(sum(total, ring.number(0))))
-            for total in (
-                (x for item in found for x in item.moved),
-                (x for item in found for x in item.lost),
-                (x for item in found for x in item.gained),
-            )
-        ),
-    )
+    totals = ([x for item in found for x in getattr(item, name)] for name in ("moved", "lost", "gained"))
+    return Taken(moves, *(_half(ring, ring.reduced(sum(total, ring.number(0)))) for total in totals))
 
 
 def _half(ring: Any, value: Any) -> Any:
