@@ -19,9 +19,10 @@ from dmframe.common.units import plain
 from dmframe.config import BaseGraph
 from dmframe.config.about import AboutGraph
 from dmframe.results.dataset import dataset
+from dmframe.results.decided import Decided
 from dmframe.results.metrics import TrackingError, TurnError, tracking_error, turn_error
 from dmframe.results.reported import ReportedEstimate, reported_estimates
-from dmframe.results.storage import SIGNALS, Storage, storage_of, with_storage
+from dmframe.results.storage import SIGNALS, Storage, decided_by, storage_of, with_storage
 from dmframe.results.summary import summary, summary_of
 from dmframe.simulate import Divergence, Recording
 
@@ -117,6 +118,18 @@ class Run(AboutGraph):
             return storage_of(self.recording, self.graph)
         except DmframeError as error:
             return error
+
+    def decide(self, decided: Decided) -> None:
+        """Evaluate V with what was decided before from the same graph."""
+        try:
+            vars(self)["_storage"] = storage_of(self.recording, self.graph, decided)
+        except DmframeError as error:
+            vars(self)["_storage"] = error
+
+    @property
+    def decided(self) -> Decided | None:
+        """What the graph decides about V; None where it is not known."""
+        return decided_by(self.recording, self.graph, self._storage)
 
     @cached_property
     def _recorded(self) -> xarray.Dataset:
@@ -230,6 +243,8 @@ class Run(AboutGraph):
         if error is None or error.rms_final is None:
             return ""
         turned = "" if self.turn is None else f" and turned by {_shown(self.turn.rms_final, self.turn.unit)}"
+        if error.prismatic is not None:
+            turned = f" and {_shown(error.prismatic.rms_final, error.prismatic.unit)}"
         return f", |{error.signal}| {plain(error.rms_final, error.unit)}{turned} RMS in the last eighth"
 
 
@@ -256,7 +271,8 @@ def row(run: Run) -> tuple[str, ...]:
     data = summary(run.graph.name, run.recording)
     error, turn = data["error"], data["turn"]
     clock = data["clock"] if data["clock"] == "continuous" else plain(data["clock"], "s")
-    first, last = (", ".join(_rms(each, index) for each in (error, turn) if each) or "-" for index in (0, -1))
+    shown = [each for each in (error, error and error.get("prismatic"), turn) if each]
+    first, last = (", ".join(_rms(each, index) for each in shown) or "-" for index in (0, -1))
     signal = (error["signal"] if error else "-") + (", turn" if turn else "")
     factor = data["real_time_factor"]
     speed = "-" if factor is None else f"{factor:.0f} x"
