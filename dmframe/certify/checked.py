@@ -95,7 +95,7 @@ class Numbers:
         """The elements of an expression, dense; raises `ValueFault` where it needs more than parameters."""
         joined = ca.vec(ca.densify(self.claim.loop.joined([ca.SX(expression)])[0]))
         symbols = ca.symvar(joined)
-        try:  # few of all parameters, of which a function of many inputs is dear
+        try:  # a function of all parameters takes longer to build
             given = [self._elements[symbol.element_hash()] for symbol in symbols]
         except KeyError:
             function = ca.Function("value", self._columns, [joined], {"allow_free": True})
