@@ -15,7 +15,7 @@ from dmframe.common.units import to_unit
 from dmframe.diagram import Diagram
 from dmframe.results.metrics import EIGHTHS, TurnError, goal_of
 from dmframe.simulate import Recording
-from dmframe.simulate.keep import apart_of
+from dmframe.simulate.keep import rotation_distance_of
 
 FIGURES: Final = ("least", "most", "last", "rms_final")
 """Figures of a signal."""
@@ -52,7 +52,7 @@ def units_of(diagram: Diagram) -> dict[str, str]:
     units |= {variable.label: variable.unit for variable in loop.variables}
     goal = goal_of(loop)
     units |= {} if goal is None else {ERROR: units[goal.actual]}
-    return units if apart_of(loop) is None else units | {TURN: TurnError.unit}
+    return units if rotation_distance_of(loop) is None else units | {TURN: TurnError.unit}
 
 
 def limits_in(

@@ -18,7 +18,7 @@ from dmframe.results.claimed import claimed_along
 from dmframe.results.storage_unit import StorageUnit, storage_unit
 from dmframe.simulate import Recording
 from dmframe.simulate.recording import ExtraSignal
-from dmframe.simulate.warnings import between
+from dmframe.simulate.warnings import channel_models
 
 SIGNALS: Final = ("V", "V_rate", "V_dissipation", "V_residual")
 """Labels of V, its rate, dissipation and residual; the storage function of a block is ``V.block``."""
@@ -186,8 +186,8 @@ def _causes(claim: Claim, along: StorageTrace, run: Recording) -> Iterator[tuple
                 "integrator or assumption",
                 "the certificate excludes a rise of V: integration error, or a violated assumption",
             )
-    if way := between(run.diagram):
-        yield "channels", way
+    if channels := channel_models(run.diagram):
+        yield "channels", channels
     if run.clock is not None and run.time.size > 1:
         every = round(float(run.time[1] - run.time[0]) / run.clock)
         if every > 1:
