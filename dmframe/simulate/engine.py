@@ -120,7 +120,7 @@ SCALES: Final = (1.0, 1e-3, 1e-6)
 LAST_DIGITS: Final = 1e-11
 """Relative perturbation of states that measures the effect of rounding."""
 FRACTIONS: Final = (1e-3, 1e-2)
-"""Fractions of the period for the comparison: short, to avoid divergence; a law may divide by the period and overflow."""
+"""Fractions of the period for the comparison: short, to avoid divergence. A law may divide by the period."""
 TAME: Final = 1e6
 """Limit of moderate results: the rounding of larger ones exceeds the absolute tolerance of `alike`."""
 

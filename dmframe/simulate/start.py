@@ -302,7 +302,8 @@ def _solve(
     oriented, away = (" with its orientation", f" and {angle:.3g} deg") if rows < len(goal) else ("", "")
     raise StartError(
         f"start: {label} cannot reach {desired} = [{shown}]{oriented}; the nearest pose is {plain(distance, unit)}"
-        f"{away} away; move the path, or give the pose under start: {q: [...]}",
+        f"{away} away; "
+        "move the path, or give the pose under start: {q: [...]}",
         path=("start",),
     )
 
