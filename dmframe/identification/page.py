@@ -111,8 +111,7 @@ def _law(law: Judged) -> list[Cell]:
 
 def _errors(found: Identified) -> Picture:
     log = found.fit.unknowns.log
-    held = np.vstack([0 * log.u[:1], np.cumsum(log.u * np.diff(log.time)[:, None], axis=0)])
-    measured = 1000 * (log.q - log.q[0] - log.ahead - held)
+    measured = 1000 * (log.q - log.q[0] - log.commanded(log.time))
     curves = [("measured", measured), ("simulated", measured - 1000 * found.fit.residual)]
     svg = _panels(found, log.time, curves, "mrad")
     return Picture(svg, "errors", "Position minus commanded position, measured and of the identified robot.")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
 from pathlib import Path
 from typing import Final
 
@@ -21,6 +22,9 @@ RESULT: Final = "identified.json"
 ROBOT: Final = "twin.urdf"
 GRAPH: Final = "twin.yaml"
 PAGE: Final = "report.html"
+RACE: Final = "verdict.yaml"
+VERDICT: Final = "verdict"
+PREVIOUS: Final = "previous"
 DRAWS: Final = 200
 """For the intervals of the graph."""
 
@@ -29,6 +33,8 @@ def written(found: Identified, folder: Path) -> tuple[Path, ...]:
     """Write the numbers, the page and, for a known servo, the robot and the graph of its twin; returns their paths."""
     with writing(folder, "folder"):
         folder.mkdir(parents=True, exist_ok=True)
+    if not found.known or _digest(folder) not in ("", found.record.get("sha256")):
+        set_aside(folder)
     texts = {RESULT: json.dumps({**found.summary, "record": found.record}, indent=2) + "\n"}
     if found.known:
         texts |= {ROBOT: robot_text(found), GRAPH: graph_text(found)}
@@ -36,6 +42,31 @@ def written(found: Identified, folder: Path) -> tuple[Path, ...]:
     for name, text in texts.items():
         write_text(folder / name, text)
     return tuple(folder / name for name in texts)
+
+
+def set_aside(folder: Path) -> None:
+    """Move the files of an earlier identification, and its verdict, to the folder ``previous``.
+
+    They are not of the present log: no twin of another log remains where a program expects that of this one.
+    """
+    if not (folder / RESULT).is_file():
+        return
+    with writing(folder, "folder"):
+        shutil.rmtree(folder / PREVIOUS, ignore_errors=True)
+        (folder / PREVIOUS).mkdir()
+        for name in (RESULT, ROBOT, GRAPH, PAGE, RACE, VERDICT):
+            if (folder / name).exists():
+                (folder / name).rename(folder / PREVIOUS / name)
+
+
+def _digest(folder: Path) -> str:
+    """SHA-256 of the log of an earlier identification; empty if there is none, other if it cannot be read."""
+    if not (folder / RESULT).is_file():
+        return ""
+    try:
+        return str(json.loads((folder / RESULT).read_text(encoding="utf-8"))["record"]["sha256"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return "other"
 
 
 def robot_text(found: Identified) -> str:
