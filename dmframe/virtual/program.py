@@ -231,7 +231,7 @@ class Program:
             thread.close()
             if self.mover is thread:
                 self.free(thread)
-                self._robot.let_go()
+                self._robot.release()
 
     def _join(self, thread: Any) -> Generator[None, None, None]:
         while isinstance(thread, Thread) and thread.alive:
