@@ -20,8 +20,8 @@ from dmframe.common.errors import ValueFault
 from dmframe.common.text import Text
 from dmframe.diagram.closed_loop import stack
 from dmframe.exact.ranges import ranges
-from dmframe.exact.rational import Interval, as_float, evaluate
-from dmframe.program import read
+from dmframe.exact.rational import Interval, as_float, evaluate, known_values
+from dmframe.program import TO_READ, read
 from dmframe.prove.definite import Number, lower, pivots
 
 
@@ -143,6 +143,18 @@ class Numbers:
         if not values:
             raise ValueFault("expected an expression with elements, found an empty one, of which nothing is decided")
         return min(map(lower, values))
+
+    def leasts(self, expressions: Sequence[SX]) -> list[Fraction | None]:
+        """The least element of each expression, in one pass over what they share; None where `least` raises."""
+        if not expressions:
+            return []
+        joined = [ca.vec(ca.densify(item)) for item in self.claim.loop.joined(list(map(ca.SX, expressions)))]
+        function = ca.Function("values", self._columns, [stack(joined)], {"allow_free": True, **TO_READ})
+        values = iter(known_values(read(function), [self.values[p.label] for p in self._p]))
+        found = [[next(values) for _ in range(item.numel())] for item in joined]
+        decided = [[value for value in each if value is not None] for each in found]
+        pairs = zip(decided, found, strict=True)
+        return [min(map(lower, least)) if least and len(least) == len(each) else None for least, each in pairs]
 
     def least_pivot(self, matrix: SX) -> Fraction:
         """The least diagonal element of LDL', up to one that is not positive, of a symmetric matrix."""

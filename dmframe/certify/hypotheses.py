@@ -16,7 +16,7 @@ from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
 from dmframe.certify.definite import is_mass_matrix, is_mass_matrix_of_bodies
 from dmframe.certify.divisors import brought_in, domains, written
-from dmframe.common.errors import ValueFault, listed
+from dmframe.common.errors import listed
 from dmframe.common.text import Label, Text, joined, listed_text, name_of, sentence
 from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import known_truths
@@ -93,12 +93,10 @@ def _divisors(claim: Claim, name: str) -> Iterator[Assumption]:
 def undefined(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
     """Divisors and arguments made of parameters alone that are not what they have to be at the graph's numbers."""
     for name, model in claim.diagram.models.items():
-        for item in domains(name, claim.risks[name], model.moving):
-            try:
-                least = numbers.least(item.margin)
-            except (ValueFault, ZeroDivisionError):
-                continue  # it holds more than parameters, or another divisor is reported
-            if not (least > 0 if item.strict else least >= 0):
+        items = list(domains(name, claim.risks[name], model.moving))
+        for item, least in zip(items, numbers.leasts([item.margin for item in items]), strict=True):
+            # None where it holds more than parameters, or another divisor is reported
+            if least is not None and not (least > 0 if item.strict else least >= 0):
                 yield Checked(item.name, "defined and finite", None, False, "its equations need it", "undecided")
 
 

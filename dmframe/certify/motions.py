@@ -175,7 +175,7 @@ class Moved:
         made = [still.on_path(item) for item in made]
         if drawn.numel():
             made = ca.substitute(made, [drawn], [ca.SX.zeros(drawn.numel())])
-        function = ca.Function(name, list(seen), ca.cse(list(made)), {"allow_free": True})
+        function = ca.Function(name, list(seen), list(made), {"allow_free": True})
         if function.has_free():
             raise UnmovedError(f"its rows, or what moves the plant, hold {function.get_free()[0]}")
         return function

@@ -9,7 +9,7 @@ import casadi as ca
 
 from dmframe.block.certificate import SX
 from dmframe.certify.sign import SIGNED, Sign, sign_after
-from dmframe.program import DIVISIONS, OPERATIONS, POWERS, TO_READ, read
+from dmframe.program import CONST, DIVISIONS, OPERATIONS, POWERS, TO_READ, Program, read
 
 
 def instructions(expressions: Iterable[SX]) -> Iterator[tuple[SX, list[SX]]]:
@@ -29,7 +29,8 @@ def domains_of(outputs: Sequence[SX]) -> Iterator[tuple[int, SX]]:
     """Instructions that divide or are not defined everywhere, with what must keep away from a bad value."""
     column = ca.veccat(ca.SX(0, 1), *map(ca.densify, outputs))
     function = ca.Function("domains_of", [], [column], {"allow_free": True, **TO_READ})
-    program, expressions = read(function), function.instructions_sx()  # SX.dep takes ten times as long
+    program, signs = read(function), dict[tuple[int, int], Sign]()
+    expressions: SX | None = None
     todo, seen = [*program.sources[0]], set[int]()
     while todo:
         place = todo.pop()
@@ -38,11 +39,10 @@ def domains_of(outputs: Sequence[SX]) -> Iterator[tuple[int, SX]]:
             continue
         seen.add(place)
         domain = OPERATIONS[node.code].domain
-        if domain is not None:
-            x = expressions[node.line]
-            parts = [x.dep(k) for k in range(x.n_dep())]
-            if not _is_safe(node.code, parts):
-                yield node.code, parts[domain]
+        if domain is not None and not _is_safe(program, place, node.operands[domain], signs):
+            if expressions is None:
+                expressions = function.instructions_sx()  # SX.dep takes ten times as long
+            yield node.code, expressions[node.line].dep(domain)
         todo += node.operands
 
 
@@ -51,22 +51,27 @@ _DEEP: Final = 12
 """How far back the sign of a value is looked for."""
 
 
-def sign_of_node(x: SX, deep: int = _DEEP) -> Sign:
-    """What is known of a scalar's sign by its last operations."""
-    if x.is_constant():
-        return sign_after(ca.OP_CONST, (), positive=float(x) > 0)
-    if not x.n_dep() or not deep or x.op() not in SIGNED:
+def _sign_of(program: Program, place: int, known: dict[tuple[int, int], Sign], deep: int = _DEEP) -> Sign:
+    """What is known of the sign of a program's value by its last operations."""
+    node = program.nodes[place]
+    if node.code == CONST:
+        return sign_after(CONST, (), positive=node.constant > 0)
+    if not deep or node.code not in SIGNED:
         return Sign.ANY
-    return sign_after(x.op(), [sign_of_node(x.dep(k), deep - 1) for k in range(x.n_dep())])
+    if (place, deep) not in known:
+        operands = [_sign_of(program, k, known, deep - 1) for k in node.operands]
+        known[place, deep] = sign_after(node.code, operands)
+    return known[place, deep]
 
 
-def _is_safe(code: int, parts: Sequence[SX]) -> bool:
+def _is_safe(program: Program, place: int, operand: int, signs: dict[tuple[int, int], Sign]) -> bool:
     """What divides by, or is the root or logarithm of, something that is above zero by how it is computed, such as
     max(x, c) or x^2 + c, c > 0, and a whole power that is not negative, are defined everywhere.
     """
-    domain = OPERATIONS[code].domain
-    if code in _ABOVE and domain is not None and sign_of_node(parts[domain]) is Sign.ABOVE:
+    node = program.nodes[place]
+    if node.code in _ABOVE and _sign_of(program, operand, signs) is Sign.ABOVE:
         return True
-    if code in POWERS and parts[1].is_constant():
-        return float(parts[1]) >= 0 and float(parts[1]).is_integer()
+    exponent = program.nodes[node.b]
+    if node.code in POWERS and exponent.code == CONST:
+        return exponent.constant >= 0 and exponent.constant.is_integer()
     return False

@@ -12,6 +12,7 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, TypeAlias, final
 
@@ -165,7 +166,17 @@ def read_document(text: str, name: str, kind: Kind = GRAPH) -> Document:
 
     Raises `DocumentError` and, for numbers that are not finite, `ValueFault`; several faults are raised as `Faults`.
     """
-    text = text.removeprefix("\ufeff")
+    root = (_root_of if len(text) <= _KEPT else _root_of.__wrapped__)(text.removeprefix("\ufeff"), name, kind)
+    return Document(name, mapping_of(root), root)
+
+
+_KEPT: Final = 20_000
+"""Longest text whose nodes are kept: a race, a study and a session read the same graphs many times."""
+
+
+@lru_cache(maxsize=128)
+def _root_of(text: str, name: str, kind: Kind) -> Node:
+    """The node of the mapping. Raises as `read_document`."""
     _check_size(len(text.encode("utf-8", "surrogatepass")), name, kind)
     if text.count(",") + text.count("\n") > MOST_NODES:  # before the parser, which takes seconds for as many values
         raise DocumentError(f"more than {MOST_NODES} values or lines; shorten the {kind.noun}", location=name)
@@ -189,7 +200,7 @@ def read_document(text: str, name: str, kind: Kind = GRAPH) -> Document:
             f"expected a {kind.noun}, keys with their values, found {_kind(root.value)}; {_begin(kind)}",
             location=f"{name}:{root.line}:{root.column}",
         )
-    return Document(name, mapping_of(root), root)
+    return root
 
 
 def unreadable(letter: str) -> str:

@@ -23,7 +23,7 @@ from dmframe.dimensions.limits import with_limits
 from dmframe.dimensions.rules import Contradiction, dimensions
 from dmframe.dimensions.stated import STORED, Item, items_of
 from dmframe.dimensions.words import expression
-from dmframe.program import CONST, INPUT, TO_READ, Program, by_code, read
+from dmframe.program import CONST, INPUT, TO_READ, Program, by_code, read, shared
 
 
 def unit_faults(models: Mapping[str, BlockModel], sizes: Sizes, robot: Any = None) -> list[UnitError]:
@@ -97,7 +97,7 @@ class Check:
     ) -> Check:
         """The check of a block; after an inconsistency it is repeated with the robot's limits as symbols with units."""
         check = cls(model, sizes, units, prismatic=prismatic)
-        if model.robot is None or check.disagreement() is None:
+        if model.robot is None or check._first is None:
             return check
         limited = with_limits(model, sizes)
         return check if limited is None else cls(limited, sizes, units, prismatic=prismatic)
@@ -108,7 +108,7 @@ class Check:
         given = self._declared.arguments
         known = [argument.symbols for argument in given]
         free = ca.Function("units", known, [column], {"allow_free": True}).free_sx()
-        program = read(ca.Function("units", [*known, ca.vertcat(ca.SX(0, 1), *free)], [column], TO_READ))
+        program = shared(read(ca.Function("units", [*known, ca.vertcat(ca.SX(0, 1), *free)], [column], TO_READ)))
         leaf_units = dict[int, Leaf]()
         for place, node in enumerate(program.nodes):
             if node.code == INPUT and node.a < len(given):
@@ -121,6 +121,11 @@ class Check:
     def parameters(self) -> list[str]:
         """The parameters on which the block's expressions depend."""
         return sorted({leaf.parameter for leaf in self._compiled[1].values() if leaf.parameter})
+
+    @cached_property
+    def _first(self) -> Disagreement | None:
+        """The first inconsistency with the declared units."""
+        return self.disagreement()
 
     def disagreement(self, parameter: str = "", times: int | None = None) -> Disagreement | None:
         """The first inconsistency, optionally with the dimension of one parameter multiplied by another."""
@@ -164,7 +169,7 @@ class Check:
         declared = next(declaration_faults(type(self.model.block)), None)
         if declared is not None:
             return UnitError(f"{self.model.name}: {declared}", path=("blocks", self.model.name))
-        found = self.disagreement()
+        found = self._first
         if found is None:
             return None
         program, leaf_units = self._compiled

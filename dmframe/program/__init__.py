@@ -66,7 +66,19 @@ from dmframe.program.operations import (
     by_code,
     sign_of,
 )
-from dmframe.program.program import CONST, INPUT, TO_READ, Node, Pattern, Program, codes, instructions, read, run
+from dmframe.program.program import (
+    CONST,
+    INPUT,
+    TO_READ,
+    Node,
+    Pattern,
+    Program,
+    codes,
+    instructions,
+    read,
+    run,
+    shared,
+)
 
 __all__ = [
     "BY_NAME",
@@ -89,5 +101,6 @@ __all__ = [
     "instructions",
     "read",
     "run",
+    "shared",
     "sign_of",
 ]

@@ -34,7 +34,7 @@ def inject_faults(claim: Claim, *, seed: int) -> tuple[Control, ...]:
     zero for this robot. This is read from the moves, never from the residual: a change of the moves that the residual
     does not show is a fault that was missed.
     """
-    faults = _Faults(claim, random.Random(seed + 1))
+    faults = _Faults(claim.shared, random.Random(seed + 1))
     return (*faults.reversed(), *faults.dropped(), *faults.changed())
 
 

@@ -174,7 +174,10 @@ def _unpacked(n: int, triangle: Column) -> list[list[Any]]:
 
 
 def inverse_of(ring: Any, W: Sequence[Column]) -> list[list[Any]]:
-    """The inverse of a matrix whose leading minors do not vanish, by elimination without pivoting."""
+    """The inverse of a matrix whose leading minors do not vanish: the ring's, or by elimination without pivoting."""
+    if own := getattr(ring, "inverse_matrix", None):
+        found: list[list[Any]] = own(W)
+        return found
     n = len(W)
     rows = [[*row, *(ring.number(int(i == k)) for k in range(n))] for i, row in enumerate(W)]
     for k in range(n):
@@ -197,10 +200,10 @@ def _put_back(
         theta = [ring.reduced(x - P[k][i] * share) for k, x in enumerate(theta)]
         theta[i] = face
     cut = [_into_box(ring, x, low, high) for x, low, high in zip(theta, lower, upper, strict=True)]
+    kept = ring.number(1)
     for i in range(len(theta) - 1):  # the last one is on its face or inside
-        inside = ring.call("eq", theta[i], cut[i])
-        G = [[ring.reduced(x * inside) for x in row] for row in G]
-    return cut, G
+        kept = ring.reduced(kept * ring.call("eq", theta[i], cut[i]))
+    return cut, [[ring.reduced(x * kept) for x in row] for row in G]
 
 
 def pushed(
