@@ -1,8 +1,8 @@
 """Texts and ticks of matplotlib measured once, where matplotlib measures them at each step of a layout.
 
-A layout computes the ticks of each axis up to twelve times, and measures each label as often, which takes a third of the
-time of a figure. In this context ticks are computed again only if the limits or the size of an axis have changed. The
-figures are the same to the byte.
+A layout computes the ticks of each axis up to twelve times, and measures each label as often, which takes a third of
+the time of a figure. In this context ticks are computed again only if the limits or the size of an axis have changed.
+The figures are the same to the byte.
 """
 
 from __future__ import annotations
