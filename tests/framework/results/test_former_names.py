@@ -2,9 +2,11 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from dmframe.analysis.summary import LoopAnalysis
+from dmframe.results.climb import climb_of
 from dmframe.results.reported import ReportedEstimate
 
 
@@ -17,3 +19,9 @@ def test_felt_is_the_excitation_with_a_warning() -> None:
 def test_ties_are_the_reference_gains_with_a_warning() -> None:
     with pytest.warns(DeprecationWarning, match="ties is now reference_gains"):
         assert LoopAnalysis.ties.fget(SimpleNamespace(reference_gains=(1,))) == (1,)
+
+
+def test_share_is_the_fraction_of_a_climb_with_a_warning() -> None:
+    climb = climb_of(np.arange(4.0), np.array([4.0, 1.0, 2.5, 0.0]), np.zeros(4))
+    with pytest.warns(DeprecationWarning, match="share is now fraction"):
+        assert climb.share == climb.fraction == 1.5 / 4
