@@ -13,7 +13,7 @@ from dmframe.batch.figures import ERROR, TURN, Figures, Measured, MeasuredSignal
 from dmframe.common.errors import DmframeError
 from dmframe.common.units import to_unit
 from dmframe.diagram import Diagram
-from dmframe.results.metrics import EIGHTHS, TurnError, goal_of
+from dmframe.results.metrics import EIGHTHS, TurnError, counted_rows, goal_of
 from dmframe.simulate import Recording
 from dmframe.simulate.keep import rotation_distance_of
 
@@ -51,7 +51,9 @@ def units_of(diagram: Diagram) -> dict[str, str]:
     units = {signal.label: signal.unit for signal in loop.outputs}
     units |= {variable.label: variable.unit for variable in loop.variables}
     goal = goal_of(loop)
-    units |= {} if goal is None else {ERROR: units[goal.actual]}
+    if goal is not None:
+        shape = next(signal.shape for signal in loop.outputs if signal.label == goal.actual)
+        units[ERROR] = counted_rows(diagram, shape, units[goal.actual])[1]
     return units if rotation_distance_of(loop) is None else units | {TURN: TurnError.unit}
 
 

@@ -243,6 +243,8 @@ class Run(AboutGraph):
         if error is None or error.rms_final is None:
             return ""
         turned = "" if self.turn is None else f" and turned by {_shown(self.turn.rms_final, self.turn.unit)}"
+        if error.prismatic is not None:
+            turned = f" and {_shown(error.prismatic.rms_final, error.prismatic.unit)}"
         return f", |{error.signal}| {plain(error.rms_final, error.unit)}{turned} RMS in the last eighth"
 
 
@@ -269,7 +271,8 @@ def row(run: Run) -> tuple[str, ...]:
     data = summary(run.graph.name, run.recording)
     error, turn = data["error"], data["turn"]
     clock = data["clock"] if data["clock"] == "continuous" else plain(data["clock"], "s")
-    first, last = (", ".join(_rms(each, index) for each in (error, turn) if each) or "-" for index in (0, -1))
+    shown = [each for each in (error, error and error.get("prismatic"), turn) if each]
+    first, last = (", ".join(_rms(each, index) for each in shown) or "-" for index in (0, -1))
     signal = (error["signal"] if error else "-") + (", turn" if turn else "")
     factor = data["real_time_factor"]
     speed = "-" if factor is None else f"{factor:.0f} x"
