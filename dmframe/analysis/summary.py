@@ -8,13 +8,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, final
 
+from dmframe.analysis.additional_friction import AdditionalFriction
 from dmframe.analysis.emulation import SECONDS, EmulationLimit, emulation_limits
 from dmframe.analysis.linear import Linear, linearise
 from dmframe.analysis.period import Bracket, StablePeriods, linearised_period, simulated_period
 from dmframe.analysis.rational import Passivity, Rational
 from dmframe.analysis.reference_gain import ReferenceGain, reference_gains
 from dmframe.analysis.rounding import averaged
-from dmframe.analysis.servo import JointLoop, servo_transfer
+from dmframe.analysis.servo import JointLoop, left_out, servo_transfer
 from dmframe.analysis.stability_proof import StabilityProof, prove_stability
 from dmframe.certify.true_values import estimates_of
 from dmframe.common.errors import listed
@@ -62,6 +63,8 @@ class LoopAnalysis:
         Outputs declared as rounded, such as encoders, with their largest steps.
     field_hash
         `Diagram.fingerprint`.
+    left_out
+        Friction that the joint loops leave out.
     """
 
     clock: float | None
@@ -75,6 +78,7 @@ class LoopAnalysis:
     unknown: tuple[str, ...] = ()
     averaged: Mapping[str, float] = field(default_factory=dict)
     field_hash: str = ""
+    left_out: tuple[AdditionalFriction, ...] = ()
 
     @property
     def ties(self) -> tuple[ReferenceGain, ...]:
@@ -91,6 +95,10 @@ class LoopAnalysis:
             note += f" Rounded signals are replaced by their means: {steps}."
         if self.at_rest.kinks:
             note += f" The equilibrium is at an edge of {listed(self.at_rest.kinks)}: the linearisation is one-sided."
+        if self.left_out:
+            note += (
+                f" The joint loops are {'; '.join(map(str, self.left_out))}. The linearised loop contains it at rest."
+            )
         if self.unknown:
             note += f" True values of {', '.join(self.unknown)} are unknown: they have their values at the set-point."
         return note
@@ -140,8 +148,10 @@ def analyse(
     )
     unknown = tuple(label for label, value in estimates_of(diagram, resting=True).items() if value is None)
     joints = servo_transfer(diagram, at_rest.point)
-    means, field_hash = averaged(diagram), diagram.fingerprint
-    return LoopAnalysis(clock, at_rest, moving, joints, periods, gains, proofs, limits, unknown, means, field_hash)
+    means, field_hash, left = averaged(diagram), diagram.fingerprint, left_out(diagram)
+    return LoopAnalysis(
+        clock, at_rest, moving, joints, periods, gains, proofs, limits, unknown, means, field_hash, left
+    )
 
 
 def summary(name: str, analysis: LoopAnalysis) -> dict[str, Any]:

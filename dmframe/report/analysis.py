@@ -101,6 +101,7 @@ class Analysis(AboutGraph):
             f"{self.name}: {self.graph.file.title}".rstrip(": "),
             "",
             "joint loops: servo, motor, diagonal of M and viscous friction at the set-point, other joints locked",
+            *(line for friction in self.found.left_out for line in textwrap.wrap(str(friction), 112)),
             columns([JOINT_HEADS, *view.joints]),
             "",
             "closed loop, linearised at the set-point, estimates at their true values",
