@@ -133,5 +133,6 @@ def processor() -> str:
     except OSError:
         lines = []
     kept = [line for line in lines if line.split(":")[0].strip() in ("model name", "flags", "Features", "CPU part")]
-    text = "\n".join((platform.system(), platform.machine(), platform.processor(), *kept))
+    known = kept or [platform.processor()]  # which starts a process
+    text = "\n".join((platform.system(), platform.machine(), *known))
     return hashlib.sha256(text.encode()).hexdigest()

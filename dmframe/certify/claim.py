@@ -230,11 +230,12 @@ class Claim:
         return able[int(np.nanargmin(sizes))]
 
 
-def claim_of(diagram: Diagram, *, held: bool = True) -> Claim:
+def claim_of(diagram: Diagram, *, held: bool = True, named: bool = True) -> Claim:
     """Assemble the blocks' certificates. The printed laws are compared with the code at a few points only.
 
     `dmframe.certify.laws.check_laws` compares them fully, and the docstrings too. If not `held`, it is left to
-    `unsteady` whether certificates hold numbers.
+    `unsteady` whether certificates hold numbers. If not `named`, for a claim that was assembled before from the same
+    blocks, no printed law is read, and terms have no names.
 
     Raises `NotApplicableError` where a block has no certificate or an ill-formed one, or needs a true value that the
     diagram does not have.
@@ -242,7 +243,7 @@ def claim_of(diagram: Diagram, *, held: bool = True) -> Claim:
     found = certificates_of(diagram)
     if held:
         hold_claims(diagram, found.truths)
-    return _over_samples(diagram, found) if diagram.loop.discrete_time else _in_continuous_time(diagram, found)
+    return _over_samples(diagram, found) if diagram.loop.discrete_time else _in_continuous_time(diagram, found, named)
 
 
 def unsteady(diagram: Diagram) -> str:
@@ -254,14 +255,15 @@ def unsteady(diagram: Diagram) -> str:
     return ""
 
 
-def _in_continuous_time(diagram: Diagram, found: Certificates) -> Claim:
+def _in_continuous_time(diagram: Diagram, found: Certificates, named: bool) -> Claim:
     stated, truths = dict(found.stated), found.truths
-    laws = printed_laws(diagram, stated, truths)
+    laws = printed_laws(diagram, stated, truths) if named else {}
     unfollowed = _unfollowed(diagram, stated)
     stated |= {name: Certificate(truth=stated[name].truth) for name in unfollowed}
     laws = {name: law.silent if name in unfollowed else law for name, law in laws.items()}
     along = Flow(diagram)
-    parts = tuple(flow_part(along, name, item) for name, item in labelled(stated, laws).items())
+    labelled_ones = labelled(stated, laws) if named else stated
+    parts = tuple(flow_part(along, name, item) for name, item in labelled_ones.items())
     if not any(part.certificate.storage for part in parts):
         raise NotApplicableError("no block of this graph stores anything; there is no V")
     cascades = [part for part in parts if part.certificate.consumes is not None]

@@ -50,22 +50,26 @@ def _status() -> int:
 
     loaded = "dmframe.catalogue" in sys.modules  # earlier reads of this process were not recorded
     call = None if loaded or COMPLETING in os.environ else call_of(sys.argv[1:])
-    if call is not None:
-        entry = found(call)
-        if entry is not None:
+    if call is not None and (entry := found(call)) is None:
+        _record(call)
+    elif call is not None and entry is not None:
+        if call.command == "run":
+            from dmframe.remembered.conclusions import recall
+
+            recall(entry)
+        else:
             sys.stderr.write("".join(entry["aside"]))
             tell(page_of(entry, as_json=call.as_json))
             return int(entry["status"])
-        _record(call)
     return _commanded()
 
 
 def _record(call: Call) -> None:
-    """Record the inputs of the proof, so that its verdict can be remembered."""
+    """Record the inputs of the proof or the run, so that its verdict or its conclusions can be remembered."""
     from dmframe.remembered.recorder import begin
 
     recorder = begin(call)
-    if recorder is not None:
+    if recorder is not None and call.command == "verify":
         listeners.append(recorder.aside)
 
 

@@ -133,6 +133,9 @@ def run(
     no_plots: Annotated[bool, typer.Option("--no-plots", help="Draw no figures.")] = False,
     page: Annotated[bool, typer.Option("--page", help="Write each graph's live page to its results.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Write to --out even if it contains files.")] = False,
+    fresh: Annotated[  # read by `dmframe.remembered.front`, as that of `verify`
+        bool, typer.Option("--fresh", help="Decide again what depends on the graph alone, even if it is remembered.")
+    ] = False,
     as_json: AsJson = False,
     trust: Trust = False,
 ) -> int:

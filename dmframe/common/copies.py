@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any, TypeVar, final
+from typing import Any, Generic, TypeVar, final
 
 T = TypeVar("T")
 
@@ -22,16 +22,79 @@ _PROCESSES = 4
 """Largest number of processes, including this one."""
 
 
+@final
+class Later(Generic[T]):
+    """A value that jobs of `shared` wait for, since they start before it is known.
+
+    A fork gets a pickled copy. If a job takes the value in this process, it was given before.
+    """
+
+    def __init__(self) -> None:
+        self._given = list[T]()
+        self._process, self._memory = os.getpid(), -1
+        self._ends: tuple[int, int] | None = None
+
+    def open(self) -> None:
+        """Prepare to give the value to forks, which are started next."""
+        self._memory, self._ends = os.memfd_create("later"), os.pipe()
+
+    def give(self, value: T) -> None:
+        """Give the value, once."""
+        self._given.append(value)
+        if self._ends is None:
+            return
+        try:
+            with open(self._memory, "wb", closefd=False) as file:
+                pickle.dump(value, file, protocol=5)
+        except OSError:  # no memory: the forks end, and this process does their jobs
+            os.close(self._ends[1])
+            self._ends = (self._ends[0], os.dup(self._ends[0]))
+        else:
+            os.write(self._ends[1], bytes(_PROCESSES))
+
+    def take(self) -> T:
+        """The value; a fork waits for it.
+
+        Raises
+        ------
+        EOFError
+            The process that would give it has ended.
+        """
+        if not self._given:
+            if self._ends is None or os.getpid() == self._process:
+                raise EOFError("the value was not given")
+            os.close(self._ends[1])  # else a fork whose parent has ended would wait forever
+            if not os.read(self._ends[0], 1):
+                raise EOFError("the process that gives the value has ended")
+            size = os.fstat(self._memory).st_size
+            self._given.append(pickle.loads(os.pread(self._memory, size, 0)))
+        return self._given[0]
+
+    def close(self) -> None:
+        """Free what `open` took."""
+        for end in self._ends or ():
+            os.close(end)
+        if self._memory >= 0:
+            os.close(self._memory)
+        self._memory, self._ends = -1, None
+
+
 @contextmanager
 def shared(
-    jobs: Sequence[Callable[[], T]], *, busy: bool = False, small: bool = False
+    jobs: Sequence[Callable[[], T]],
+    *,
+    busy: bool = False,
+    small: bool = False,
+    apart: bool = False,
+    later: Sequence[Later[Any]] = (),
 ) -> Iterator[Callable[[], list[T]]]:
     """Start jobs in forked processes; the yielded function does the remaining ones, and returns all results.
 
     The forks work while this process does something else. If forks are not safe, or there is one core, or the jobs are
     `small`, shorter than a fork, that function does all jobs. A job that fails in a fork is repeated in this process,
     which raises its error. Forks are killed at the end of the ``with`` block. A `busy` process has other work as long
-    as a job, and forks a single job too.
+    as a job, and forks a single job too. With `apart`, this process waits for the forks, and does only what they did
+    not. Jobs may wait for the values `later`.
     """
     count = min(_cores(), len(jobs) + busy, _PROCESSES) - 1 if len(jobs) < _MOST and not small else 0
     if count < 1:
@@ -39,6 +102,8 @@ def shared(
         return
     copies, pipe = list[_Copy](), list[int]()
     try:
+        for value in later:
+            value.open()
         pipe += os.pipe()
         os.write(pipe[1], bytes(range(len(jobs))))
         os.close(pipe.pop())
@@ -48,12 +113,14 @@ def shared(
         if len(pipe) != 1:
             for end in pipe:
                 os.close(end)
+            for value in later:
+                value.close()
             yield lambda: [job() for job in jobs]
             return
     (numbers,) = pipe
 
     def finished() -> list[T]:
-        done = dict(_taken(jobs, numbers))
+        done = {} if apart else dict(_taken(jobs, numbers))
         for copy in copies:
             done |= copy.results()
         return [done[number] if number in done else job() for number, job in enumerate(jobs)]
@@ -64,6 +131,8 @@ def shared(
         for copy in copies:
             copy.end()
         os.close(numbers)
+        for value in later:
+            value.close()
 
 
 def _cores() -> int:

@@ -6,7 +6,6 @@ import errno
 import os
 import stat
 import sys
-import uuid
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
@@ -29,7 +28,7 @@ def printable(text: str) -> str:
 
 def hidden_name() -> str:
     """Short temporary name of an incomplete file or folder."""
-    return f".dmframe-{uuid.uuid4().hex[:8]}.part"
+    return f".dmframe-{os.urandom(4).hex()}.part"
 
 
 def is_hidden(name: str) -> bool:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from typing import Any, Final
 
 import numpy as np
 
 from dmframe.common.errors import UnknownNameError
+from dmframe.common.measuring import measured_once
 from dmframe.common.version import version
 
 COLUMN, PAGE = 3.5, 7.16
@@ -75,12 +76,29 @@ def styled() -> Iterator[None]:
         yield
 
 
-def loaded() -> None:
-    """Import matplotlib's figures, so that copies of this process need not; a failure shows when a figure is drawn."""
-    with suppress(Exception):
+def loaded(*, documented: bool = True) -> None:
+    """Import matplotlib's figures; a failure shows when a figure is drawn.
+
+    If not `documented`, for a process that draws and ends, the classes have no docstrings: matplotlib writes them by
+    inspection of each class, which takes a third of its import.
+    """
+    with suppress(Exception), nullcontext() if documented else _undocumented():
         import matplotlib.backends.backend_agg
         import matplotlib.backends.backend_svg
         import matplotlib.figure  # noqa: F401
+
+
+@contextmanager
+def _undocumented() -> Iterator[None]:
+    """Context in which matplotlib's classes are made without their docstrings."""
+    from matplotlib.artist import Artist
+
+    written = vars(Artist)["_update_set_signature_and_docstring"]
+    Artist._update_set_signature_and_docstring = classmethod(lambda cls: None)
+    try:
+        yield
+    finally:
+        Artist._update_set_signature_and_docstring = written
 
 
 def new_figure(width: float, height: float) -> Any:
@@ -124,7 +142,8 @@ def page(width: float, height: float) -> Iterator[Any]:
     with styled():
         figure = new_figure(width, height)
         yield figure
-        settle(figure)
+        with measured_once():
+            settle(figure)
 
 
 def figure_svg(figure: Any) -> str:
@@ -151,7 +170,7 @@ def checked_formats(where: str, formats: Sequence[str]) -> tuple[str, ...]:
 def files_of(figure: Any, name: str, about: str, formats: Sequence[str] = FORMATS[:1]) -> dict[str, bytes]:
     """The figure as ``name.svg`` and in other `FORMATS`; the same figure gives the same bytes."""
     canvas = figure.canvas
-    with styled():
+    with styled(), measured_once():
         files = {f"{name}.{ending}": _printed(figure, ending, name, about) for ending in formats}
     figure.set_canvas(canvas)
     return files

@@ -29,7 +29,6 @@ from dmframe.diagram.wiring import (
     ways,
     wire_blocks,
 )
-from dmframe.dimensions import unit_faults
 
 
 @final
@@ -130,6 +129,8 @@ class Diagram:
 
         It takes 0.1 to 0.3 s for most graphs, 1 s for sampled inverses; `check` and `verify` call it.
         """
+        from dmframe.dimensions import unit_faults  # a run checks no units
+
         with SYMBOLIC:
             return unit_faults(self.models, self.sizes, self.robot)
 

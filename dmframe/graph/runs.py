@@ -19,7 +19,7 @@ from dmframe.graph.labels import labels_of
 from dmframe.graph.load import load
 from dmframe.graph.progress import Bars
 from dmframe.results.run import HEADS, NOTE, Run, drawn, ended, row, saved, table_of
-from dmframe.simulate import Recording, simulate_many
+from dmframe.simulate import Recording
 
 if TYPE_CHECKING:
     import pandas
@@ -167,6 +167,7 @@ def compare(
 def ran_together(graphs: Sequence[Graph], engine: Choice) -> list[Run] | None:
     """Runs of graphs that share one closed loop and its settings, in one build; None if they differ in more."""
     from dmframe.batch.runner import numbers_between
+    from dmframe.simulate import simulate_many
 
     base = graphs[0]
     found = [numbers_between(base, graph) if _same_settings(base, graph) else None for graph in graphs]

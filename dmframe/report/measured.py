@@ -16,7 +16,7 @@ from dmframe.config import BaseGraph
 from dmframe.exact.rational import as_float
 from dmframe.results.along import StorageTrace, along
 from dmframe.results.metrics import tracking_error, turn_error
-from dmframe.results.storage_figure import storage_picture
+from dmframe.results.storage_figure import StoragePicture, storage_picture
 from dmframe.simulate import Log, Recording
 
 ROUNDING = 1e-6
@@ -69,11 +69,12 @@ def measure(graph: BaseGraph, verdict: Verdict, tell: Callable[[str], None] = la
     more, v_numbers = _v_facts(found, clock)
     over = verdict.samples is not None
     kept = np.unique(np.linspace(0, found.time.size - 1, INSTANTS).astype(int))
+    names = [rf"${term.of.latex}$ ({term.block})" for term in found.terms]
     return Measured(
         sentence=f"{_sentence(clock, verdict)} {_judged_over_samples(found) if over else _judged(found, clock)}",
         facts=(*facts, *more),
         numbers={**numbers, **v_numbers},
-        figure=figure_svg(storage_picture(found, [rf"${term.of.latex}$ ({term.block})" for term in found.terms], run)),
+        figure=figure_svg(storage_picture(StoragePicture(found, names), run)),
         caption="$V$ along the simulated run (above), and its largest terms, each with its weight (below).",
         table=tuple((float(found.time[k]), float(found.V[k])) for k in kept),
     )

@@ -15,8 +15,6 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.certificate import SX, Square, Stored
-from dmframe.certify.assumed import assumed_positive
-from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim, Part, total
 from dmframe.common.errors import ValueFault
 from dmframe.common.slices import slices
@@ -140,7 +138,7 @@ class StorageTrace:
         return int(np.count_nonzero(self.steps > 0))
 
 
-def along(claim: Claim, run: Recording, kappa: float = 1.0) -> StorageTrace:
+def along(claim: Claim, run: Recording, kappa: float = 1.0, *, assumed: bool = True) -> StorageTrace:
     r"""Evaluate :math:`V = \kappa (S_1 + S_2 + \dots) + S_{cascade}` along a run.
 
     In discrete time, an unknown constant in V, such as the initial state of a servo's integrator, is identified from
@@ -153,6 +151,8 @@ def along(claim: Claim, run: Recording, kappa: float = 1.0) -> StorageTrace:
         Certificate of the diagram that ran, or of one with the same blocks and parameter sizes.
     kappa
         Weight above the lower bound of the small-gain condition (`Verdict.kappa`); no effect without a cascade.
+    assumed
+        Whether the claim may assume that weights are positive; if not, none is looked for.
 
     Raises
     ------
@@ -163,10 +163,10 @@ def along(claim: Claim, run: Recording, kappa: float = 1.0) -> StorageTrace:
         recomputed.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        return (_over_samples if claim.over_samples else _over_time)(claim, run, kappa)
+        return _over_samples(claim, run, kappa) if claim.over_samples else _over_time(claim, run, kappa, assumed)
 
 
-def _over_time(claim: Claim, run: Recording, kappa: float) -> StorageTrace:
+def _over_time(claim: Claim, run: Recording, kappa: float, assumed: bool) -> StorageTrace:
     _check_same(claim, run)
     own = AtInstants(claim, run)
     stored = [(part.block, term.of, claim.weight(part) * term.value / 2) for part, term in _terms(claim)]
@@ -182,7 +182,7 @@ def _over_time(claim: Claim, run: Recording, kappa: float) -> StorageTrace:
         rate=rate,
         rounding=_rounding(own, V),
         jumps=_jumps(own, V),
-        notes=tuple(_notes(own)),
+        notes=tuple(_notes(own)) if assumed else (),
     )
 
 
@@ -231,6 +231,9 @@ def _stored(part: Part) -> Iterator[tuple[Text, SX]]:
 
 def _notes(own: AtInstants) -> Iterator[str]:
     """Sentences on weights that are assumed positive but are not along the run."""
+    from dmframe.certify.assumed import assumed_positive  # most claims assume none
+    from dmframe.certify.checked import Numbers
+
     for item in assumed_positive(own.claim, Numbers(own.claim, {})):
         least = np.min(own.of(own.claim.loop.projected([item.column])[0]), axis=0)
         wrong = np.flatnonzero(~(least > 0))

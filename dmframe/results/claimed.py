@@ -49,7 +49,15 @@ def claimed_along(
         The reason: `verify` would find nothing to prove, as far as the cheap conditions show; the run did not record
         every state; or the loop is too large.
     """
-    diagram = run.diagram
+    with SYMBOLIC:
+        claim, kappa = checked_claim(run.diagram, uncertain, start)
+        return claim, along(claim, run, kappa)
+
+
+def checked_claim(
+    diagram: Diagram, uncertain: Mapping[str, Sequence[Interval]], start: Mapping[str, Any]
+) -> tuple[Claim, float]:
+    """The claim of a diagram and the weight of its servo level; see `claimed_along` for the errors."""
     with SYMBOLIC:
         if not diagram.loop.discrete_time and (size := _large(diagram)):
             raise NotApplicableError(
@@ -61,7 +69,7 @@ def claimed_along(
         kappa = small_gain(claim, numbers) if claim.cascaded else None
         for reason in _faults(claim, numbers, start):
             raise NotApplicableError(reason)
-        return claim, along(claim, run, as_float(kappa.chosen) if kappa else 1.0)
+        return claim, as_float(kappa.chosen) if kappa else 1.0
 
 
 def _large(diagram: Diagram) -> int:

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,8 +21,8 @@ from dmframe.common.plotting import FORMATS, checked_formats
 from dmframe.common.version import version_of
 from dmframe.config import BaseGraph
 from dmframe.config.resolved import companions, resolved_text, robot_source
-from dmframe.results import figures
 from dmframe.results.dataset import netcdf
+from dmframe.results.drawing_process import Drawing, drawing_of
 from dmframe.results.place import SAMPLES, Place, built, clear_figures, complete, reserved
 from dmframe.results.run import Run
 from dmframe.results.summary import summary_of
@@ -102,27 +103,28 @@ def write_data(place: Place, runs: Sequence[Run]) -> list[dict[str, Any]]:
 @contextmanager
 def drawing(runs: Sequence[Run], formats: Sequence[str]) -> Iterator[Callable[[Place, Sequence[Run]], None]]:
     """Start drawing figures; yields a function that writes them next to the data, or raises `OutputError`."""
+    with drawing_of(named(runs), formats) as drawn:
+        yield partial(write_figures, drawn)
 
-    def named(items: Sequence[Run]) -> dict[str, Run]:
-        return dict(zip(_names([run.name for run in items]), items, strict=True))
 
-    with figures.drawing(named(runs), formats) as drawn:
+def write_figures(drawn: Drawing, place: Place, known: Sequence[Run]) -> None:
+    """Write the figures next to the data, or raise `OutputError`."""
+    try:
+        with writing(place.path, "figures"):
+            for name, content in drawn.files(named(known)).items():
+                write_bytes(place.folder / name, content)
+    except OutputError:
+        raise
+    except Exception as error:  # plotting libraries raise various errors for user names and values
+        reason = (str(error).splitlines() or [""])[0]
+        raise OutputError(
+            f"{place.path}: signals and summary are written, the figures are not: {type(error).__name__}: {reason}"
+        ) from error
 
-        def write(place: Place, known: Sequence[Run]) -> None:
-            try:
-                with writing(place.path, "figures"):
-                    for name, content in drawn(named(known)).items():
-                        write_bytes(place.folder / name, content)
-            except OutputError:
-                raise
-            except Exception as error:  # plotting libraries raise various errors for user names and values
-                reason = (str(error).splitlines() or [""])[0]
-                raise OutputError(
-                    f"{place.path}: signals and summary are written, the figures are not: "
-                    f"{type(error).__name__}: {reason}"
-                ) from error
 
-        yield write
+def named(runs: Sequence[Run]) -> dict[str, Run]:
+    """Runs by the names of their curves."""
+    return dict(zip(_names([run.name for run in runs]), runs, strict=True))
 
 
 def safe_name(name: str) -> str:

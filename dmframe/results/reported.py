@@ -84,7 +84,7 @@ def reported_estimates(run: Recording) -> list[ReportedEstimate]:
         or not set(run.states) >= {v.label for v in run.diagram.loop.variables}
     ):
         return []
-    chosen, found = last[np.unique(np.linspace(0, last.size - 1, MOST).astype(int))], list[ReportedEstimate]()
+    chosen, found = last[sorted({*np.linspace(0, last.size - 1, MOST).astype(int).tolist()})], list[ReportedEstimate]()
     for signal, words in _showing(run.diagram):
         values = _at(run, signal.expression, chosen).mean(axis=0)
         effects = _excitation(run, signal, chosen)

@@ -19,9 +19,10 @@ from dmframe.common.units import plain
 from dmframe.config import BaseGraph
 from dmframe.config.about import AboutGraph
 from dmframe.results.dataset import dataset
+from dmframe.results.decided import Decided
 from dmframe.results.metrics import TrackingError, TurnError, tracking_error, turn_error
 from dmframe.results.reported import ReportedEstimate, reported_estimates
-from dmframe.results.storage import SIGNALS, Storage, storage_of, with_storage
+from dmframe.results.storage import SIGNALS, Storage, decided_by, storage_of, with_storage
 from dmframe.results.summary import summary, summary_of
 from dmframe.simulate import Divergence, Recording
 
@@ -117,6 +118,18 @@ class Run(AboutGraph):
             return storage_of(self.recording, self.graph)
         except DmframeError as error:
             return error
+
+    def decide(self, decided: Decided) -> None:
+        """Evaluate V with what was decided before from the same graph."""
+        try:
+            vars(self)["_storage"] = storage_of(self.recording, self.graph, decided)
+        except DmframeError as error:
+            vars(self)["_storage"] = error
+
+    @property
+    def decided(self) -> Decided | None:
+        """What the graph decides about V; None where it is not known."""
+        return decided_by(self.recording, self.graph, self._storage)
 
     @cached_property
     def _recorded(self) -> xarray.Dataset:

@@ -5,20 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from dmframe.certify.claim import Claim
 from dmframe.common.errors import DmframeError, listed
+from dmframe.common.plotting import verbatim
 from dmframe.common.units import plain
 from dmframe.config import BaseGraph
-from dmframe.results.along import StorageTrace
-from dmframe.results.claimed import claimed_along
-from dmframe.results.storage_unit import StorageUnit, storage_unit
+from dmframe.results.decided import Decided, StorageUnit
 from dmframe.simulate import Recording
 from dmframe.simulate.recording import ExtraSignal
 from dmframe.simulate.warnings import between
+
+if TYPE_CHECKING:
+    from dmframe.certify.claim import Claim
+    from dmframe.results.along import StorageTrace
 
 SIGNALS: Final = ("V", "V_rate", "V_dissipation", "V_residual")
 """Labels of V, its rate, dissipation and residual; the storage function of a block is ``V.block``."""
@@ -38,11 +40,14 @@ class Storage:
     ----------
     along
         V, its terms, dV/dt and the dissipation; in discrete time also the residual.
+    decided
+        Earlier decisions on the same graph; None if they were made now.
     """
 
     claim: Claim
     along: StorageTrace
     recording: Recording
+    decided: Decided | None = None
 
     @cached_property
     def signals(self) -> Mapping[str, ExtraSignal]:
@@ -74,7 +79,18 @@ class Storage:
     @cached_property
     def unit(self) -> StorageUnit:
         """Unit of V, or the units of its terms."""
+        if self.decided is not None and self.decided.unit is not None:
+            return self.decided.unit
+        from dmframe.results.storage_unit import storage_unit
+
         return storage_unit(self.claim)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Those of V's terms, for a figure."""
+        if self.decided is not None:
+            return self.decided.names
+        return tuple(f"{term.of.unicode} ({verbatim(term.block)})" for term in self.along.terms)
 
     @property
     def _taken(self) -> set[str]:
@@ -143,10 +159,42 @@ class Storage:
         }
 
 
-def storage_of(recording: Recording, graph: BaseGraph) -> Storage:
-    """V of a run; raises `DmframeError` if it is not defined."""
-    intervals = graph.intervals(recording.diagram)
-    return Storage(*claimed_along(recording, intervals, graph.start), recording)
+def storage_of(recording: Recording, graph: BaseGraph, decided: Decided | None = None) -> Storage:
+    """V of a run; raises `DmframeError` if it is not defined. What was `decided` before is not decided again."""
+    if decided is None:
+        from dmframe.results.claimed import claimed_along  # its imports take a tenth of a second
+
+        intervals = graph.intervals(recording.diagram)
+        return Storage(*claimed_along(recording, intervals, graph.start), recording)
+    from dmframe.block.model import SYMBOLIC
+    from dmframe.certify.claim import NotApplicableError, claim_of
+    from dmframe.results.along import along
+
+    if decided.reason:
+        raise NotApplicableError(decided.reason)
+    with SYMBOLIC:
+        claim = claim_of(recording.diagram, held=False, named=False)
+        found = along(claim, recording, decided.kappa, assumed=decided.assumed)
+    return Storage(claim, found, recording, decided)
+
+
+def decided_by(run: Recording, graph: BaseGraph, found: Storage | DmframeError) -> Decided | None:
+    """What a graph decides about V, from V of its run, or from why there is none.
+
+    None where the reason is another one than the graph's claim, such as a signal that the run did not keep.
+    """
+    from dmframe.certify.assumed import assumed_positive
+    from dmframe.certify.checked import Numbers
+    from dmframe.results.claimed import checked_claim
+
+    if isinstance(found, Storage):
+        assumed = not found.claim.over_samples and any(assumed_positive(found.claim, Numbers(found.claim, {})))
+        return Decided("", found.along.kappa, assumed, found.names, found.unit)
+    try:
+        checked_claim(run.diagram, graph.intervals(run.diagram), graph.start)
+    except DmframeError as error:
+        return Decided(error.text)
+    return None
 
 
 def no_storage(error: DmframeError) -> dict[str, Any]:

@@ -2,39 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import final
-
 from dmframe.certify.claim import Claim
 from dmframe.dimensions.check import checks_of
 from dmframe.dimensions.dimension import RAD, Dimension, declared, product, spelled
-
-
-@final
-@dataclass(frozen=True)
-class StorageUnit:
-    """Units in V; angles are dimensionless, as in SI.
-
-    Parameters
-    ----------
-    unit, rate
-        Units of V and of dV/dt; empty if no block's unit was derived or V adds terms of several units.
-    parts
-        Unit of each block's storage function, if derived, before the multiplication by kappa.
-    several
-        Units of terms that V adds with the same weight, if there are several: the unit weights then carry units.
-    """
-
-    unit: str
-    rate: str
-    parts: Mapping[str, str]
-    several: tuple[str, ...] = ()
-
-    @property
-    def about(self) -> str:
-        """Note on a V without a common unit."""
-        return f"its terms are in {' and '.join(self.several)}, each counted in SI's units" if self.several else ""
+from dmframe.results.decided import StorageUnit
 
 
 def storage_unit(claim: Claim) -> StorageUnit:

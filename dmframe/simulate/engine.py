@@ -17,6 +17,7 @@ from dmframe.build.library import address
 from dmframe.build.trial import called
 from dmframe.common.errors import EngineError, ValueFault
 from dmframe.diagram.rosenbrock import ROS34PW2
+from dmframe.remembered.recorder import paused
 from dmframe.simulate.step import FIXED, Solver, Step
 
 Choice = Literal["auto", "compiled", "interpreted"]
@@ -105,7 +106,8 @@ def _compiled(step: Step) -> tuple[Any, str | None]:
     from dmframe.codegen import loop_source  # deferred: not needed by the interpreter
 
     try:
-        loaded = load(loop_source(step.parts, implicit=step.implicit), lambda library: _works(library, step))
+        with paused():  # what a run concludes does not depend on its engine
+            loaded = load(loop_source(step.parts, implicit=step.implicit), lambda library: _works(library, step))
     except EngineError as error:
         return None, error.text
     if loaded.library is None:

@@ -14,7 +14,7 @@ from sampled_by_hand import Array, Plant, SampledLaw, closed_loop
 from test_sampled_by_hand import K_D, K_I, K_P, PATH, START, T, inertial, ur10
 
 import dmframe as dm
-from dmframe.certify.verify import verify
+from dmframe.certify import verify
 from dmframe.common.errors import DmframeError
 from dmframe.report.measured import measure
 from dmframe.results.along import StorageTrace

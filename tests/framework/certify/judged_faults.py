@@ -96,8 +96,8 @@ def nothing_printed() -> Iterator[None]:
         mock.patch("dmframe.certify.claim.printed_laws", return_value={}),
         mock.patch("dmframe.certify.claim.labelled", unlabelled),
         mock.patch("dmframe.certify.assumed._named", return_value=Text()),
-        mock.patch("dmframe.certify.verify.statements_of", return_value=[]),
-        mock.patch("dmframe.certify.verify.hypotheses", return_value=[]),
+        mock.patch("dmframe.certify.verifier.statements_of", return_value=[]),
+        mock.patch("dmframe.certify.verifier.hypotheses", return_value=[]),
     ):
         yield
 

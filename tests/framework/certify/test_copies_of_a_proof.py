@@ -17,7 +17,7 @@ from dmframe.graph.graph import Graph
 from dmframe.prove.faults import Control
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="no copies elsewhere")
-MODULE = importlib.import_module("dmframe.certify.verify")  # whose package has a function of this name
+MODULE = importlib.import_module("dmframe.certify.verifier")
 
 
 @pytest.fixture(autouse=True)

@@ -171,7 +171,7 @@ def test_figures_that_cannot_be_drawn_lose_no_data(tmp_path, ur10, monkeypatch):
             raise fault
 
         place = tmp_path / type(fault).__name__
-        monkeypatch.setattr("dmframe.results.figures.files_of", fail)
+        monkeypatch.setattr("dmframe.results.drawing_process.files_of", fail)
         with pytest.raises(OutputError, match="signals and summary are written") as caught:
             write_run(place, [ur10])
         assert text in caught.value.text
