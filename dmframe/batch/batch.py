@@ -20,11 +20,11 @@ from dmframe.common.errors import DmframeError, NeedsDiagramError, UnknownNameEr
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.parts import Parts
-from dmframe.results.metrics import TurnError, goal_of, rms_by_eighth, tracking_error, turn_error, turn_of
+from dmframe.results.metrics import TurnError, counted_rows, goal_of, rms_by_eighth, tracking_error, turn_error, turn_of
 from dmframe.simulate import Recording, simulate_many
 from dmframe.simulate.block_starts import once
 from dmframe.simulate.engine import Choice, worth
-from dmframe.simulate.keep import Log, apart_of
+from dmframe.simulate.keep import Log, rotation_distance_of
 from dmframe.simulate.many import cores
 from dmframe.simulate.run import Prepared, prepare
 from dmframe.simulate.step import FIXED, Solver, Step, build_parts
@@ -74,7 +74,7 @@ class Batch:
         raise_all(
             [UnknownNameError("signals", "signal", label, known) for label in wanted.signals if label not in known]
         )
-        measured = {*wanted.signals, ERROR, *([] if apart_of(loop) is None else [TURN])}
+        measured = {*wanted.signals, ERROR, *([] if rotation_distance_of(loop) is None else [TURN])}
         unknown = [label for label in wanted.limits if label not in measured]
         raise_all([UnknownNameError("limits", "measured signal", label, measured) for label in unknown])
         given = {key: value for key, value in settings.items() if value is not None}
@@ -125,8 +125,9 @@ class Batch:
         items |= {variable.label: (variable.unit, ca.vec(variable.symbol)) for variable in loop.variables}
         goal, found = goal_of(loop), dict[str, tuple[str, Any]]()
         if goal is not None:
-            unit, actual = items[goal.actual]
-            found[ERROR] = (unit, ca.norm_2(actual - items[goal.desired][1]))
+            shape = next(signal.shape for signal in loop.outputs if signal.label == goal.actual)
+            rows, unit, _ = counted_rows(self.diagram, shape, items[goal.actual][0])
+            found[ERROR] = (unit, ca.norm_2((items[goal.actual][1] - items[goal.desired][1])[rows]))
         if (turn := turn_of(loop)) is not None:
             found[TURN] = (TurnError.unit, turn)
         return found | {label: items[label] for label in self.wanted.signals}

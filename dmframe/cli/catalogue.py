@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dmframe.cli.arguments import Listed, graph_names, home, lesson_numbers, robot_names, type_names
+from dmframe.cli.arguments import NOTHING, Listed, graph_names, home, lesson_numbers, robot_names, type_names
 from dmframe.cli.streams import tell
 from dmframe.common.errors import UnknownNameError
 from dmframe.common.files import write_text
@@ -58,11 +58,15 @@ def new(
     ],
     file: Annotated[Path | None, typer.Argument(callback=home, help="The new file; NAME.yaml without it.")] = None,
     tool: Annotated[str | None, typer.Option(metavar="FRAME", help="Tool frame of the robot; default: flange.")] = None,
+    hold: Annotated[
+        list[str],
+        typer.Option(metavar="JOINT=POSITION", help="Hold a joint of the robot at an angle or a length; repeatable."),
+    ] = NOTHING,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
 ) -> None:
     """Copy a packaged graph, or write a first graph for a robot, with the schema for completion in an editor."""
     from dmframe.catalogue import graphs as packaged
-    from dmframe.cli.options import refuse
+    from dmframe.cli.options import angles, refuse
     from dmframe.config.schema import json_schema
     from dmframe.graph.first import first_graph, is_robot
     from dmframe.robot.library import robots as packaged_robots
@@ -70,10 +74,10 @@ def new(
     known, notes = packaged(), tuple[str, ...]()
     target = file or Path(f"{Path(name).name.partition('.')[0]}.yaml")
     if name in known:
-        refuse({"--tool": tool is not None}, "a packaged graph has its own; name a robot")
+        refuse({"--tool": tool is not None, "--hold": bool(hold)}, "a packaged graph has its own; name a robot")
         text = known[name].read_text(encoding="utf-8")
     elif is_robot(name):
-        made = first_graph(name, target.parent, tool)
+        made = first_graph(name, target.parent, tool, angles("--hold", hold))
         text, notes = made.text, made.notes
         for model, content in made.robot.items():
             write_text(target.with_name(model), content, new=not force)

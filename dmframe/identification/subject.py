@@ -123,7 +123,7 @@ def _of_graph(
     start = start_angles(graph)
     assert start is not None  # a graph with a robot has joint angles
     file = origin or source.urdf
-    model, _ = read_urdf(source.urdf)
+    model, _ = read_urdf(source.urdf, free=chain.joint_names)
     names = [model.names[i] for i in range(1, model.njoints) if model.joints[i].nq == 1]
     held = dict(source.hold) | dict(section.hold)
     return Subject(

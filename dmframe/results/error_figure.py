@@ -30,6 +30,7 @@ from dmframe.results.plotting import (
     note_below,
     run_label,
     set_times,
+    shown_unit,
     why_not_with,
 )
 from dmframe.simulate import Recording
@@ -57,9 +58,10 @@ def error_figure(runs: Runs) -> Any:
             frame(panels[row], curves, zero=True)
             panels[row].set_ylabel(f"{label} [{unit_text(unit)}]")
         kinds = {name: _kind(place, name, runs[name]) for place, name in enumerate(same)}
-        units = list(dict.fromkeys(unit for _, unit, _ in labels))
-        norms = {name: (error.times, tame(error.norm) * labels[0][2]) for name, error in same.items()}
-        _norms(panels[len(labels)], norms, runs, kinds, f"norm [{', '.join(units)}]", most)
+        unit, scale = shown_unit(same[first].unit)
+        norms = {name: (error.times, tame(error.norm) * scale) for name, error in same.items()}
+        of = " of the\nrevolute joints" if same[first].prismatic is not None else ""
+        _norms(panels[len(labels)], norms, runs, kinds, f"norm{of} [{unit_text(unit)}]", most)
         if turns:
             angles = {name: (turn.times, tame(turn.angle)) for name, turn in turns.items()}
             _norms(panels[-1], angles, runs, kinds, "turn [deg]", most)

@@ -83,10 +83,10 @@ class Run(AboutGraph):
 
     def noticed(self, *texts: str) -> Run:
         """The same run with more notices of its own; V is not computed again."""
-        again = Run(self.graph, replace(self.recording, notices=(*self.recording.notices, *texts)), self.label)
+        result = Run(self.graph, replace(self.recording, notices=(*self.recording.notices, *texts)), self.label)
         if "_storage" in vars(self):
-            vars(again)["_storage"] = self._storage
-        return again
+            vars(result)["_storage"] = self._storage
+        return result
 
     @cached_property
     def data(self) -> xarray.Dataset:
@@ -211,7 +211,7 @@ class Run(AboutGraph):
     def __reduce__(self) -> Any:
         """Pickle without the diagram, which is rebuilt from the graph."""
         arrays = {name: value for name, value in vars(self.recording).items() if name != "diagram"}
-        return _again, (self.graph, arrays, self.label)
+        return _restored, (self.graph, arrays, self.label)
 
     def __repr__(self) -> str:
         lasted = self.divergence or self.recording.interrupted
@@ -243,6 +243,8 @@ class Run(AboutGraph):
         if error is None or error.rms_final is None:
             return ""
         turned = "" if self.turn is None else f" and turned by {_shown(self.turn.rms_final, self.turn.unit)}"
+        if error.prismatic is not None:
+            turned = f" and {_shown(error.prismatic.rms_final, error.prismatic.unit)}"
         return f", |{error.signal}| {plain(error.rms_final, error.unit)}{turned} RMS in the last eighth"
 
 
@@ -269,7 +271,8 @@ def row(run: Run) -> tuple[str, ...]:
     data = summary(run.graph.name, run.recording)
     error, turn = data["error"], data["turn"]
     clock = data["clock"] if data["clock"] == "continuous" else plain(data["clock"], "s")
-    first, last = (", ".join(_rms(each, index) for each in (error, turn) if each) or "-" for index in (0, -1))
+    shown = [each for each in (error, error and error.get("prismatic"), turn) if each]
+    first, last = (", ".join(_rms(each, index) for each in shown) or "-" for index in (0, -1))
     signal = (error["signal"] if error else "-") + (", turn" if turn else "")
     factor = data["real_time_factor"]
     speed = "-" if factor is None else f"{factor:.0f} x"
@@ -314,6 +317,6 @@ def notes_of(runs: Sequence[Run]) -> list[str]:
     return lines
 
 
-def _again(graph: BaseGraph, arrays: dict[str, Any], label: str) -> Run:
+def _restored(graph: BaseGraph, arrays: dict[str, Any], label: str) -> Run:
     """Restore a pickled run."""
     return Run(graph, Recording(diagram=graph.diagram, **arrays), label)

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from dmframe.common.errors import DmframeError
-from dmframe.results.metrics import Deviation, tracking_error, turn_error
+from dmframe.results.metrics import Deviation, TrackingError, tracking_error, turn_error
 from dmframe.results.reported import reported_estimates
 from dmframe.results.storage import no_storage
 from dmframe.simulate import Recording
@@ -71,7 +71,9 @@ def _error(error: Deviation | None) -> dict[str, Any] | None:
     if error is None:
         return None
     rms = [_number(value) for value in error.rms_by_eighth]
-    return {"signal": error.signal, "unit": error.unit, "rms_by_eighth": rms, "rms_final": rms[-1]}
+    found = {"signal": error.signal, "unit": error.unit, "rms_by_eighth": rms, "rms_final": rms[-1]}
+    apart = error.prismatic if isinstance(error, TrackingError) else None
+    return found if apart is None else found | {"prismatic": _error(apart)}
 
 
 def _number(value: float | None) -> float | None:

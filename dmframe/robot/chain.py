@@ -135,7 +135,7 @@ class SerialChain:
         MissingError, RobotError
             No such file, or not a URDF: see :func:`dmframe.robot.urdf.read_urdf`.
         """
-        model, mimics = read_urdf(Path(path))
+        model, mimics = read_urdf(Path(path), free=free, hold=hold or (), tool=tool)
         return cls.from_model(
             model,
             free=free,

@@ -264,7 +264,8 @@ def check_inertia(model: Any, name: str) -> None:
         if joint is not None:
             raise RobotError(
                 f"{where}: the mass matrix is not positive definite: the links behind joint {model.names[joint + 1]} "
-                "have too little mass or inertia; give its link an inertia, or hold it",
+                "have too little mass or inertia; give its link an inertia, or hold it; `dmframe new FILE` "
+                "writes a copy with placeholders",
                 path=("robot", "model"),
             )
 

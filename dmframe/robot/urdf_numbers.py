@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Final
 from xml.etree import ElementTree
 
 import numpy as np
 
 from dmframe.robot.urdf_tree import tree_faults
+from dmframe.robot.xml_tree import Lines
 
 Element = ElementTree.Element
 
@@ -47,10 +48,6 @@ ROUNDING: Final = 1e-6
 """Tolerance of a negative principal moment due to rounded digits, relative to the largest."""
 
 
-Lines = dict[Element, int]
-"""Line of the file on which each element begins."""
-
-
 def numbers(text: str) -> list[float]:
     """Parse the numbers of a checked attribute."""
     return [float(word) for word in text.split()]
@@ -61,10 +58,15 @@ def faults_of(root: Element, lines: Lines, where: str) -> Iterator[str]:
     for element, text in tree_faults(root):
         name = next((e for e in (element, *_parents(root, element)) if e.tag in ("link", "joint")), element)
         yield f"{where}:{lines[element]}: {name.tag} {name.get('name') or 'without a name'}: {text}"
-    for kind, check in (("link", _link), ("joint", _joint)):
+    for kind in CHECKS:
         for element in root.findall(kind):
-            for culprit, text in check(element):
-                yield f"{where}:{lines[culprit]}: {kind} {element.get('name', '')}: {text}"
+            yield from part_faults(element, lines, where)
+
+
+def part_faults(element: Element, lines: Lines, where: str) -> list[str]:
+    """Faults of the numbers of a link or a joint."""
+    kind, name = element.tag, element.get("name", "")
+    return [f"{where}:{lines[culprit]}: {kind} {name}: {text}" for culprit, text in CHECKS[kind](element)]
 
 
 def _parents(root: Element, element: Element) -> Iterator[Element]:
@@ -201,3 +203,7 @@ def _is_large(text: str) -> bool:
 def _is_column(text: str, count: int) -> bool:
     words = text.split()
     return len(words) == count and all(map(_is_number, words))
+
+
+CHECKS: Final[Mapping[str, Callable[[Element], Found]]] = {"link": _link, "joint": _joint}
+"""Checks of the numbers of an element by its tag."""
