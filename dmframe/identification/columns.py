@@ -20,6 +20,8 @@ _STEMS: Final[Mapping[str, tuple[str, ...]]] = {
     "current": ("current", "actual_current"),
 }
 """Signals of the joints, with the beginnings of their columns' names; a number follows, from 0 or from 1."""
+OPTIONAL: Final = ("tau", "current")
+"""Signals that are not read unless there is a column for each joint."""
 
 
 def signals_of(table: LogTable, n: int, given: Sequence[str] = ()) -> tuple[dict[str, np.ndarray], dict[str, str]]:
@@ -49,7 +51,7 @@ def signals_of(table: LogTable, n: int, given: Sequence[str] = ()) -> tuple[dict
             continue
         for other in stems:
             places = sorted(int(m[1]) for name in table.columns if (m := re.fullmatch(rf"{other}_?(\d+)", name)))
-            if not places:
+            if not places or (stem in OPTIONAL and len(places) != n):
                 continue
             if len(places) != n:
                 text = (

@@ -22,7 +22,7 @@ from dmframe.identification.found import Identified
 from dmframe.identification.model import model_of
 from dmframe.identification.solve import Fit
 from dmframe.identification.table import read_table
-from dmframe.identification.torque import factors
+from dmframe.identification.torque import MEASURED, factors
 from dmframe.identification.twin import Twins, twins_of
 from dmframe.identification.verdict import with_verdict
 from dmframe.identification.write import set_aside, written
@@ -101,7 +101,8 @@ def _identified(
     chain = robot if isinstance(robot, SerialChain) else chain_of(robot)
     table = read_table(log, chain.joint_names)
     signals, used = signals_of(table, chain.n, columns)
-    checked, twins = checked_log(signals, chain, table.name), twins_of(model_of(chain))
+    needed = {name: values for name, values in signals.items() if name not in MEASURED}
+    checked, twins = checked_log(needed, chain, table.name), twins_of(model_of(chain))
     choice, notices = _read(twins, checked, say)
     if checked.limits:  # a command between the first and the estimated limit was clipped wrongly
         checked = checked.again(estimated(checked.limits, choice.fits[choice.best]))

@@ -62,10 +62,10 @@ class Factor:
 
 
 def factors(fit: Fit, signals: dict[str, Array]) -> tuple[Factor, ...]:
-    """The factors of each measured signal; none for a log of which only a part is used."""
+    """The factors of each measured signal; none for a log of which only a part is used, or with NaN."""
     log, found = fit.unknowns.log, list[Factor]()
     for name, word in MEASURED.items():
-        if name in signals and len(signals[name]) == len(log.time):
+        if len(signals.get(name, ())) == len(log.time) and np.all(np.isfinite(signals[name])):
             torque, measured = torque_of(fit)[EDGE:-EDGE], filtered(log, signals[name])[EDGE:-EDGE]
             found += [_factor(word, j, torque[:, j], measured[:, j]) for j in range(torque.shape[1])]
     return tuple(found)
