@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, final
@@ -50,7 +51,7 @@ class LoopAnalysis:
         Servo and inverse, joint by joint.
     periods
         Largest stable sampling periods.
-    ties
+    reference_gains
         K_c of each PID inverse, joint by joint.
     proofs
         Interval proofs for `at_rest` and `moving`.
@@ -71,13 +72,19 @@ class LoopAnalysis:
     moving: Linear
     joints: tuple[JointLoop, ...]
     periods: StablePeriods
-    ties: tuple[ReferenceGain, ...]
+    reference_gains: tuple[ReferenceGain, ...]
     proofs: tuple[StabilityProof, StabilityProof]
     emulation: tuple[EmulationLimit, ...] = ()
     unknown: tuple[str, ...] = ()
     averaged: Mapping[str, float] = field(default_factory=dict)
     field_hash: str = ""
     left_out: tuple[AdditionalFriction, ...] = ()
+
+    @property
+    def ties(self) -> tuple[ReferenceGain, ...]:
+        """Former name of `reference_gains`."""
+        warnings.warn("LoopAnalysis: ties is now reference_gains", DeprecationWarning, stacklevel=2)
+        return self.reference_gains
 
     @property
     def note(self) -> str:
@@ -129,7 +136,7 @@ def analyse(
         simulated_period(diagram, clock, solver=solver, start=start, horizon=horizon, tell=tell),
     )
     tell("finding the least K_c")
-    ties = reference_gains(diagram, uncertain)
+    gains = reference_gains(diagram, uncertain)
     tell("proving that the linearised loop is stable")
     proof, split = prove_stability(diagram, at_rest, periods.at_rest, clock)
     proofs = proof, prove_stability(diagram, moving, periods.moving, clock, moving=True, split=split)[0]
@@ -142,7 +149,9 @@ def analyse(
     unknown = tuple(label for label, value in estimates_of(diagram, resting=True).items() if value is None)
     joints = servo_transfer(diagram, at_rest.point)
     means, field_hash, left = averaged(diagram), diagram.fingerprint, left_out(diagram)
-    return LoopAnalysis(clock, at_rest, moving, joints, periods, ties, proofs, limits, unknown, means, field_hash, left)
+    return LoopAnalysis(
+        clock, at_rest, moving, joints, periods, gains, proofs, limits, unknown, means, field_hash, left
+    )
 
 
 def summary(name: str, analysis: LoopAnalysis) -> dict[str, Any]:
@@ -184,7 +193,7 @@ def summary(name: str, analysis: LoopAnalysis) -> dict[str, Any]:
             }
             for limit in analysis.emulation
         ],
-        "K_c": [_tie(tie) for tie in analysis.ties],
+        "K_c": [_gain(gain) for gain in analysis.reference_gains],
         "averaged": dict(analysis.averaged),
         "kinks": list(analysis.at_rest.kinks),
         "note": analysis.note,
@@ -218,14 +227,14 @@ def _joint(joint: JointLoop) -> dict[str, Any]:
     }
 
 
-def _tie(tie: ReferenceGain) -> dict[str, Any]:
+def _gain(gain: ReferenceGain) -> dict[str, Any]:
     return {
-        "block": tie.block,
-        "joint": tie.joint,
-        "own": float(tie.own),
-        "holds": tie.holds,
-        "least": float(tie.least),
-        "least_without_friction": float(tie.least_without_friction),
+        "block": gain.block,
+        "joint": gain.joint,
+        "own": float(gain.own),
+        "holds": gain.holds,
+        "least": float(gain.least),
+        "least_without_friction": float(gain.least_without_friction),
     }
 
 

@@ -83,8 +83,8 @@ def measure(graph: BaseGraph, verdict: Verdict, tell: Callable[[str], None] = la
 def _sentence(clock: float | None, verdict: Verdict) -> str:
     if verdict.samples is not None:
         return (
-            "The theorem is one over samples, of the estimates alone: that the robot follows its path is not part of "
-            "it. The figures below are measured on one simulation, from one start, along one path."
+            "The theorem is in discrete time and covers the estimates, not the distance of the robot from its path. "
+            "The figures below are measured on one simulation, from one start, along one path."
         )
     if clock is None:
         return (

@@ -61,7 +61,7 @@ def lead(r: Opening | Content) -> Lead:
 
 def meaning(r: Opening | Content) -> list[Part]:
     """Meaning of the verdict, and its limits."""
-    lists = (("It says", r.meaning.means), ("It does not say", r.meaning.means_not))
+    lists = (("Statement", r.meaning.means), ("Not covered", r.meaning.means_not))
     return [Columns([Titled(title, Bullets([*map(Marked, texts)])) for title, texts in lists])]
 
 

@@ -78,7 +78,7 @@ def _followed(verdict: Verdict) -> Iterator[str]:
         named = dict.fromkeys(
             line.whole.unicode + (f" ({block})" if len(meanings[line.name]) > 1 else "") for block, line in lines
         )
-        named |= dict.fromkeys(f"{name} of {block} is {goal}" for block, name, goal in _led(verdict))
+        named |= dict.fromkeys(f"{name} of {block} is {goal}" for block, name, goal in _renamed_goals(verdict))
         if named:
             yield _items("where ", named)
     for item in (item for item in verdict.statements if item.concludes):
@@ -86,7 +86,7 @@ def _followed(verdict: Verdict) -> Iterator[str]:
         yield _line(Text("=> ", item.signal, f" {item.says}: ", item.step, assumed))
 
 
-def _led(verdict: Verdict) -> Iterator[tuple[str, str, str]]:
+def _renamed_goals(verdict: Verdict) -> Iterator[tuple[str, str, str]]:
     """Inputs ``*_d`` that are wired to an output of another name, with that output."""
     diagram = verdict.flow_claim.diagram if verdict.flow_claim is not None else None
     for (block, port), source in diagram.sources.items() if diagram is not None else ():

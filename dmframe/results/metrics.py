@@ -18,7 +18,7 @@ from dmframe.formula import Formula, tree
 from dmframe.formula.tree import SCALAR, Name
 from dmframe.robot.chain import SerialChain
 from dmframe.simulate import Recording
-from dmframe.simulate.keep import apart_of
+from dmframe.simulate.keep import rotation_distance_of
 
 EIGHTHS = 8
 DEGREES = "deg"
@@ -103,7 +103,7 @@ class TurnError(Deviation):
 
 def turn_error(run: Recording) -> TurnError | None:
     """Orientation error of a run; None for a task without orientation."""
-    label = apart_of(run.diagram.loop)
+    label = rotation_distance_of(run.diagram.loop)
     if label is None:
         return None
     with np.errstate(invalid="ignore"):  # before a divergence
@@ -113,7 +113,7 @@ def turn_error(run: Recording) -> TurnError | None:
 
 def turn_of(loop: ClosedLoop) -> SX | None:
     """Angle of `turn_error` [deg] as an expression; None for a task without orientation."""
-    label = apart_of(loop)
+    label = rotation_distance_of(loop)
     if label is None:
         return None
     distance = next(signal.expression for signal in loop.outputs if signal.label == label)
