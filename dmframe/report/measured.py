@@ -152,10 +152,10 @@ def _run_facts(run: Recording) -> tuple[list[tuple[str, str]], dict[str, Any]]:
         rms = [f"{value:.3g}" if value is not None else "-" for value in error.rms_by_eighth]
         facts.append((f"RMS of $|{error.signal.latex}|$ over each eighth of the run, {error.unit}", ", ".join(rms)))
         numbers["rms_by_eighth"] = list(error.rms_by_eighth)
-        if (apart := error.prismatic) is not None:
-            rms = [f"{value:.3g}" if value is not None else "-" for value in apart.rms_by_eighth]
-            facts.append((f"the same of the prismatic joints, {apart.unit}", ", ".join(rms)))
-            numbers["prismatic_rms_by_eighth"] = list(apart.rms_by_eighth)
+        if (prismatic := error.prismatic) is not None:
+            rms = [f"{value:.3g}" if value is not None else "-" for value in prismatic.rms_by_eighth]
+            facts.append((f"the same of the prismatic joints, {prismatic.unit}", ", ".join(rms)))
+            numbers["prismatic_rms_by_eighth"] = list(prismatic.rms_by_eighth)
     if turn is not None:
         rms = [f"{value:.3g}" if value is not None else "-" for value in turn.rms_by_eighth]
         about = f"RMS of the angle between $R$ and $R_d$ over each eighth of the run, {turn.unit}"

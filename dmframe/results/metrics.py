@@ -150,7 +150,7 @@ def tracking_error(run: Recording) -> TrackingError | None:
     rows, unit, others = counted_rows(run.diagram, signal.shape, signal.unit)
     norm = euclidean(values[:, rows])
     text = Text(Formula(tree.subtract(Name(names[0]), Name(names[1]), SCALAR)))
-    apart = rms_by_eighth(run.time, euclidean(values[:, others]), run.duration) if others else ()
+    prismatic_rms = rms_by_eighth(run.time, euclidean(values[:, others]), run.duration) if others else ()
     return TrackingError(
         signal=text,
         unit=unit,
@@ -160,7 +160,7 @@ def tracking_error(run: Recording) -> TrackingError | None:
         rms_by_eighth=rms_by_eighth(run.time, norm, run.duration),
         desired=desired,
         actual=actual,
-        prismatic=Deviation(text, run.time, apart, sliding(signal.unit)) if others else None,
+        prismatic=Deviation(text, run.time, prismatic_rms, sliding(signal.unit)) if others else None,
     )
 
 
