@@ -184,14 +184,14 @@ def joint_path(
         walk = _Walk([0.0], [poses[-1]], [])
         span = duration if repeats is None else min(repeats, duration)
         path_exit = _follow(reach, reach.goal, walk, span, stride, tube, progress) if span > 0 else None
-        again = path_exit is None and (span < duration or not span)
-        if again and np.max(np.abs(walk.poses[-1] - walk.poses[0])) > CLOSED:
+        closes = path_exit is None and (span < duration or not span)
+        if closes and np.max(np.abs(walk.poses[-1] - walk.poses[0])) > CLOSED:
             continue  # a redundant robot, or another branch
-        if again and walk.unproved is None:
-            held = _repeated(tube, walk, span, duration)
-            if held is None:  # not periodic, although its expression is
+        if closes and walk.unproved is None:
+            proved = _repeated(tube, walk, span, duration)
+            if proved is None:  # not periodic, although its expression is
                 continue
-            until = held
+            until = proved
         else:
             until = span if walk.unproved is None and path_exit is None else 0.0
         break

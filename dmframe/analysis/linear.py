@@ -74,7 +74,7 @@ class Linear:
         Operations whose slope jumps at `point`: the linearisation is one-sided.
     clock
         Period [s] at which a discrete-time loop was linearised; None in continuous time.
-    again
+    at_period
         The same loop at its set-point for another period; only with a `clock`, or with a step that depends on the
         period.
     period
@@ -95,7 +95,7 @@ class Linear:
     plant_B: Array
     kinks: tuple[str, ...] = ()
     clock: float | None = None
-    again: Callable[[float], Linear] | None = None
+    at_period: Callable[[float], Linear] | None = None
     period: float = 0.0
 
     @cached_property
@@ -142,7 +142,7 @@ class Linear:
 
     def on(self, period: float) -> Linear:
         """Linearisation at the set-point for that period [s]."""
-        return self if self.again is None or period == self.period else self.again(period)
+        return self if self.at_period is None or period == self.period else self.at_period(period)
 
     def sampled(self, period: float) -> Array:
         r"""The state's transition over one tick of that period [s].
@@ -246,7 +246,7 @@ def linearise(
         def advanced(period: float) -> Array:
             return np.asarray(slopes(point, p, period, 0)[0].full())
 
-        def again(period: float) -> Linear:
+        def at_period(period: float) -> Linear:
             moved = point
             if not at_rest(field(point, loop.p_values, period), point):
                 moved = equilibrium(still, start=_by_label(loop, point), clock=period)
@@ -271,7 +271,7 @@ def linearise(
             plant_B=checked(plant_B(point[first:], u, p)),
             kinks=kinks,
             clock=T if loop.discrete_time else None,
-            again=again if timed else None,
+            at_period=at_period if timed else None,
             period=T,
         )
 

@@ -169,10 +169,10 @@ def reference_gains(
         Intervals of the plant's parameters, ``{"servo.K_D": [Interval, ...]}``: see the graph key ``uncertain`` and
         `dmframe.certify.uncertain.intervals`. Other parameters have the values of the graph.
     """
-    return tuple(gain for name in diagram.blocks for gain in _ties(diagram, name, uncertain or {}))
+    return tuple(gain for name in diagram.blocks for gain in _gains_of(diagram, name, uncertain or {}))
 
 
-def _ties(diagram: Diagram, name: str, uncertain: Mapping[str, Sequence[Interval]]) -> Iterator[ReferenceGain]:
+def _gains_of(diagram: Diagram, name: str, uncertain: Mapping[str, Sequence[Interval]]) -> Iterator[ReferenceGain]:
     model = diagram.models[name]
     if GAIN not in model.parameters or not {*GAINS} <= {port.name for port in model.block.truth}:
         return

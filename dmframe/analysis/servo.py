@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from dmframe.analysis.additional_friction import AdditionalFriction, additional_friction
 from dmframe.analysis.rational import Passivity, Rational, passivity, transfer
 from dmframe.analysis.rounding import unrounded
 from dmframe.analysis.set_point import computable, equilibrium, frozen
@@ -92,7 +93,8 @@ def servo_transfer(
 ) -> tuple[JointLoop, ...]:
     """Transfer functions of the joint servos of a diagram at a state, by default its equilibrium.
 
-    The servo is the plant block from dq_c to u; the arm is the block with input u. M is the inverse of the slope of ddq
+    The servo is the plant block from dq_c to u; friction in between that depends on the velocity alone is left out, see
+    `left_out`; the arm is the block with input u. M is the inverse of the slope of ddq
     in the torque, from the arm's equations.
 
     Raises
@@ -166,7 +168,7 @@ def _servo_and_arm(diagram: Diagram) -> tuple[str, str]:
     """Names of the servo (from dq_c to u) and of the arm (with input u)."""
     for (arm, port), source in diagram.sources.items():
         if port == VOLTAGE and isinstance(source, Wire) and diagram.blocks[arm].side is Side.PLANT:
-            servo = source.block
+            servo, _ = _through(diagram, source.block)
             shown = diagram.models[arm].equations.outputs.keys()
             if COMMAND in diagram.models[servo].inputs and {"dq", "ddq"} <= shown:
                 return servo, arm
@@ -179,6 +181,26 @@ def _servo_and_arm(diagram: Diagram) -> tuple[str, str]:
         f"servo: expected a plant block with input {COMMAND} whose output {VOLTAGE} drives an arm with dq and ddq, "
         "found none; transfer functions need one"
     )
+
+
+def left_out(diagram: Diagram) -> tuple[AdditionalFriction, ...]:
+    """Friction between servo and arm that the transfer functions leave out."""
+    for (arm, port), source in diagram.sources.items():
+        if port == VOLTAGE and isinstance(source, Wire) and "ddq" in diagram.models[arm].equations.outputs:
+            return _through(diagram, source.block)[1]
+    return ()
+
+
+def _through(diagram: Diagram, block: str) -> tuple[str, tuple[AdditionalFriction, ...]]:
+    """The block before those that only add friction, from the arm's side, and their friction."""
+    found, passed = list[AdditionalFriction](), block
+    while (friction := additional_friction(passed, diagram.models[passed])) is not None:
+        source = diagram.sources.get((passed, VOLTAGE))
+        if not isinstance(source, Wire):
+            break
+        found.append(friction)
+        passed = source.block
+    return (passed, tuple(found)) if COMMAND in diagram.models[passed].inputs else (block, ())
 
 
 def _between(diagram: Diagram, block: str) -> list[str]:

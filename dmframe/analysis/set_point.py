@@ -80,13 +80,13 @@ def equilibrium(
     from scipy.linalg import lstsq
 
     loop, T = diagram.loop, period_of(diagram.loop, clock)
-    held = true_values(diagram, resting=True) | _given(loop, estimates or {})
+    fixed = true_values(diagram, resting=True) | _given(loop, estimates or {})
     x = start_state(diagram, start or {})
     labels = [variable.label for variable in loop.variables for _ in range(variable.symbol.numel())]
-    free = np.array([label not in held for label in labels], dtype=bool)
+    free = np.array([label not in fixed for label in labels], dtype=bool)
     for variable in filter(counts, loop.variables):
         x[[other == variable.label for other in labels]] = LATE
-    for label, value in held.items():
+    for label, value in fixed.items():
         x[[other == label for other in labels]] = value
     field = rates(loop)
     slope = field.jacobian()
@@ -226,14 +226,14 @@ def at_set_point(loop: ClosedLoop, name: str, expression: SX) -> Any:
 
     Raises `EngineError` for a loop whose equations depend on time: it has no equilibrium.
     """
-    held = undrawn(loop, loop.on_path(loop.acting([expression])[0]))
-    if symbols_in([held]) & symbols_in([loop.time]):
+    autonomous = undrawn(loop, loop.on_path(loop.acting([expression])[0]))
+    if symbols_in([autonomous]) & symbols_in([loop.time]):
         timed = [v for v in loop.variables if symbols_in(loop.joined([loop.moves_of(v)])) & symbols_in([loop.time])]
         where = ", ".join(f"{v.label}+" if v.sampled else f"d {v.label}/dt" for v in timed) or name
         raise EngineError(
             f"set-point: expected a loop that is time-invariant for frozen trajectories, found t in {where}"
         )
-    return ca.Function(name, [loop.state, loop.p, loop.period], [ca.cse(held)])
+    return ca.Function(name, [loop.state, loop.p, loop.period], [ca.cse(autonomous)])
 
 
 def undrawn(loop: ClosedLoop, expression: SX) -> SX:

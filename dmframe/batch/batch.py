@@ -24,7 +24,7 @@ from dmframe.results.metrics import TurnError, counted_rows, goal_of, rms_by_eig
 from dmframe.simulate import Recording, simulate_many
 from dmframe.simulate.block_starts import once
 from dmframe.simulate.engine import Choice, worth
-from dmframe.simulate.keep import Log, apart_of
+from dmframe.simulate.keep import Log, rotation_distance_of
 from dmframe.simulate.many import cores
 from dmframe.simulate.run import Prepared, prepare
 from dmframe.simulate.step import FIXED, Solver, Step, build_parts
@@ -74,7 +74,7 @@ class Batch:
         raise_all(
             [UnknownNameError("signals", "signal", label, known) for label in wanted.signals if label not in known]
         )
-        measured = {*wanted.signals, ERROR, *([] if apart_of(loop) is None else [TURN])}
+        measured = {*wanted.signals, ERROR, *([] if rotation_distance_of(loop) is None else [TURN])}
         unknown = [label for label in wanted.limits if label not in measured]
         raise_all([UnknownNameError("limits", "measured signal", label, measured) for label in unknown])
         given = {key: value for key, value in settings.items() if value is not None}

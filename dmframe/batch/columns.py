@@ -15,7 +15,7 @@ from dmframe.common.units import to_unit
 from dmframe.diagram import Diagram
 from dmframe.results.metrics import EIGHTHS, TurnError, counted_rows, goal_of
 from dmframe.simulate import Recording
-from dmframe.simulate.keep import apart_of
+from dmframe.simulate.keep import rotation_distance_of
 
 FIGURES: Final = ("least", "most", "last", "rms_final")
 """Figures of a signal."""
@@ -54,7 +54,7 @@ def units_of(diagram: Diagram) -> dict[str, str]:
     if goal is not None:
         shape = next(signal.shape for signal in loop.outputs if signal.label == goal.actual)
         units[ERROR] = counted_rows(diagram, shape, units[goal.actual])[1]
-    return units if apart_of(loop) is None else units | {TURN: TurnError.unit}
+    return units if rotation_distance_of(loop) is None else units | {TURN: TurnError.unit}
 
 
 def limits_in(

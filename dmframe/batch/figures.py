@@ -198,7 +198,7 @@ class FigureTable:
             many = sum(count for _, count in steps)
             yield f"the plant is stiff in {many} of {runs} runs: {method} takes steps of {span}"
         if self.repeated:
-            yield f"at longer steps the integrator itself diverged in {self.repeated} of {runs} runs"
+            yield f"the integrator diverged at longer steps in {self.repeated} of {runs} runs"
 
 
 def merged(parts: Sequence[tuple[np.ndarray, Measured]], runs: int) -> Measured:

@@ -165,9 +165,9 @@ class SimdRunner:
     ) -> int:
         """Repeat diverged runs with shorter steps; replace those in which only the integrator diverged."""
         finer = [(self.prepared.finer(own), members[ended[members] >= 0]) for own, members in kinds]
-        again = [(own, members) for own, members in finer if own is not None and members.size]
-        new_figures, new_ended = self._march(again, p, states, pool)
-        which = np.concatenate([np.zeros(0, np.int64), *(members for _, members in again)])
+        repeated = [(own, members) for own, members in finer if own is not None and members.size]
+        new_figures, new_ended = self._march(repeated, p, states, pool)
+        which = np.concatenate([np.zeros(0, np.int64), *(members for _, members in repeated)])
         before, after = ended[which], new_ended[which]
         better = which[(after < 0) | (after + 1 >= LATER * (before + 1))]
         figures[..., better], ended[better] = new_figures[..., better], new_ended[better]

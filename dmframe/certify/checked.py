@@ -94,11 +94,23 @@ class Numbers:
     def of(self, expression: SX) -> list[Number]:
         """The elements of an expression, dense; raises `ValueFault` where it needs more than parameters."""
         joined = ca.vec(ca.densify(self.claim.loop.joined([ca.SX(expression)])[0]))
-        function = ca.Function("value", self._columns, [joined], {"allow_free": True})
-        if function.has_free():
+        symbols = ca.symvar(joined)
+        try:  # a function of all parameters takes longer to build
+            given = [self._elements[symbol.element_hash()] for symbol in symbols]
+        except KeyError:
+            function = ca.Function("value", self._columns, [joined], {"allow_free": True})
             free = ", ".join(str(symbol) for symbol in function.get_free())
-            raise ValueFault(f"expected an expression in parameters alone, found {free}")
-        return evaluate(function, [self.values[p.label] for p in self._p])[0]
+            raise ValueFault(f"expected an expression in parameters alone, found {free}") from None
+        return evaluate(ca.Function("value", [stack(symbols)], [joined], TO_READ), [given])[0]
+
+    @cached_property
+    def _elements(self) -> Mapping[int, Number]:
+        """The parameters' numbers by the identities of their symbols."""
+        return {
+            symbol.element_hash(): value
+            for p, column in zip(self._p, self._columns, strict=True)
+            for symbol, value in zip(ca.vertsplit(column), self.values[p.label], strict=True)
+        }
 
     @cached_property
     def open(self) -> set[int]:

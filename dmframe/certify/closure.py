@@ -232,13 +232,13 @@ class Closure:
         directions = self._open()
         if not vectors or not directions:
             return False
-        tape = self._movement.tape([ca.vec(ca.densify(vector)) for vector in vectors])
+        columns = [ca.vec(ca.densify(vector)) for vector in vectors]
         along = self._anywhere()
-        here, there = (self._movement.differences(tape, place, [along])[0] for place in (0, 1))
+        here, there = (self._movement.differences(columns, place, [along])[0] for place in (0, 1))
         steady = [row for row, (a, b) in enumerate(zip(here, there, strict=True)) if a == b and a]
         if not steady:
             return False
-        moved = self._movement.differences(tape, 0, directions)
+        moved = self._movement.differences(columns, 0, directions)
         free = [next(k for k in range(self._columns) if u[k] == 1 and _alone(k, u, directions)) for u in directions]
         grown = False
         for row in steady:
@@ -250,8 +250,8 @@ class Closure:
 
     def _keep_constants(self) -> None:
         """Sums and differences of up to three states whose rates cancel keep the value with which they start."""
-        tape = self._movement.tape([ca.vec(ca.densify(self._rate(variable))) for variable in self._variables])
-        flat = [self._movement.values(tape, place) for place in (0, 1)]
+        columns = [ca.vec(ca.densify(self._rate(variable))) for variable in self._variables]
+        flat = [self._movement.values(columns, place) for place in (0, 1)]
         starts = [rows.start for _, rows in rows_of(self._variables)]
         for count in (1, 2, 3):
             for places in combinations(range(len(self._variables)), count):

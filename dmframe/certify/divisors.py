@@ -21,6 +21,7 @@ from dmframe.exact import Tape, Trial
 from dmframe.program import CONST, DIVISIONS, INPUT, OPERATIONS
 
 AWAY: Final = "{of} stays away from zero"
+_PARTIAL: Final = frozenset(code for code, operation in OPERATIONS.items() if operation.domain is not None)
 SHOWN = 60
 """Letters of a divisor that are written out."""
 
@@ -106,7 +107,13 @@ def _of_equations(claim: Claim) -> Iterator[SX]:
 
 
 def _unlisted(tape: Tape, groups: Sequence[Group], values: Sequence[int], listed: set[int]) -> Iterator[Text]:
-    needed = [(k, text) for place in range(len(tape)) for k, text in _needs(tape, place) if values[k] not in listed]
+    needed = [
+        (k, text)
+        for place, node in enumerate(tape.nodes)
+        if node.code in _PARTIAL
+        for k, text in _needs(tape, place)
+        if values[k] not in listed
+    ]
     if not needed:
         return
     fixed = {group.label for group in groups if group.kind in ("parameter", "weight")}

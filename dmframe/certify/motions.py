@@ -8,8 +8,9 @@ is taken away, and nothing is drawn.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Final, NamedTuple, final
 
 import casadi as ca
@@ -215,11 +216,7 @@ class Moved:
         x, z, p = self._start(motion, T)
         count, substeps = round(duration / T), math.ceil(T / self._step(motion, x, z, p, T))
         t = T * np.arange(count)
-        ticks = self._ticks(T, substeps, count)
-        _, left, slope, y, predicted = ticks(
-            np.concatenate([x, z]), motion.commands(t), t[None], np.tile(p[:, None], count)
-        )
-        found = [np.asarray(item.full().T) for item in (left, slope, y, predicted)]
+        found = self._ticks(T, substeps)(np.concatenate([x, z]), motion.commands(t), t, p)
         if not all(np.all(np.isfinite(item)) for item in found):
             raise UnmovedError("a motion leaves all bounds")
         found[1] = found[1].reshape(count, -1 if found[1].size else 0, found[0].shape[1]).swapaxes(1, 2)
@@ -246,8 +243,8 @@ class Moved:
             raise UnmovedError("the plant's rates are too steep")
         return min(T, SPAN / max(speed, 1e-9))
 
-    def _ticks(self, T: float, substeps: int, count: int) -> Any:
-        """(x, z, commands, instants, p) -> (x, z, what the rows leave, ...) of that many samples, a column each."""
+    def _ticks(self, T: float, substeps: int) -> Callable[..., list[np.ndarray]]:
+        """(x and z, commands, instants, p) -> what the rows leave, its slope, y, h' theta_true: a row each sample."""
         sizes = self._x.numel(), self._z.numel(), self._commands, 1, self._loop.p.numel()
         x, z, c, t, p = (ca.MX.sym(name, size) for name, size in zip("xzctp", sizes, strict=True))
         becomes, held, *rows = self._sample(x, z, c, t, T, p)
@@ -258,8 +255,8 @@ class Moved:
         tick = ca.Function("tick", [x, z, c, t, p], [becomes, end, *(ca.vec(row) for row in rows)])
         both = ca.MX.sym("state", x.numel() + z.numel())
         parts = tick(both[: x.numel()], both[x.numel() :], c, t, p)
-        one = ca.Function("one", [both, c, t, p], [ca.vertcat(*parts[:2]), *parts[2:]])
-        return one.mapaccum("ticks", count)
+        one = ca.Function("one", [both, c, t, p], [ca.densify(part) for part in (ca.vertcat(*parts[:2]), *parts[2:])])
+        return partial(_repeated, one)
 
     def _runge_kutta(self, h: float) -> Any:
         z, held, t, p = (ca.MX.sym(name, self._flow.numel_in(k)) for k, name in enumerate(("z", "held", "t", "p")))
@@ -268,6 +265,25 @@ class Moved:
         c = self._flow(z + h / 2 * b, held, t + h / 2, p)
         d = self._flow(z + h * c, held, t + h, p)
         return ca.Function("step", [z, held, t, p], [z + h / 6 * (a + 2 * b + 2 * c + d)])
+
+
+def _repeated(one: Any, state: np.ndarray, commands: np.ndarray, times: np.ndarray, p: np.ndarray) -> list[np.ndarray]:
+    """The outputs of a step of a state but the next state, a row each step; a `mapaccum` takes longer to build."""
+    buffer, evaluate = one.buffer()
+    now, command, time, given = state.copy(), np.zeros(len(commands)), np.zeros(1), np.array(p, dtype=float)
+    then = [np.zeros(one.nnz_out(place)) for place in range(one.n_out())]
+    for place, array in enumerate((now, command, time, given)):
+        buffer.set_arg(place, array.data)
+    for place, array in enumerate(then):
+        buffer.set_res(place, array.data)
+    found = [np.zeros((len(times), array.size)) for array in then[1:]]
+    for k, t in enumerate(times):
+        command[:], time[:] = commands[:, k], t
+        evaluate()
+        now[:] = then[0]
+        for rows, array in zip(found, then[1:], strict=True):
+            rows[k] = array
+    return found
 
 
 def _zeros(parameter: Parameter) -> Iterator[SX]:

@@ -334,14 +334,14 @@ def regressor(
 ) -> int:
     """Regressor of a robot: parameters, entries, code, proofs, and difference from Pinocchio."""
     from dmframe.cli.options import angles, refuse, words
-    from dmframe.cli.regressor import Wanted, regressor_of
+    from dmframe.cli.regressor import RegressorOptions, regressor_of
     from dmframe.robot.library import load
 
     kinds = words(friction) or ()
     if kinematic and latex is None:  # LaTeX contains both regressors
         refuse({"--base": base, "--friction": friction or None}, "it has no effect with --kinematic; leave one out")
     chain = load(robot, base=Path(), free=words(free), hold=angles("--hold", hold), tool=tool)
-    return regressor_of(chain, kinds, Wanted(base, kinematic, symbolic, prove, c, python, latex))
+    return regressor_of(chain, kinds, RegressorOptions(base, kinematic, symbolic, prove, c, python, latex))
 
 
 def app_for(words: Sequence[str]) -> typer.Typer:

@@ -11,7 +11,7 @@ from typing import Any
 
 from dmframe.cli import STOPPED
 from dmframe.cli.run import placed_folder, written
-from dmframe.cli.signals import held_off
+from dmframe.cli.signals import deferred_signals
 from dmframe.cli.streams import tell
 from dmframe.common.errors import DmframeError, DriveError, ValueFault
 from dmframe.common.units import seconds as time_of
@@ -53,7 +53,7 @@ def drive_graph(
         tell(f"{robot}: notice: its driver is untested on hardware, and the gate is not a safety function", aside=True)
     with ExitStack() as stack:
         place = stack.enter_context(placed_folder(out, [graph], force=force))
-        with held_off() as came:
+        with deferred_signals() as came:
             try:
                 run = graph.drive(
                     robot,

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from dmframe.cli import STOPPED
-from dmframe.cli.signals import held_off
+from dmframe.cli.signals import deferred_signals
 from dmframe.cli.streams import tell
 from dmframe.common.copies import shared
 from dmframe.common.errors import OutputError
@@ -75,7 +75,7 @@ def run_graphs(
             drawn.begin(named(runs))
             if not as_json:
                 say(numbers_of(runs))
-            with held_off() as signals:
+            with deferred_signals() as signals:
                 runs, conclusions = _judged(runs, graphs)  # takes longer than the run
                 watching = end()
                 if not as_json and (notes := notes_of(runs)):

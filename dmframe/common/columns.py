@@ -1,4 +1,4 @@
-"""Rows of text in columns that line up."""
+"""Text tables with aligned columns."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 
 
 def columns(rows: Iterable[Sequence[str]], indent: str = "  ", right: Sequence[int] = ()) -> str:
-    """A line a row; the columns that `right` counts, from 0, are aligned to the right."""
+    """One line per row; the columns in `right` (from 0) are right-aligned."""
     table = [list(row) for row in rows]
     if not table:
         return f"{indent}none"
@@ -18,12 +18,12 @@ def columns(rows: Iterable[Sequence[str]], indent: str = "  ", right: Sequence[i
 
 
 def width(text: str) -> int:
-    """How many places a text takes: accents stand above their letters."""
+    """Width of a text in characters, without combining accents."""
     return sum(not unicodedata.combining(letter) for letter in text)
 
 
 def page_width() -> int:
-    """Columns of a page: the terminal's, or COLUMNS; 120 where there is neither, and never more."""
+    """Page width: that of the terminal or of COLUMNS, at most 120; 120 without either."""
     return max(40, min(120, shutil.get_terminal_size((120, 24)).columns))
 
 

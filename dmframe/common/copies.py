@@ -85,7 +85,7 @@ def shared(
     *,
     busy: bool = False,
     small: bool = False,
-    apart: bool = False,
+    forks_only: bool = False,
     later: Sequence[Later[Any]] = (),
 ) -> Iterator[Callable[[], list[T]]]:
     """Start jobs in forked processes; the yielded function does the remaining ones, and returns all results.
@@ -93,8 +93,8 @@ def shared(
     The forks work while this process does something else. If forks are not safe, or there is one core, or the jobs are
     `small`, shorter than a fork, that function does all jobs. A job that fails in a fork is repeated in this process,
     which raises its error. Forks are killed at the end of the ``with`` block. A `busy` process has other work as long
-    as a job, and forks a single job too. With `apart`, this process waits for the forks, and does only what they did
-    not. Jobs may wait for the values `later`.
+    as a job, and forks a single job too. With `forks_only`, this process waits for the forks, and does only what
+    they did not. Jobs may wait for the values `later`.
     """
     count = min(_cores(), len(jobs) + busy, _PROCESSES) - 1 if len(jobs) < _MOST and not small else 0
     if count < 1:
@@ -120,7 +120,7 @@ def shared(
     (numbers,) = pipe
 
     def finished() -> list[T]:
-        done = {} if apart else dict(_taken(jobs, numbers))
+        done = {} if forks_only else dict(_taken(jobs, numbers))
         for copy in copies:
             done |= copy.results()
         return [done[number] if number in done else job() for number, job in enumerate(jobs)]

@@ -1,4 +1,4 @@
-"""Eigenvalues of a small symmetric matrix, unrolled: a fixed number of operations, alike on every engine."""
+"""Eigenvalues of a small symmetric matrix, unrolled into a fixed number of operations, the same on every engine."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any
 import casadi as ca
 
 SWEEPS = 5
-"""Times through all elements off the diagonal: after five, four rows differ from the exact ones by rounding alone."""
+"""Number of sweeps over the off-diagonal elements; for 4 x 4 matrices, five sweeps converge to rounding."""
 TINY = 2.0**-200
-"""Under the root, so that two equal eigenvalues are no division of zero by zero, and have a derivative."""
+"""Regularisation under the root, so that equal eigenvalues give finite values and derivatives."""
 
 
 def eigen(A: Any) -> tuple[Any, Any]:
@@ -38,7 +38,7 @@ def eigen(A: Any) -> tuple[Any, Any]:
 
 @cache
 def _unrolled(n: int) -> Any:
-    """The rotations of n rows: written once, as that takes longer than to put other symbols in."""
+    """Rotations for n rows, cached: building them takes longer than substituting symbols."""
     A = ca.SX.sym("A", n, n)
     a = [[A[max(i, j), min(i, j)] for j in range(n)] for i in range(n)]
     v = [[ca.SX(float(i == j)) for j in range(n)] for i in range(n)]
@@ -56,7 +56,7 @@ def positive_part(A: Any) -> Any:
 
 
 def _rotate(a: list[list[Any]], v: list[list[Any]], p: int, q: int) -> None:
-    """Turn rows and columns p and q, by 45 degrees at most, so that the element where they meet is zero."""
+    """Jacobi rotation of rows and columns p and q, by at most 45 degrees, that makes element (p, q) zero."""
     across, difference = a[p][q], a[q][q] - a[p][p]
     sign = ca.if_else(difference < 0, -1, 1)
     tangent = 2 * across * sign / (ca.fabs(difference) + ca.sqrt(difference * difference + 4 * across * across + TINY))

@@ -93,12 +93,12 @@ def robot_of(given: Any, base: Path, faults: list[DmframeError]) -> Any:
         section = RobotSection.model_validate(value)
     except ValidationError:
         return None
-    from dmframe.robot.library import load
+    from dmframe.config.kept_robot import kept_robot
 
     try:
-        return load(
+        return kept_robot(
             section.model,
-            base=base,
+            base,
             free=section.free,
             hold=section.hold,
             tool=section.tool,

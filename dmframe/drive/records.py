@@ -64,15 +64,15 @@ def refusal(name: str, now: Identity, until: float) -> str:
     except OutputError as error:
         return error.text
     place = folder / f"{key_of(now)}.json"
-    again = "run dmframe rehearse with the same graph, --set and --limits"
+    remedy = "run dmframe rehearse with the same graph, --set and --limits"
     record = _read(place)
     if record is None:
-        expected = f"expected a passed rehearsal of exactly this graph, found none; {again}"
+        expected = f"expected a passed rehearsal of exactly this graph, found none; {remedy}"
         if place.is_file():
             return f"{expected}: {place} is damaged or was edited"
         return f"{expected}{_changed(folder, name, now)}"
     if record["identity"] != {part: dict(items) for part, items in now.items()}:
-        return f"expected a rehearsal of exactly this graph, found another one under its name; {again}"
+        return f"expected a rehearsal of exactly this graph, found another one under its name; {remedy}"
     if until > record["until"]:
         return (
             f"expected a drive of at most {plain(record['until'], 's')}, the duration of the rehearsed graph, found "

@@ -25,6 +25,8 @@ ABOVE: Final = 3.0
 """Largest residual of an explained log, in floors."""
 SHARP: Final = 1.25
 """Largest residual of a fit that leaves noise only, in standard deviations of the noise."""
+SMALL: Final = 0.2
+"""Part of the tracking error's share in the floor that counts as noise."""
 WHITE: Final = 2.0
 """Largest inflation of such a residual."""
 SHARE: Final = 0.001
@@ -48,7 +50,7 @@ class Choice:
 
     fits: dict[str, Fit]
     floor: Array
-    noise: float = 0.0
+    noise: float = np.inf
 
     @property
     def best(self) -> str:
@@ -76,7 +78,15 @@ class Choice:
     def sharp(self, kind: str) -> bool:
         """True if a candidate leaves noise only, so that its fit is no local minimum."""
         fit = self.fits[kind]
-        return bool(np.all(fit.rms <= SHARP * self.noise + RESOLUTION) and np.all(fit.inflation <= WHITE))
+        return bool(np.all(fit.rms <= SHARP * self.least) and np.all(fit.inflation <= WHITE))
+
+    @property
+    def least(self) -> Array:
+        """Residual below which a fit leaves noise only: of the noise, and a small fraction of the tracking error."""
+        if not np.isfinite(self.noise):
+            return np.full_like(self.floor, np.inf)
+        error = np.sqrt(np.maximum(self.floor**2 - self.noise**2, 0.0))
+        return np.asarray(np.hypot(self.noise, SMALL * error) + RESOLUTION)
 
 
 def criterion(fit: Fit, inflation: Array) -> float:

@@ -13,6 +13,7 @@ from dmframe.identification.choose import Choice
 from dmframe.identification.clipped import Limit
 from dmframe.identification.model import Array
 from dmframe.identification.solve import Fit
+from dmframe.identification.torque import Factor
 from dmframe.identification.unknowns import SERVOS
 
 ALWAYS: Final = (
@@ -44,6 +45,8 @@ class Identified:
         Whether an adaptive law is worth it.
     limits
         Joints whose commands the robot clips, with the first estimate of the limit.
+    torques
+        Measured torques or currents relative to the torques of the identified robot.
     """
 
     choice: Choice
@@ -51,6 +54,7 @@ class Identified:
     record: dict[str, Any]
     verdict: Verdict = NOT_REQUESTED
     limits: tuple[Limit, ...] = ()
+    torques: tuple[Factor, ...] = ()
 
     @property
     def fit(self) -> Fit:
@@ -78,8 +82,18 @@ class Identified:
 
     @property
     def wider(self) -> float:
-        """Factor of the standard deviations of the class."""
-        return _WIDER.get(self.choice.best, 1.0)
+        """Factor of the standard deviations: of the class, and of a residual that is above the noise.
+
+        Such a residual has a systematic part, of a model error or a local minimum, which may shift the numbers as far.
+        """
+        return _WIDER.get(self.choice.best, 1.0) * self.above
+
+    @property
+    def above(self) -> float:
+        """Largest residual of a joint relative to the noise; 1 if the fit leaves noise only."""
+        if self.choice.sharp(self.choice.best):
+            return 1.0
+        return max(1.0, float(np.max(self.fit.rms / self.choice.least)))
 
     def positive(self, name: str) -> tuple[Array, Array]:
         """Values of an unknown that is fitted as a logarithm, and (n, 2) limits of two standard deviations."""
@@ -174,6 +188,7 @@ class Identified:
                 {"joint": joint + 1, "speed": speed, "interval": _limits(own) if self.known else None}
                 for joint, (speed, own) in self.limited.items()
             ],
+            "torques": [own.summary for own in self.torques],
             "bodies": bodies,
             "residual": self.fit.rms.tolist(),
             "floor": self.choice.floor.tolist(),
@@ -202,6 +217,7 @@ class Identified:
             f"joint {joint + 1}: velocity limit {speed:.4g} rad/s ({own[0]:.4g} to {own[1]:.4g})"
             for joint, (speed, own) in self.limited.items()
         ]
+        lines += [str(own) for own in self.torques]
         lines += [f"not separable: {text}" for text in self.indistinguishable]
         return "\n".join([*lines, f"verdict: {self.verdict.sentence}"])
 

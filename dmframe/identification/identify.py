@@ -22,6 +22,7 @@ from dmframe.identification.found import Identified
 from dmframe.identification.model import model_of
 from dmframe.identification.solve import Fit
 from dmframe.identification.table import read_table
+from dmframe.identification.torque import MEASURED, factors
 from dmframe.identification.twin import Twins, twins_of
 from dmframe.identification.verdict import with_verdict
 from dmframe.identification.write import set_aside, written
@@ -100,7 +101,8 @@ def _identified(
     chain = robot if isinstance(robot, SerialChain) else chain_of(robot)
     table = read_table(log, chain.joint_names)
     signals, used = signals_of(table, chain.n, columns)
-    checked, twins = checked_log(signals, chain, table.name), twins_of(model_of(chain))
+    needed = {name: values for name, values in signals.items() if name not in MEASURED}
+    checked, twins = checked_log(needed, chain, table.name), twins_of(model_of(chain))
     choice, notices = _read(twins, checked, say)
     if checked.limits:  # a command between the first and the estimated limit was clipped wrongly
         checked = checked.again(estimated(checked.limits, choice.fits[choice.best]))
@@ -121,8 +123,10 @@ def _identified(
     engine = (twins.notice,) if twins.notice else ()
     columns_used = "columns: " + ", ".join(f"{a} = {b}" for a, b in used.items())
     found = Identified(choice, (*engine, columns_used, *notices), about, limits=checked.limits)
+    if found.known:
+        found = replace(found, torques=factors(found.fit, signals))
     _determined(found, table.name)
-    return replace(found, notices=(*found.notices, *_doubts(found)))
+    return replace(found, notices=(*found.notices, *_doubts(found), *_above(found)))
 
 
 def _read(twins: Twins, checked: Checked, say: Callable[[str], None]) -> tuple[Choice, tuple[str, ...]]:
@@ -163,6 +167,15 @@ def _doubts(found: Identified) -> Iterator[str]:
         yield (
             f"the inertial parameters deviate from the robot's file by {most:.2g} standard deviations (30 % of each "
             "mass, 3 kg at the tool): check that the log is of this robot, with this tool and mounting"
+        )
+
+
+def _above(found: Identified) -> Iterator[str]:
+    """A notice if the fit leaves more than noise."""
+    if found.known and found.above > 1:
+        yield (
+            f"the residual is up to {found.above:.2g} times the noise, also from other starts: intervals are widened "
+            "by this factor"
         )
 
 

@@ -20,7 +20,7 @@ from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.parts import Parts
 from dmframe.results.metrics import TurnError, goal_of, turn_of
 from dmframe.robot.frames import frames, tool
-from dmframe.simulate.keep import apart_of
+from dmframe.simulate.keep import rotation_distance_of
 from dmframe.simulate.start import NEAR, turned
 from dmframe.simulate.start_expressions import symbolic_start
 from dmframe.simulate.step import build_parts
@@ -167,9 +167,9 @@ def functions_of(
         unit = units[followed.actual]
         goal = add("goal", followed.desired, unit, ca.vec(followed.wanted))
         groups.append(add("error", followed.actual, unit, ca.vec(followed.found) - ca.vec(followed.wanted)))
-    turn, apart = turn_of(loop), apart_of(loop)
-    if turn is not None and apart is not None:
-        groups.append(add("turn", apart, TurnError.unit, turn))
+    turn, distance = turn_of(loop), rotation_distance_of(loop)
+    if turn is not None and distance is not None:
+        groups.append(add("turn", distance, TurnError.unit, turn))
     operations = 0
     if verdict.outcome == "proved" and verdict.flow_claim is not None:
         stored = _terms(verdict, least)

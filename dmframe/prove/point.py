@@ -14,10 +14,10 @@ from dmframe.common.text import UNNAMED, Text, sentence, text_of
 from dmframe.exact import Tape, Trial
 from dmframe.exact.ring import compute
 from dmframe.prove.claim import Claim, Line, Out, Part, Steps, Term, made_of
-from dmframe.prove.rules import Taken, form, pushed, taken
+from dmframe.prove.rules import Moved, Own, Taken, form, pushed, taken
 
 Numbers = Sequence[Any]
-Known = dict[tuple[str, int], tuple[dict[str, list[Any]], Taken]]
+Known = dict[tuple[str, int], dict[int, tuple[Own, Moved]]]
 
 
 class Summand(NamedTuple):
@@ -58,7 +58,7 @@ class Point:
     values
         Those of all instructions.
     known
-        What steps came to at other points, which is read again where their parts are the same; it is added to.
+        What steps came to at other points, output by output, which is read again where it is the same; it is added to.
     """
 
     def __init__(
@@ -131,9 +131,7 @@ class Point:
 
     def _taken(self, key: tuple[str, int], steps: Steps) -> Taken:
         parts = {name: self.out(out) for name, out in steps.parts.items()}
-        if key not in self._known or self._known[key][0] != parts:
-            self._known[key] = parts, taken(self.ring, steps, parts)
-        return self._known[key][1]
+        return taken(self.ring, steps, parts, self._known.setdefault(key, {}))
 
     def half(self, value: Any) -> Any:
         """Half of a number."""

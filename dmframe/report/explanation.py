@@ -80,7 +80,7 @@ class Explanation(AboutGraph):
             Section(head, tuple(map(Sentence, self._whole()))),
             *blocks,
             *[seen] * bool(seen.sentences),
-            Section("What the certificate says", tuple(self._certificate())),
+            Section("Certificate", tuple(self._certificate())),
         )
 
     @property

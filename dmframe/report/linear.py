@@ -170,7 +170,7 @@ def _model(found: LoopAnalysis) -> str:
 def _meaning(proof: StabilityProof, found: LoopAnalysis, moving: bool) -> str:
     """Statement and assumptions of the proof."""
     if proof.period is None:
-        return f"nothing is proved: {proof.reason}" if proof.reason else "nothing is proved"
+        return f"no stability proof: {proof.reason}" if proof.reason else "no stability proof"
     rests = f"; {proof.resting} more directions are exact equilibria" if proof.resting else ""
     if proof.kept:
         rests += f"; {proof.kept} sums of states are invariant and keep their values there"

@@ -83,8 +83,8 @@ def measure(graph: BaseGraph, verdict: Verdict, tell: Callable[[str], None] = la
 def _sentence(clock: float | None, verdict: Verdict) -> str:
     if verdict.samples is not None:
         return (
-            "The theorem is one over samples, of the estimates alone: that the robot follows its path is not part of "
-            "it. The figures below are measured on one simulation, from one start, along one path."
+            "The theorem is in discrete time and covers the estimates, not the distance of the robot from its path. "
+            "The figures below are measured on one simulation, from one start, along one path."
         )
     if clock is None:
         return (
@@ -152,10 +152,10 @@ def _run_facts(run: Recording) -> tuple[list[tuple[str, str]], dict[str, Any]]:
         rms = [f"{value:.3g}" if value is not None else "-" for value in error.rms_by_eighth]
         facts.append((f"RMS of $|{error.signal.latex}|$ over each eighth of the run, {error.unit}", ", ".join(rms)))
         numbers["rms_by_eighth"] = list(error.rms_by_eighth)
-        if (apart := error.prismatic) is not None:
-            rms = [f"{value:.3g}" if value is not None else "-" for value in apart.rms_by_eighth]
-            facts.append((f"the same of the prismatic joints, {apart.unit}", ", ".join(rms)))
-            numbers["prismatic_rms_by_eighth"] = list(apart.rms_by_eighth)
+        if (prismatic := error.prismatic) is not None:
+            rms = [f"{value:.3g}" if value is not None else "-" for value in prismatic.rms_by_eighth]
+            facts.append((f"the same of the prismatic joints, {prismatic.unit}", ", ".join(rms)))
+            numbers["prismatic_rms_by_eighth"] = list(prismatic.rms_by_eighth)
     if turn is not None:
         rms = [f"{value:.3g}" if value is not None else "-" for value in turn.rms_by_eighth]
         about = f"RMS of the angle between $R$ and $R_d$ over each eighth of the run, {turn.unit}"

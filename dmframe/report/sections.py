@@ -61,7 +61,7 @@ def lead(r: Opening | Content) -> Lead:
 
 def meaning(r: Opening | Content) -> list[Part]:
     """Meaning of the verdict, and its limits."""
-    lists = (("It says", r.meaning.means), ("It does not say", r.meaning.means_not))
+    lists = (("Statement", r.meaning.means), ("Not covered", r.meaning.means_not))
     return [Columns([Titled(title, Bullets([*map(Marked, texts)])) for title, texts in lists])]
 
 
@@ -225,8 +225,8 @@ def _left(row: TermRow) -> tuple[str | Formula, ...]:
 
 
 def _projected(symbol: str, name: str, found: Terms) -> tuple[Cell, ...]:
-    says = ("projection of ", Word(name, "code"), " onto its set; not positive by the projection lemma")
-    return name.partition(".")[0], says, Formula(symbol), (), (), _KAPPA if found.consumption else "1"
+    text = ("projection of ", Word(name, "code"), " onto its set; not positive by the projection lemma")
+    return name.partition(".")[0], text, Formula(symbol), (), (), _KAPPA if found.consumption else "1"
 
 
 def _conditions(r: Content) -> Iterator[Part]:

@@ -113,7 +113,7 @@ class Verification(AboutGraph):
 
         with ca.global_pickle_context():  # margins are CasADi expressions
             verdict = pickle.dumps(self.verdict)
-        return _again, (self.graph, verdict, self.seed, self.label)
+        return _restored, (self.graph, verdict, self.seed, self.label)
 
     def __str__(self) -> str:
         return verdict_text(self.name, self.verdict)
@@ -146,7 +146,7 @@ def command(found: Sequence[Verification], path: Path) -> list[str]:
     return ["dmframe", "verify", *map(place, found), *options, "--seed", str(found[0].seed), "--report", path.name]
 
 
-def _again(graph: BaseGraph, verdict: bytes, seed: int, label: str) -> Verification:
+def _restored(graph: BaseGraph, verdict: bytes, seed: int, label: str) -> Verification:
     """Restore a pickled verification."""
     import casadi as ca
 

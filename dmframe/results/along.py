@@ -171,8 +171,9 @@ def _over_time(claim: Claim, run: Recording, kappa: float, assumed: bool) -> Sto
     own = AtInstants(claim, run)
     stored = [(part.block, term.of, claim.weight(part) * term.value / 2) for part, term in _terms(claim)]
     column, V = (_weighed(claim, x, kappa) for x in (stack(value for *_, value in stored), claim.V))
-    rows = own.of(column)
-    dissipation, rate = _rates(own, kappa)
+    rates = _rates(claim, kappa)
+    found = own.of(stack([column, rates]))  # at once, since they share most of their operations
+    rows, (dissipation, rate) = found[: len(stored)], found[len(stored) :] if rates.numel() else (_none(), _none())
     return StorageTrace(
         time=run.time,
         kappa=kappa,
@@ -260,20 +261,19 @@ def _check_same(claim: Claim, run: Recording) -> None:
             )
 
 
-def _rates(own: AtInstants, kappa: float) -> tuple[np.ndarray, np.ndarray]:
+def _rates(claim: Claim, kappa: float) -> SX:
     """Dissipation, and dV/dt by the certificate's identity; empty if a derivative is not available in this loop.
 
     Evaluating the identity is much cheaper than differentiating V.
     """
-    claim, loop = own.claim, own.claim.loop
+    loop = claim.loop
     spent = total([claim.weight(part) * part.dissipation for part in claim.parts])
     left = total([claim.weight(part) * (part.residual + part.lemma) for part in claim.parts]) + claim.consumption
     column = loop.projected([_weighed(claim, stack([spent, left - spent]), kappa)])[0]
     known = stack([loop.state, loop.time, loop.p])
     if ca.Function("rates", [known], [loop.on_path(column)], {"allow_free": True}).has_free():
-        return _none(), _none()
-    spent_rows, rate = own.of(column)
-    return spent_rows, rate
+        return ca.SX(0, 1)
+    return column
 
 
 def _relative_error(claim: Claim, V: SX) -> float:
@@ -292,7 +292,7 @@ def _size(claim: Claim, V: SX) -> SX:
 def _rounding(own: AtInstants, V: SX) -> np.ndarray:
     """First-order bound on the rounding error of V, interpolated from `ROUNDING_INSTANTS` instants."""
     count, V = own.run.time.size, own.claim.loop.on_path(V)
-    looked = np.unique(np.linspace(0, count - 1, min(ROUNDING_INSTANTS, count)).astype(int))
+    looked = np.array(sorted({*np.linspace(0, count - 1, min(ROUNDING_INSTANTS, count)).astype(int).tolist()}))
     (size,) = own.of(_size(own.claim, V), looked)
     bound = _relative_error(own.claim, V) * size
     after = np.minimum(np.searchsorted(looked, np.arange(count)), len(looked) - 1)

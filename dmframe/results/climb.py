@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import final
 
@@ -45,6 +46,12 @@ class Climb:
     def fraction(self) -> float | None:
         """Rise as a fraction of the fall; None if V never fell."""
         return self.rise / self.fall if self.fall > 0 else None
+
+    @property
+    def share(self) -> float | None:
+        """Former name of `fraction`."""
+        warnings.warn("Climb: share is now fraction", DeprecationWarning, stacklevel=2)
+        return self.fraction
 
 
 def climb_of(time: np.ndarray, V: np.ndarray, rounding: np.ndarray) -> Climb:

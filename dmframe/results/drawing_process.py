@@ -20,7 +20,7 @@ from dmframe.results.storage_figure import StoragePicture, storage_figure, stora
 from dmframe.simulate import Recording
 
 LARGE = 200_000_000
-"""Bytes of recorded numbers above which no process waits for them, since it would need a copy."""
+"""Size of recordings [bytes] above which they are not sent to waiting processes, since that requires a copy."""
 
 Sent = Sequence[tuple[str, str, Mapping[str, Any]]]
 """Name of the curves, label and recording without its diagram, for each run."""
@@ -28,7 +28,7 @@ Sent = Sequence[tuple[str, str, Mapping[str, Any]]]
 
 @final
 class Drawing:
-    """The processes that draw, and what they were given.
+    """Processes that draw the figures of runs.
 
     They are started before the runs, since they have to import matplotlib, and get the runs by `begin`; V follows with
     `files`, when this process has evaluated it. If there are no processes, `files` does everything.
@@ -49,7 +49,7 @@ class Drawing:
         jobs = [*(partial(self._early, number) for number in numbers)]
         jobs += [partial(self._stored, number) for number in range(len(self._graphs))]
         later = (self._sent, self._pictures)
-        self._finished = self._stack.enter_context(shared(jobs, busy=True, apart=True, later=later))
+        self._finished = self._stack.enter_context(shared(jobs, busy=True, forks_only=True, later=later))
 
     def begin(self, runs: Mapping[str, Run]) -> None:
         """Draw the runs of the first graphs, by the names of their curves."""

@@ -18,7 +18,7 @@ from dmframe.formula import Formula, tree
 from dmframe.formula.tree import SCALAR, Name
 from dmframe.robot.chain import SerialChain
 from dmframe.simulate import Recording
-from dmframe.simulate.keep import apart_of
+from dmframe.simulate.keep import rotation_distance_of
 
 EIGHTHS = 8
 DEGREES = "deg"
@@ -103,7 +103,7 @@ class TurnError(Deviation):
 
 def turn_error(run: Recording) -> TurnError | None:
     """Orientation error of a run; None for a task without orientation."""
-    label = apart_of(run.diagram.loop)
+    label = rotation_distance_of(run.diagram.loop)
     if label is None:
         return None
     with np.errstate(invalid="ignore"):  # before a divergence
@@ -113,7 +113,7 @@ def turn_error(run: Recording) -> TurnError | None:
 
 def turn_of(loop: ClosedLoop) -> SX | None:
     """Angle of `turn_error` [deg] as an expression; None for a task without orientation."""
-    label = apart_of(loop)
+    label = rotation_distance_of(loop)
     if label is None:
         return None
     distance = next(signal.expression for signal in loop.outputs if signal.label == label)
@@ -150,7 +150,7 @@ def tracking_error(run: Recording) -> TrackingError | None:
     rows, unit, others = counted_rows(run.diagram, signal.shape, signal.unit)
     norm = euclidean(values[:, rows])
     text = Text(Formula(tree.subtract(Name(names[0]), Name(names[1]), SCALAR)))
-    apart = rms_by_eighth(run.time, euclidean(values[:, others]), run.duration) if others else ()
+    prismatic_rms = rms_by_eighth(run.time, euclidean(values[:, others]), run.duration) if others else ()
     return TrackingError(
         signal=text,
         unit=unit,
@@ -160,7 +160,7 @@ def tracking_error(run: Recording) -> TrackingError | None:
         rms_by_eighth=rms_by_eighth(run.time, norm, run.duration),
         desired=desired,
         actual=actual,
-        prismatic=Deviation(text, run.time, apart, sliding(signal.unit)) if others else None,
+        prismatic=Deviation(text, run.time, prismatic_rms, sliding(signal.unit)) if others else None,
     )
 
 

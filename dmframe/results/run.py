@@ -83,10 +83,10 @@ class Run(AboutGraph):
 
     def noticed(self, *texts: str) -> Run:
         """The same run with more notices of its own; V is not computed again."""
-        again = Run(self.graph, replace(self.recording, notices=(*self.recording.notices, *texts)), self.label)
+        result = Run(self.graph, replace(self.recording, notices=(*self.recording.notices, *texts)), self.label)
         if "_storage" in vars(self):
-            vars(again)["_storage"] = self._storage
-        return again
+            vars(result)["_storage"] = self._storage
+        return result
 
     @cached_property
     def data(self) -> xarray.Dataset:
@@ -211,7 +211,7 @@ class Run(AboutGraph):
     def __reduce__(self) -> Any:
         """Pickle without the diagram, which is rebuilt from the graph."""
         arrays = {name: value for name, value in vars(self.recording).items() if name != "diagram"}
-        return _again, (self.graph, arrays, self.label)
+        return _restored, (self.graph, arrays, self.label)
 
     def __repr__(self) -> str:
         lasted = self.divergence or self.recording.interrupted
@@ -317,6 +317,6 @@ def notes_of(runs: Sequence[Run]) -> list[str]:
     return lines
 
 
-def _again(graph: BaseGraph, arrays: dict[str, Any], label: str) -> Run:
+def _restored(graph: BaseGraph, arrays: dict[str, Any], label: str) -> Run:
     """Restore a pickled run."""
     return Run(graph, Recording(diagram=graph.diagram, **arrays), label)

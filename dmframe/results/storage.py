@@ -16,7 +16,7 @@ from dmframe.config import BaseGraph
 from dmframe.results.decided import Decided, StorageUnit
 from dmframe.simulate import Recording
 from dmframe.simulate.recording import ExtraSignal
-from dmframe.simulate.warnings import between
+from dmframe.simulate.warnings import channel_models
 
 if TYPE_CHECKING:
     from dmframe.certify.claim import Claim
@@ -234,8 +234,8 @@ def _causes(claim: Claim, along: StorageTrace, run: Recording) -> Iterator[tuple
                 "integrator or assumption",
                 "the certificate excludes a rise of V: integration error, or a violated assumption",
             )
-    if way := between(run.diagram):
-        yield "channels", way
+    if channels := channel_models(run.diagram):
+        yield "channels", channels
     if run.clock is not None and run.time.size > 1:
         every = round(float(run.time[1] - run.time[0]) / run.clock)
         if every > 1:

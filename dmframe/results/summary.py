@@ -72,8 +72,8 @@ def _error(error: Deviation | None) -> dict[str, Any] | None:
         return None
     rms = [_number(value) for value in error.rms_by_eighth]
     found = {"signal": error.signal, "unit": error.unit, "rms_by_eighth": rms, "rms_final": rms[-1]}
-    apart = error.prismatic if isinstance(error, TrackingError) else None
-    return found if apart is None else found | {"prismatic": _error(apart)}
+    prismatic = error.prismatic if isinstance(error, TrackingError) else None
+    return found if prismatic is None else found | {"prismatic": _error(prismatic)}
 
 
 def _number(value: float | None) -> float | None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, final
+from typing import Any, ClassVar, Literal, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,9 @@ class Joint:
     upper: float
     velocity: float
     effort: float
+
+    EXACT: ClassVar = ("axis", "rotation", "translation")
+    """The fields that hold rational numbers."""
 
 
 @final
@@ -115,6 +118,22 @@ class SerialChain:
     def joint_names(self) -> tuple[str, ...]:
         """Names of the free joints, from the base to the tool."""
         return tuple(joint.name for joint in self.joints)
+
+    @classmethod
+    def later(cls, numbers: Mapping[str, Any], again: Callable[[], SerialChain]) -> SerialChain:
+        """A chain of known numbers, whose model is that of `again()` when it is first used."""
+        chain = object.__new__(cls)
+        vars(chain).update(numbers, _again=again)
+        return chain
+
+    def __getattr__(self, name: str) -> Any:
+        """The model of a chain that was made by `later`."""
+        again = vars(self).get("_again")
+        if again is None or name not in ("model", "model_tool"):
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        made = again()
+        vars(self).update(model=made.model, model_tool=made.model_tool)
+        return vars(self)[name]
 
     @classmethod
     def from_urdf(

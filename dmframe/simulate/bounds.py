@@ -53,10 +53,10 @@ def bounds_of(diagram: Diagram) -> np.ndarray:
 
 def beyond(diagram: Diagram, state: np.ndarray, bounds: np.ndarray, time: float) -> Divergence:
     """First state beyond its bound after a tick; non-finite states take precedence."""
-    wild = np.flatnonzero(~np.isfinite(state))
-    row = int((wild if wild.size else np.flatnonzero(np.abs(state) > bounds))[0])
+    infinite = np.flatnonzero(~np.isfinite(state))
+    row = int((infinite if infinite.size else np.flatnonzero(np.abs(state) > bounds))[0])
     variable, element = located(diagram, row)
-    return Divergence(variable.block, variable.name, element, time, _how(bounds[row], variable, wild.size))
+    return Divergence(variable.block, variable.name, element, time, _how(bounds[row], variable, infinite.size))
 
 
 def located(diagram: Diagram, row: int) -> tuple[Variable, int]:

@@ -27,8 +27,8 @@ from dmframe.simulate.rank import ranks, watched
 from dmframe.simulate.recording import Recording
 from dmframe.simulate.start import check_start, start_state
 from dmframe.simulate.step import FIXED, MOST_SUBSTEPS, Method, Solver, Step, build_step, substeps_of
-from dmframe.simulate.stiffness import EXPLICIT_TAKES, MOST_SLOPE, RK4_STEPS, left_out, speed_of, stiffness
-from dmframe.simulate.warnings import between, exceptions, too_fast, unread, warning_signals
+from dmframe.simulate.stiffness import EXPLICIT_TAKES, MOST_SLOPE, RK4_STEPS, omitted_terms, speed_of, stiffness
+from dmframe.simulate.warnings import channel_models, exceptions, too_fast, unread, warning_signals
 
 LATER = 1.5
 """Factor in the time of divergence at shorter steps above which the integrator caused the divergence."""
@@ -127,17 +127,20 @@ class Prepared:
             return recording
         with SYMBOLIC:
             engine = finer.engine(choice)
-        again = finer._run(diagram, engine, state, speed)
-        if again.divergence is not None and again.divergence.time < LATER * recording.divergence.time:
+        finer_recording = finer._run(diagram, engine, state, speed)
+        if (
+            finer_recording.divergence is not None
+            and finer_recording.divergence.time < LATER * recording.divergence.time
+        ):
             return recording
-        return again
+        return finer_recording
 
     def finer(self, own: Prepared) -> Prepared | None:
         """Setup with shorter steps for a run that diverged at the automatic steps of `own`; None for a user's step."""
         if self.solver.step is not None or own.solver.method not in FIXED:
             return None
         step = max(own.step.length / 4, own.step.period / MOST_SUBSTEPS)
-        notice = f"at longer steps the integrator itself diverged: {own.solver.method} took steps of {plain(step, 's')}"
+        notice = f"the integrator diverged at longer steps: {own.solver.method} takes steps of {plain(step, 's')}"
         finer = own.solved_by(replace(own.solver, step=step))
         return replace(finer, notices=(*finer.notices, notice))
 
@@ -153,9 +156,9 @@ class Prepared:
         if not (possible and h / short <= RK4_STEPS):
             own = self.solved_by(replace(self.solver, method="ros34pw2"))
             h = own.step.length
-            if left_out(own.step, state, p) <= EXPLICIT_TAKES:
+            if omitted_terms(own.step, state, p) <= EXPLICIT_TAKES:
                 notice = (
-                    f"{stiff} would take steps of {plain(short, 's')}; ros34pw2 runs it, in steps of {plain(h, 's')}"
+                    f"{stiff} would take steps of {plain(short, 's')}; ros34pw2 is used, with steps of {plain(h, 's')}"
                 )
                 return replace(own, solver=replace(own.solver, step=h), notices=(*self.notices, notice))
         if possible:
@@ -166,7 +169,7 @@ class Prepared:
         else:
             own = self.solved_by(replace(self.solver, method="cvodes"))
             notice = (
-                "the plant is too stiff for rk4, whose steps would be shorter than 1/2000 of a tick: cvodes runs it"
+                "the plant is too stiff for rk4, whose steps would be shorter than 1/2000 of a tick: cvodes is used"
             )
         return replace(own, notices=(*self.notices, notice))
 
@@ -226,7 +229,7 @@ class Prepared:
             *exceptions(diagram, warning_signals(diagram), columns, times),
             *too_fast(diagram, columns, times),
         ]
-        way = between(diagram)
+        channels = channel_models(diagram)
         for matrix in self.matrices:
             del items[matrix.label]
         return Recording(
@@ -242,7 +245,7 @@ class Prepared:
             wall_time=wall,
             engine=engine.name,
             notices=(
-                *([way] if way else []),
+                *([channels] if channels else []),
                 *unread(diagram),
                 *violations,
                 *self.notices,

@@ -20,8 +20,8 @@ def warning_signals(diagram: Diagram) -> list[Signal]:
     return [signal for signal in diagram.loop.outputs if signal.label in ports]
 
 
-def between(diagram: Diagram) -> str:
-    """Sentence on signals that pass channel models; may be empty."""
+def channel_models(diagram: Diagram) -> str:
+    """Sentence on the signals that pass through channel models; empty without any."""
     passing = dict[tuple[str, ...], list[str]]()
     for way in diagram.ways:
         through = tuple(wire.block for wire in way.through)

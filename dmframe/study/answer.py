@@ -113,7 +113,7 @@ def verdict_of(t: ReportData) -> tuple[str, str] | None:
         return f"the proof is undecided{where}", "open"
     if any(each.verdict is not None and each.verdict.test is not None for each in t.proofs):
         return f"the proof does not hold everywhere{where}" if boxed else "the proof does not apply", "not_applicable"
-    return "nothing is proved", "not_applicable"
+    return "no proof", "not_applicable"
 
 
 def _runs_lead(t: ReportData) -> Lead:

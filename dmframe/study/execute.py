@@ -185,7 +185,7 @@ class Dispatcher:
     ) -> None:
         self._write, self._executor, self._state, self._update = write, executor, state, update
         self._out = set[Chunk]()
-        self._again = list[Chunk]()
+        self._retry = list[Chunk]()
         self._alone = list[Chunk]()
         self._suspected = set[Chunk]()
         self._tried = Counter[Chunk]()
@@ -196,7 +196,7 @@ class Dispatcher:
         while True:
             self._state.workers = self._executor.count
             while len(self._out) < AHEAD * max(self._executor.count, 1):
-                chunk = self._again.pop() if self._again else next(waiting, None)
+                chunk = self._retry.pop() if self._retry else next(waiting, None)
                 if chunk is None:
                     break
                 self._out.add(chunk)
@@ -229,7 +229,7 @@ class Dispatcher:
         if answer.final or answer.alone or self._tried[chunk] >= ATTEMPTS:
             self._state.failed[chunk] = answer.text
         else:
-            self._again.append(chunk)
+            self._retry.append(chunk)
 
 
 def _left(store: Store) -> Iterator[Chunk]:

@@ -14,7 +14,7 @@ from dmframe.common.errors import DmframeError
 from dmframe.virtual.arithmetic import Pose, is_number
 from dmframe.virtual.budget import (
     COUNTED,
-    MOST_HELD,
+    MOST_STORED,
     MOST_THREADS,
     RATE,
     SECONDARY_FRACTION,
@@ -68,7 +68,7 @@ class Thread:
             self._steps.close()
 
     @property
-    def held(self) -> list[Any]:
+    def stored(self) -> list[Any]:
         """Variables of all active calls."""
         found, steps = list[Any](), cast(Any, self._steps)
         while isinstance(steps, GeneratorType):
@@ -158,9 +158,9 @@ class Program:
         if self._allowance.copied < COUNTED:
             return None
         self._allowance.copied = 0
-        held = [*self._globals.values(), *(value for thread in self._threads for value in thread.held)]
-        if elements([value for value in held if isinstance(value, list | str)], MOST_HELD) > MOST_HELD:
-            return f"expected variables of no more than {MOST_HELD} elements in all, found more"
+        stored = [*self._globals.values(), *(value for thread in self._threads for value in thread.stored)]
+        if elements([value for value in stored if isinstance(value, list | str)], MOST_STORED) > MOST_STORED:
+            return f"expected variables of no more than {MOST_STORED} elements in all, found more"
         return None
 
     def close(self) -> None:
@@ -231,7 +231,7 @@ class Program:
             thread.close()
             if self.mover is thread:
                 self.free(thread)
-                self._robot.let_go()
+                self._robot.release()
 
     def _join(self, thread: Any) -> Generator[None, None, None]:
         while isinstance(thread, Thread) and thread.alive:

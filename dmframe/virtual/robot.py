@@ -301,9 +301,9 @@ class VirtualRobot:
         program.close()
         self.watchdogs.clear()
         self.report(f"{program.name} ends: {why}")
-        self.let_go()
+        self.release()
 
-    def let_go(self) -> None:
+    def release(self) -> None:
         """Decelerate the arm after its last motion command."""
         if self.safety.ready and (self.motion is not None or not self.target.still):
             self.motion = Stop()

@@ -303,8 +303,8 @@ class Servers:
         clients = list(self._clients.items())
         first = self._robot.cycles % max(1, len(clients))  # the clients take turns
         for connection, client in clients[first:] + clients[:first]:
-            goes_on = client.cycle(self._robot)
-            if not goes_on or len(client.pending) > 2 * MOST_WAITING:  # it does not read its answers either
+            continues = client.cycle(self._robot)
+            if not continues or len(client.pending) > 2 * MOST_WAITING:  # it does not read its answers either
                 self._send(connection)
                 self._drop(connection)
             else:

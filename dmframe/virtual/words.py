@@ -54,8 +54,8 @@ def tokens(text: str) -> list[Token]:
         kind, word = match.lastgroup or "", match.group()
         place = match.end()
         if kind == "newline" or word == ";":
-            goes_on = depth > 0 or (found and found[-1].text in _BINARY and found[-1].kind != "text")
-            if not goes_on and found and found[-1].kind != "newline":
+            continues = depth > 0 or (found and found[-1].text in _BINARY and found[-1].kind != "text")
+            if not continues and found and found[-1].kind != "newline":
                 found.append(Token("newline", "\n", line))
         elif kind != "space":
             depth = max(0, depth + (word in "([{") - (word in ")]}")) if kind == "sign" else depth

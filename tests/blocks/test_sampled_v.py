@@ -215,7 +215,7 @@ def test_a_report_shows_v_and_with_which_constants(short: dm.Run) -> None:
     experiment = short.graph
     diagram = experiment.diagram
     found = measure(experiment, verify(diagram, start=experiment.start))
-    assert found.sentence.startswith("The theorem is one over samples")
+    assert found.sentence.startswith("The theorem is in discrete time and covers the estimates")
     assert "$V$ is evaluated with inverse.offset = [" in found.sentence
     assert "At no sample did it rise by more than its theorem allows." in found.sentence
     assert found.numbers["beyond"] == 0

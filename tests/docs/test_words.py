@@ -62,3 +62,12 @@ def test_words_of_prose_are_allowed_in_code_and_the_others_are_not(words: Module
     module = tmp_path / "module.py"
     module.write_text("says = 1\n_told = 2\n", encoding="utf-8")
     assert list(words.hits([module])) == ["module.py:2: told: _told = 2"]
+
+
+def test_a_private_word_in_the_code_of_the_package_is_a_hit_in_names_too(words: ModuleType, tmp_path: Path) -> None:
+    code = "def steered():\n    'True if the run blew up.'\n    wildcard = kept_below = 1\n"
+    for folder, count in (("dmframe", 2), ("tests", 0)):
+        file = tmp_path / folder / "module.py"
+        file.parent.mkdir()
+        file.write_text(code, encoding="utf-8")
+        assert len(list(words.hits([file]))) == count

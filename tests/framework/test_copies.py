@@ -184,7 +184,7 @@ def test_jobs_that_start_before_their_input_is_known_wait_for_it(cores: int, mon
         return sum(first.take()) + second.take() + number, os.getpid() == here
 
     here, jobs = os.getpid(), [partial(add, number) for number in range(6)]
-    with shared(jobs, busy=True, apart=True, later=(first, second)) as finished:
+    with shared(jobs, busy=True, forks_only=True, later=(first, second)) as finished:
         first.give([1, 2])
         second.give(10)
         found = finished()
@@ -196,7 +196,7 @@ def test_jobs_that_start_before_their_input_is_known_wait_for_it(cores: int, mon
 def test_a_value_that_cannot_be_given_leaves_the_jobs_to_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dmframe.common.copies._cores", lambda: 3)
     value, here = Later[bytes](), os.getpid()
-    with shared([lambda: (len(value.take()), os.getpid())] * 3, apart=True, later=(value,)) as finished:
+    with shared([lambda: (len(value.take()), os.getpid())] * 3, forks_only=True, later=(value,)) as finished:
 
         def full(*_: object, **__: object) -> None:
             raise OSError(28, "no space left on device")

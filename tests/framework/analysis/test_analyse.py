@@ -22,6 +22,7 @@ from dmframe.analysis import (
     simulated_period,
     tick_jacobian,
 )
+from dmframe.analysis.servo import left_out
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.block.parameter import Diagonal, Positive
 from dmframe.block.port import Access, Input, Output, Side, State
@@ -372,6 +373,24 @@ def test_a_tick_that_overflows_is_unstable_and_its_poles_are_none() -> None:
     assert linear.spectral_radius(1e290) == np.inf
     with pytest.raises(EngineError, match="overflows; take a faster clock"):
         linear.sampled_poles(1e290)
+
+
+def test_friction_of_the_velocity_alone_is_left_out_of_the_joint_loops_and_named() -> None:
+    plain = Graph.read("ur10_slow_kinematic")
+    graph = Graph.read("ur10_slow_kinematic", ["reality={stribeck_friction: {sticking: 3, velocity: 0.1}}"])
+    loops = [servo_transfer(own.diagram, start=own.start) for own in (plain, graph)]
+    assert [joint.loop.num.tolist() for joint in loops[0]] == [joint.loop.num.tolist() for joint in loops[1]]
+    (friction,) = left_out(graph.diagram)
+    v_0 = float(graph.diagram.robot.friction_velocity)
+    v = np.linspace(0, 1, 200001)
+    slope = np.gradient(3 * np.exp(-((v / 0.1) ** 2)) * np.tanh(v / v_0), v)
+    assert friction.standstill == pytest.approx(3 / v_0)
+    assert friction.least == pytest.approx(np.min(slope), rel=0.01)
+    assert np.all(np.abs(slope[v > friction.above]) < 0.011 * np.max(np.abs(slope)))
+    assert left_out(plain.diagram) == ()
+    loaded = Graph.read("ur10_slow_kinematic", ["reality={stribeck_friction: {per_torque: 0.1}}"])
+    with pytest.raises(MissingError, match="found stribeck_friction in between"):
+        servo_transfer(loaded.diagram, start=loaded.start)
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from dmframe.block.certificate import (
 )
 from dmframe.certify import claim_of, verify
 from dmframe.certify.claim import flow_part
+from dmframe.certify.sampler import BLOCK, Sampler
 from dmframe.certify.smoothness import Smoothness, is_smooth_over, smoothness
 from dmframe.common.text import Text
 from dmframe.diagram import Diagram
@@ -328,3 +329,12 @@ def test_the_steps_that_are_looked_for_are_those_of_numbers() -> None:
     values = diagram.resolver.trajectories["path_r", "r", 0].expression
     f = ca.Function("r", [diagram.loop.time], [values])
     assert np.max(np.abs(np.diff([float(f(k * 1e-3)) for k in range(1000)]))) < 0.1
+
+
+@pytest.mark.parametrize("count", [0, 1, BLOCK - 1, BLOCK, 2 * BLOCK + 3])
+def test_samples_of_many_instants_are_those_of_one_after_the_other(count: int) -> None:
+    t, p, given = ca.SX.sym("t"), ca.SX.sym("p", 2), np.array([1.1, 0.3])
+    function = ca.Function("f", [t, p], [ca.vertcat(ca.sin(p[0] * t), ca.sqrt(t - 5) / p[1])])
+    times = np.linspace(0.0, 10.0, count)
+    alone = np.array([function(x, given).full().ravel() for x in times]).reshape(count, 2).T
+    assert np.array_equal(Sampler(function, given).over(times), alone, equal_nan=True)

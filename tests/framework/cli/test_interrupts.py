@@ -78,8 +78,8 @@ def test_one_on_its_way_up_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_one_that_is_only_noted_while_files_are_written_is_not_raised() -> None:
-    from dmframe.cli.signals import held_off
+    from dmframe.cli.signals import deferred_signals
 
-    with held_off() as came, Insistent():
+    with deferred_signals() as came, Insistent():
         interrupted()
     assert came == [signal.SIGINT]

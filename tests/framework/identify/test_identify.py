@@ -75,7 +75,9 @@ def test_a_pi_servo_is_found(tmp_path: Path) -> None:
 
 def test_a_cascade_with_half_the_feed_forward_is_found(tmp_path: Path) -> None:
     p, i, f = np.array([8.0, 10.0, 9.0]), np.array([4.0, 3.0, 5.0]), 0.6
-    found = dm.identify(write(tmp_path / "log.csv", *record(Hidden(p + f * i, p + i, p * i, f), delay=2)), "ur10_slow")
+    found = dm.identify(
+        write(tmp_path / "log.csv", *record(Hidden(p + f * i, p + i, p * i, f), seconds=9.5, delay=2)), "ur10_slow"
+    )
     assert found.kind == "p_pi"
     assert found.servo["f"][0] == pytest.approx([f] * 3, abs=0.05)
     assert found.delay[0] == pytest.approx(2, abs=0.1)

@@ -21,7 +21,7 @@ from dmframe.results.run import Run
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="no forks elsewhere")
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def two() -> list[Run]:
     """Runs of two graphs, one without V."""
     graphs = [load("pendulum").until(0.2), load("arm2_joint").until(0.2)]
@@ -35,9 +35,15 @@ def alone(runs: list[Run]) -> dict[str, bytes]:
     return {name: content for item in files for name, content in item.items()}
 
 
+@pytest.fixture(scope="module")
+def expected(two: list[Run]) -> dict[str, bytes]:
+    """The files of both, drawn once."""
+    return alone(two)
+
+
 @pytest.mark.parametrize(("cores", "large"), [(1, False), (2, False), (4, False), (2, True)])
 def test_processes_draw_the_same_bytes_as_this_one(
-    two: list[Run], cores: int, large: bool, monkeypatch: pytest.MonkeyPatch
+    two: list[Run], expected: dict[str, bytes], cores: int, large: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also runs that are too large to be copied, and where there is no process."""
     monkeypatch.setattr("dmframe.common.copies._cores", lambda: cores)
@@ -45,7 +51,7 @@ def test_processes_draw_the_same_bytes_as_this_one(
     with drawing([run.graph for run in two], ["svg"]) as drawn:
         drawn.begin(named(two))
         found = drawn.files(named(two))
-    assert found == alone(two)
+    assert found == expected
     assert {"error.svg", "storage_pendulum.svg", "estimates_pendulum.svg"} <= set(found)
 
 
@@ -57,7 +63,9 @@ def test_of_fewer_runs_than_graphs_only_those_are_drawn(two: list[Run], monkeypa
 
 
 @LINUX
-def test_a_process_that_was_killed_loses_no_figure(two: list[Run], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_that_was_killed_loses_no_figure(
+    two: list[Run], expected: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("dmframe.common.copies._cores", lambda: 2)
     here = os.getpid()
 
@@ -69,7 +77,7 @@ def test_a_process_that_was_killed_loses_no_figure(two: list[Run], monkeypatch: 
     monkeypatch.setattr(drawing_process, "files_of", killed)
     with drawing([run.graph for run in two], ["svg"]) as drawn:
         drawn.begin(named(two))
-        assert drawn.files(named(two)) == alone(two)
+        assert drawn.files(named(two)) == expected
 
 
 @LINUX
@@ -89,15 +97,16 @@ def test_without_docstrings_matplotlib_draws_the_same() -> None:
     assert second == "False" + first.removeprefix("True")
 
 
-def test_figures_whose_texts_are_measured_once_are_the_same(two: list[Run], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_figures_whose_texts_are_measured_once_are_the_same(
+    two: list[Run], expected: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Also as PNG, whose texts are measured by another renderer, and after a change of limits."""
 
-    def all_files() -> dict[str, bytes]:
-        files = alone(two)
+    def with_others(files: dict[str, bytes]) -> dict[str, bytes]:
         figure = figures_of(named(two))["error"]
         figure.axes[0].set_ylim(-3.0, 3.0)
         return files | files_of(figure, "changed", "", ("svg", "png", "pdf"))
 
-    found = all_files()
+    found = with_others(expected)
     monkeypatch.setattr("dmframe.common.plotting.measured_once", nullcontext)
-    assert found == all_files()
+    assert found == with_others(alone(two))

@@ -159,8 +159,8 @@ def test_only_the_first_points_are_decided(monkeypatch: pytest.MonkeyPatch) -> N
     ("sample", "says", "apart"),
     [
         ("clock: {scale: [1, 2]}", "hold at the numbers that the graphs state", True),
-        ("clock: {scale: [1, 2]}\nservo.K_P: {scale: [1, 2]}", "hold over the whole box of what was drawn", True),
-        ("servo.K_P: {scale: [1, 2]}", "hold over the whole box of what was drawn", False),
+        ("clock: {scale: [1, 2]}\nservo.K_P: {scale: [1, 2]}", "hold over the whole sampled box", True),
+        ("servo.K_P: {scale: [1, 2]}", "hold over the whole sampled box", False),
     ],
 )
 def test_the_answer_says_what_the_box_does_not_hold(sample: str, says: str, apart: bool) -> None:
