@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from dmframe.common.former import accept_former_paths
+from dmframe.common.former import FORMER, accept_former_paths
 
 if TYPE_CHECKING:
     from dmframe.analysis.delay import fitted_delay
@@ -92,10 +92,12 @@ def __getattr__(name: str) -> Any:
         from dmframe.common.version import version
 
         return version()
-    if name not in _HOMES:
+    if name not in _HOMES and name not in FORMER:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
+    if name in FORMER:
+        return import_module(f"{__name__}.{name}")  # with its notice
     return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
 
 

@@ -6,6 +6,7 @@ from importlib import import_module
 
 import pytest
 
+import dmframe as dm
 from dmframe.common.former import FORMER
 
 
@@ -18,6 +19,13 @@ def test_a_former_path_gives_the_same_module_with_a_notice(module: str) -> None:
     assert former is import_module(now)
     assert former.__spec__ is not None
     assert former.__spec__.name == now
+
+
+def test_a_former_module_is_an_attribute_of_the_package() -> None:
+    vars(dm).pop("errors", None)
+    sys.modules.pop("dmframe.errors", None)
+    with pytest.warns(DeprecationWarning, match="dmframe.errors is now dmframe.common.errors"):
+        assert dm.errors.DmframeError is dm.DmframeError
 
 
 def test_no_module_of_the_package_has_a_former_path() -> None:
