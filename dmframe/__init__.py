@@ -9,23 +9,24 @@ storage function; from that single statement come the simulation, the C code and
 >>> print(g.verify().headline)
 proved
 
-These names are the public interface. Modules that define blocks also import `dmframe.block`, `dmframe.certificate`,
-`dmframe.parameter`, `dmframe.port`, `dmframe.linalg` and `dmframe.naming`; every other module is internal. The
-framework contains no block and no robot: packages register them under the entry-point groups ``dmframe.blocks`` and
-``dmframe.robots``.
+These names are the public interface; modules that define blocks import `dmframe.block` too. Every other module is
+internal. The framework contains no block and no robot: packages register them under the entry-point groups
+``dmframe.blocks`` and ``dmframe.robots``.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
+from dmframe.common.former import accept_former_paths
+
 if TYPE_CHECKING:
     from dmframe.analysis.delay import fitted_delay
-    from dmframe.errors import DmframeError
+    from dmframe.common.errors import DmframeError
     from dmframe.graph.graph import Graph
     from dmframe.graph.load import load
+    from dmframe.graph.registries import blocks, graphs, robots
     from dmframe.graph.runs import Runs, compare
-    from dmframe.graph.shelf import blocks, graphs, robots
     from dmframe.graph.shortcuts import analyse, draw, run, verify
     from dmframe.graph.sweep import sweep
     from dmframe.identification.experiment import experiment
@@ -37,21 +38,21 @@ if TYPE_CHECKING:
     __version__: str
 
 _HOMES: Final = {
-    "DmframeError": "errors",
+    "DmframeError": "common.errors",
     "Graph": "graph.graph",
     "Run": "results.run",
     "Runs": "graph.runs",
     "analyse": "graph.shortcuts",
-    "blocks": "graph.shelf",
+    "blocks": "graph.registries",
     "compare": "graph.runs",
     "draw": "graph.shortcuts",
     "experiment": "identification.experiment",
     "fitted_delay": "analysis.delay",
-    "graphs": "graph.shelf",
+    "graphs": "graph.registries",
     "identify": "identification.identify",
     "load": "graph.load",
     "load_study": "study.read",
-    "robots": "graph.shelf",
+    "robots": "graph.registries",
     "run": "graph.shortcuts",
     "sweep": "graph.sweep",
     "tune": "study.tune",
@@ -83,9 +84,12 @@ __all__ = [
 ]
 
 
+accept_former_paths()
+
+
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        from dmframe.version import version
+        from dmframe.common.version import version
 
         return version()
     if name not in _HOMES:

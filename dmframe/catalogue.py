@@ -21,10 +21,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import TypeGuard
 
-from dmframe import trust
 from dmframe.block import AbstractBlock
-from dmframe.errors import BlockError, UnknownNameError
-from dmframe.files import expanded, is_file, probed
+from dmframe.common import trust
+from dmframe.common.errors import BlockError, UnknownNameError
+from dmframe.common.files import expanded, is_file, probed
 
 GROUP = "dmframe.blocks"
 _LOADED = "__dmframe_source__"
@@ -142,8 +142,8 @@ def _load(path: Path, source: bytes, where: str) -> ModuleType:
         frames = traceback.extract_tb(error.__traceback__)
         lines = [frame.lineno for frame in frames if Path(frame.filename).resolve() == path.resolve()]
         line = error.lineno if isinstance(error, SyntaxError) else (lines or [0])[-1]
-        said = error.msg if isinstance(error, SyntaxError) else (str(error).splitlines() or [""])[0]
-        raise BlockError(f"{where}: {path.name}:{line}: {type(error).__name__}: {said}") from error
+        message = error.msg if isinstance(error, SyntaxError) else (str(error).splitlines() or [""])[0]
+        raise BlockError(f"{where}: {path.name}:{line}: {type(error).__name__}: {message}") from error
     return module
 
 

@@ -1,4 +1,4 @@
-"""For each block the smallest packaged graph that holds it, and what its main parameter does there, simulated."""
+"""For each block the smallest packaged graph that contains it, and the simulated effect of its main parameter."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from typing import Any, Final
 
 import dmframe as dm
 from dmframe.block import AbstractBlock
+from dmframe.block.parameter import specs
+from dmframe.block.port import Side
 from dmframe.catalogue import graphs
-from dmframe.errors import DmframeError
-from dmframe.parameter import specs
-from dmframe.port import Side
+from dmframe.common.errors import DmframeError
 
 FACTORS: Final = (0.25, 0.5, 1.0, 2.0, 4.0)
-"""Of a parameter's value in the graph, tried one after another."""
+"""Factors of a parameter's value in the graph, tried one after another."""
 LONGEST: Final = 20.0
-"""Of a run that tries one [s]."""
+"""Duration of the run of a trial [s]."""
 
 
 @dataclass(frozen=True)
 class Example:
-    """The smallest packaged graph with a block: its name, and the block's in it; and all others that hold one."""
+    """The smallest packaged graph with a block: its name, and the block's name there; and all others with the block."""
 
     graph: str
     block: str
@@ -72,7 +72,7 @@ def diagram_of(graph: str) -> Any:
 
 
 def main_parameter(kind: type[AbstractBlock], block: AbstractBlock) -> str:
-    """The first parameter that must be above zero, else the first number that is not zero; empty where none is one."""
+    """The first parameter that must be above zero, else the first non-zero number; empty without one."""
     known = {name: spec for name, spec in specs(kind).items() if spec.form in ("diagonal", "gain")}
     given = [name for name in known if _scaled(getattr(block, name), 2.0) is not None]
     positive = [name for name in given if known[name].sign == "> 0" and kind.model_fields[name].is_required()]
@@ -80,7 +80,7 @@ def main_parameter(kind: type[AbstractBlock], block: AbstractBlock) -> str:
 
 
 def _scaled(value: Any, factor: float) -> Any:
-    """A value times a factor; None where that would change nothing, or where it is no number."""
+    """A value times a factor; None if the value would not change, or is not a number."""
     if isinstance(value, float | int) and not isinstance(value, bool):
         return factor * value if value else None
     if isinstance(value, tuple) and all(isinstance(item, float | int) for item in value):
@@ -90,9 +90,9 @@ def _scaled(value: Any, factor: float) -> Any:
 
 @dataclass(frozen=True)
 class Trials:
-    """What becomes of the error with each value of a parameter, ``block.parameter``.
+    """The error with each value of a parameter, ``block.parameter``.
 
-    Rows hold the factor, the value, the RMS error over the first and the last eighth, and what else happened.
+    Rows contain the factor, the value, the RMS error over the first and the last eighth, and a remark.
     """
 
     label: str

@@ -27,7 +27,7 @@ FILE = Path(__file__).parent / "images" / "ur10_fast.gif"
 
 
 def frame(page: Path, folder: Path, time: float) -> Image.Image:
-    """What the page shows of an instant [s]."""
+    """Picture of the page at an instant [s]."""
     shot = folder / "frame.png"
     gpu = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
     words = ("--headless", "--no-sandbox", "--hide-scrollbars", *gpu, f"--window-size={WINDOW[0]},{WINDOW[1]}")

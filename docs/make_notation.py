@@ -1,4 +1,4 @@
-"""Write docs/notation.md: each name of a port, state, parameter or true value of the blocks, and what it means.
+"""Write docs/notation.md: the meaning of each name of a port, state, parameter or true value of the blocks.
 
     python docs/make_notation.py
 
@@ -19,18 +19,18 @@ from typing import Any
 from ruamel.yaml import YAML
 
 from dmframe.block import AbstractBlock
+from dmframe.block.parameter import specs
 from dmframe.catalogue import block_types
+from dmframe.common.names import distinct, unicode_name
+from dmframe.common.units import compatible
 from dmframe.formula.robot import CONSTANTS, SIGNS
-from dmframe.names import distinct, unicode_name
-from dmframe.parameter import specs
-from dmframe.units import compatible
 
 ROOT = Path(__file__).parents[1]
 PAGE, WORDS = ROOT / "docs" / "notation.md", ROOT / "docs" / "notation.yaml"
 LETTERS = ("n", "m", "p", "k", "h")
 BEGIN, END = "<!-- tables: begin -->", "<!-- tables: end -->"
 ANY = "*"
-"""The unit of a port that takes several."""
+"""The unit of a port with several units."""
 FUNCTIONS = {"norm", "clip", "beyond", "tanh", "sign", "atan", "abs", "diag", "min", "max", "S", "V", "I"}
 FUNCTIONS |= {"heavy", "links", "tool", "behind", "floor", "exp", "at_time", "with_mass"}
 """Signs of a printed law that are neither a name nor a quantity of the robot."""
@@ -38,7 +38,7 @@ FUNCTIONS |= {"heavy", "links", "tool", "behind", "floor", "exp", "at_time", "wi
 
 @dataclass(frozen=True)
 class Meaning:
-    """What the code cannot say of a name: the words, the paper's own, and why it has several units or meanings."""
+    """Hand-written part of a name: its meaning, the paper's symbol, and the reason for several units or meanings."""
 
     means: str
     paper: str = ""
@@ -47,7 +47,7 @@ class Meaning:
 
 @dataclass
 class Entry:
-    """What the code says of a name; units, shapes and blocks in the order in which they are found."""
+    """Part of a name from the code; units, shapes and blocks in the order in which they are found."""
 
     name: str
     units: list[str] = field(default_factory=list)
@@ -69,7 +69,7 @@ class Entry:
 def meanings() -> dict[str, Meaning]:
     """The words, by name, in the order of the page."""
     stated: Mapping[str, Any] = YAML(typ="safe").load(WORDS.read_text(encoding="utf-8"))
-    return {name: Meaning(**said) if isinstance(said, dict) else Meaning(said) for name, said in stated.items()}
+    return {name: Meaning(**given) if isinstance(given, dict) else Meaning(given) for name, given in stated.items()}
 
 
 def entries() -> dict[str, Entry]:
@@ -91,18 +91,18 @@ def signs() -> set[str]:
     return FUNCTIONS | set(SIGNS.values()) | set(CONSTANTS.values())
 
 
-def faults(found: Mapping[str, Entry], said: Mapping[str, Meaning]) -> Iterator[str]:
+def faults(found: Mapping[str, Entry], given: Mapping[str, Meaning]) -> Iterator[str]:
     """Where the code and the words differ, and where one symbol would have two meanings."""
-    yield from (f"{name} has no meaning in notation.yaml" for name in found if name not in said)
-    yield from (f"{name} has a meaning, and no block has it" for name in said if name not in found)
+    yield from (f"{name} has no meaning in notation.yaml" for name in found if name not in given)
+    yield from (f"{name} has a meaning, and no block has it" for name in given if name not in found)
     yield from (f"{one} and {other} print alike" for one, other in distinct(sorted(found.keys() | signs())))
     calls = dict[str, str]()
-    for name, meaning in said.items():
+    for name, meaning in given.items():
         first = calls.setdefault(meaning.paper or name, name)
         if first != name:
             yield f"the paper calls {first} and {name} alike"
-    for name in sorted(found.keys() & said.keys()):
-        yield from _meant_twice(found[name], said[name])
+    for name in sorted(found.keys() & given.keys()):
+        yield from _meant_twice(found[name], given[name])
 
 
 def _meant_twice(entry: Entry, meaning: Meaning) -> Iterator[str]:
@@ -115,36 +115,36 @@ def _meant_twice(entry: Entry, meaning: Meaning) -> Iterator[str]:
     if entry.name in letters | set(LETTERS):
         yield f"{entry.name} is the letter of a size too"
     if not any(several.values()) and meaning.because:
-        yield f"{entry.name} says why it has several units or meanings, and has one"
+        yield f"{entry.name}: a reason is given, but it has one unit and meaning"
     if not meaning.because:
         unexplained = [which for which, true in several.items() if true]
-        yield from (f"{entry.name} has several {which}, and does not say why" for which in unexplained)
+        yield from (f"{entry.name} has several {which}, without a reason" for which in unexplained)
 
 
 def clashes(kind: type[AbstractBlock], found: Mapping[str, Entry]) -> Iterator[str]:
-    """Names of a block's options and of parts of its law that stand for something else in the table."""
+    """Names of a block's options and of parts of its law with another meaning in the table."""
     own = {port.name for port in kind.outputs}
     options = kind.model_fields.keys() - specs(kind).keys()
     yield from (f"the option {name} is a name too" for name in sorted(options & found.keys()))
     for name in dict.fromkeys(re.findall(r'\bnamed\(\s*"(\w+)"', inspect.getsource(kind))):
         others = found.keys() | signs()
         if name not in own and (name in others or any(name in pair for pair in distinct(sorted({name, *others})))):
-            yield f"a part of the law is called {name}, and something else is too"
+            yield f"a part of the law is called {name}, and so is another quantity"
 
 
 def lines() -> Iterator[str]:
     """Both tables."""
-    said, found = meanings(), entries()
+    given, found = meanings(), entries()
     for title, parameters in (("Signals, states and true values", False), ("Parameters", True)):
         ends = ["blocks"] if parameters else ["given by", "read by"]
         head = ["symbol", "name", "unit", "shape", "meaning", "in the paper", *ends]
         yield from (f"## {title}", "", _row(head), "|" + "---|" * len(head))
-        for name, meaning in said.items():
+        for name, meaning in given.items():
             if name in found and found[name].parameter == parameters:
                 yield _row(_cells(found[name], meaning))
         yield ""
     yield from ("## Names with several units or meanings", "")
-    yield from (f"- `{name}`: {meaning.because}" for name, meaning in said.items() if meaning.because)
+    yield from (f"- `{name}`: {meaning.because}" for name, meaning in given.items() if meaning.because)
 
 
 def _cells(entry: Entry, meaning: Meaning) -> list[str]:

@@ -2,9 +2,9 @@
 
     python docs/make_paper.py
 
-The meaning of an equation, and the blocks that state it, are in `paper_rows.yaml`; tests and graphs that it does not
-name are looked up. ``tests/docs`` fails where the page is stale, where a block cites an equation whose row does not
-name it, and where a row names something that does not exist.
+The statement of each equation and its blocks are in `paper_rows.yaml`; tests and graphs that are missing there are
+looked up. ``tests/docs`` fails if the page is stale, if a block cites an equation and is missing in its row, and if
+a row names a block, file, test or graph that does not exist.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ SHORT = {"E": "tests/blocks/test_paper_equations.py", "T": "tests/blocks/test_th
 
 @dataclass(frozen=True)
 class Row:
-    """A line of the paper's table; files, tests and docs are ``path`` or ``path::name``, docs below `docs/`."""
+    """A row of the paper's table; files, tests and docs are ``path`` or ``path::name``, docs below `docs/`."""
 
     number: str
-    says: str
+    states: str
     blocks: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
     tests: tuple[str, ...] = ()
@@ -75,7 +75,7 @@ def numbers(text: str) -> set[int]:
 
 
 def graphs_of(blocks: Sequence[str]) -> list[str]:
-    """Packaged graphs that hold all these blocks; where none does, those that hold the first."""
+    """Packaged graphs that contain all these blocks; without one, those that contain the first."""
     used = {
         path.stem: set(re.findall(r"type: (\w+)", path.read_text(encoding="utf-8"))) for path in GRAPHS.glob("*.yaml")
     }
@@ -124,7 +124,7 @@ def _link(target: str) -> str:
 
 def lines() -> Iterator[str]:
     """The table."""
-    yield "| number | what it says | block, file, page | test | graph |"
+    yield "| number | statement | block, file, page | test | graph |"
     yield "|---|---|---|---|---|"
     for row in rows():
         where = [_link(f"blocks/dmframe_blocks/{block}.py::{block}") for block in row.blocks]
@@ -133,7 +133,7 @@ def lines() -> Iterator[str]:
         graphs = [f"`{name}`" for name in row.graphs or (graphs_of(row.blocks) if row.blocks else [])]
         missing = "-" if row.unused else "none yet"
         cells = [row.unused or ", ".join(where) or missing, *(", ".join(cell) or missing for cell in (tests, graphs))]
-        yield "| " + " | ".join([row.number, row.says.replace("|", "\\|"), *cells]) + " |"
+        yield "| " + " | ".join([row.number, row.states.replace("|", "\\|"), *cells]) + " |"
 
 
 def fill(page: str) -> str:

@@ -1,4 +1,4 @@
-"""Build the site: gather its pages into a folder of their own, then have Sphinx set them.
+"""Build the site: collect its pages in a folder, then build them with Sphinx.
 
     python docs/make_site.py [--check] [FOLDER]
 
@@ -23,7 +23,7 @@ MARK = ".made-by-make_site"
 
 
 def gathered(folder: Path) -> dict[str, str | bytes]:
-    """All files from which the site is set, by their place in it; blocks' pages are written to `folder` before."""
+    """All source files of the site, by their place in it; blocks' pages are written to `folder` before."""
     shown, files = set[Path](), dict[str, str | bytes]()
     for place, path in sources().items():
         files[place] = linked(path.read_text(encoding="utf-8"), path, place, shown.add)
@@ -57,7 +57,7 @@ def _emptied(cache: Path) -> None:
 
 
 def claim(folder: Path) -> None:
-    """Mark a folder as one of this script's own, out of which it takes what it did not put in.
+    """Mark a folder as written by this script, which removes all other files from it.
 
     Ends the program where there are files that it did not make.
     """
@@ -69,7 +69,7 @@ def claim(folder: Path) -> None:
 
 
 def lay_out(files: dict[str, str | bytes], folder: Path) -> None:
-    """Write what has changed, and take away what is no longer there: Sphinx reads again what is new alone."""
+    """Write changed files and remove obsolete ones: Sphinx reads only new files again."""
     for place, content in files.items():
         path, data = folder / place, content.encode() if isinstance(content, str) else content
         if not path.is_file() or path.read_bytes() != data:
@@ -89,11 +89,11 @@ REMOTE = re.compile(
     r"""|url\(\s*["']?(?:https?:)?//[^"')]*|@import\s+["'](?:https?:)?//[^"']*""",
     re.IGNORECASE,
 )
-"""What a browser fetches by itself from somewhere else."""
+"""Resources that a browser loads from another host."""
 
 
 def remote(site: Path) -> list[str]:
-    """What the pages and styles of a site load from a network, each with its file; nothing, as it should be."""
+    """Network resources of the pages and styles of a site, each with its file; the list has to be empty."""
     found = list[str]()
     for path in sorted(site.rglob("*")):
         if path.suffix in (".html", ".css", ".svg"):
@@ -124,7 +124,7 @@ def main() -> int:
     if arguments.check:
         return 0
     if not site.is_dir():
-        _emptied(cache)  # it says which pages need not be set again
+        _emptied(cache)  # it lists pages that are not built again
     _quiet_kernels(cache / "ipython")
     from sphinx.cmd.build import build_main
 

@@ -1,8 +1,8 @@
-"""Write the tables of docs/how_to/which.md: which controller for which task, and how competitors do on one plant.
+"""Write the tables of docs/how_to/which.md: which controller for which task, and competitors on one plant.
 
     python docs/make_which.py [--draw | --laws] [GRAPH...]
 
-All facts of a row are computed from the graph, its verdict and a run; `which.yaml` only states when to use a graph.
+All facts of a row are computed from the graph, its verdict and a run; `which.yaml` contains only the use of each graph.
 Cells are stored in `which.csv`, `which_laws.csv` and `which_limits.csv`, from which ``--draw`` makes the tables
 without a run. With names only their rows and missing ones are computed; with ``--laws`` only those of competitors.
 """
@@ -20,16 +20,16 @@ import numpy as np
 from ruamel.yaml import YAML
 
 import dmframe as dm
+from dmframe.block.port import Side
 from dmframe.catalogue import find_graph
+from dmframe.common.errors import listed
+from dmframe.common.names import unicode_name
+from dmframe.common.units import plain
 from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import known_truths
-from dmframe.errors import listed
-from dmframe.names import unicode_name
-from dmframe.port import Side
 from dmframe.results.metrics import goal_of
 from dmframe.simulate.keep import apart_of
 from dmframe.simulate.warnings import warning_signals
-from dmframe.units import plain
 
 DOCS = Path(__file__).parent
 PAGE, WORDS = DOCS / "how_to" / "which.md", DOCS / "which.yaml"
@@ -77,9 +77,9 @@ def words() -> dict[str, Any]:
     return dict(YAML(typ="safe").load(WORDS.read_text(encoding="utf-8")))
 
 
-def faults(said: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
+def faults(texts: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
     """Packaged graphs without a line, or with two, and lines about unknown graphs."""
-    present, left = said["graphs"].keys(), said["left_out"].keys()
+    present, left = texts["graphs"].keys(), texts["left_out"].keys()
     yield from (f"{name} has no line in which.yaml" for name in names if name not in present | left)
     yield from (f"{name} has a line and is left out" for name in sorted(present & left))
     yield from (f"{name} is no packaged graph" for name in sorted((present | left) - set(names)))
@@ -101,7 +101,7 @@ def facts(graph: dm.Graph) -> dict[str, str]:
 
 
 def followed(diagram: Diagram) -> str:
-    """What is led where, and by how many joints more than that takes."""
+    """The controlled quantity, its goal, and the number of redundant joints."""
     goal = goal_of(diagram.loop)
     if goal is None:
         return "-"
@@ -131,19 +131,19 @@ def servo(diagram: Diagram) -> str:
 
 
 def units_taken(diagram: Diagram) -> list[str]:
-    """Units of what the plant takes."""
+    """Units of the commands of the plant."""
     units = {signal.label: signal.unit for signal in diagram.loop.outputs}
     return [units[leaf.name] for leaf in diagram.loop.commanded]
 
 
 def measured(diagram: Diagram) -> str:
-    """Ports of the plant that the controller reads; what it has commanded itself is none."""
+    """Ports of the plant that the controller reads, without its own command."""
     own = {end.partition(".")[2] for end in (leaf.name for leaf in diagram.loop.measured)}
     return ", ".join(unicode_name(name) for name in sorted(own - {"q_c"}, key=lambda name: (len(name), name)))
 
 
 def known(diagram: Diagram) -> str:
-    """The robot's true numbers that the controller holds; the regressor has true lengths where the task learns them."""
+    """The robot's true numbers in the controller; the regressor has true lengths also if the task estimates them."""
     holds = known_truths(diagram)
     groups = {group for block in holds for group in block.groups}
     cells = []
@@ -162,21 +162,21 @@ def estimates(diagram: Diagram) -> dict[str, int]:
 
 
 def learnt(diagram: Diagram) -> str:
-    """What is estimated, with the count of its numbers."""
+    """The estimates, each with the number of its elements."""
     declared = {item.name for model in diagram.models.values() for item in model.estimates}
     found, counts = estimates(diagram), dict[str, int]()
     if missing := declared - found.keys():
         raise KeyError(f"{listed(sorted(missing))}: no words in LEARNT")
     for name in (name for name in LEARNT if name in found):
         counts[LEARNT[name]] = counts.get(LEARNT[name], 0) + found[name]
-    return ", ".join(f"{word} ({count})" for word, count in counts.items()) or "nothing"
+    return ", ".join(f"{word} ({count})" for word, count in counts.items()) or "none"
 
 
 def row_of(name: str) -> dict[str, str]:
     """The row of a graph, all of it."""
     graph = dm.load(name)
     verdict = graph.verify()
-    proved = "no: nothing is claimed" if verdict.outcome == "not_applicable" else verdict.headline
+    proved = "no certificate" if verdict.outcome == "not_applicable" else verdict.headline
     return {"graph": name, **facts(graph), "proved": proved, "error": error_of(graph.run(progress=False, judge=False))}
 
 
@@ -192,7 +192,7 @@ def error_of(run: dm.Run) -> str:
 
 
 def shown(value: float, unit: str) -> str:
-    """Three digits in mm or degrees; of what has no unit, such as a point of an image, two."""
+    """Three digits in mm or degrees; two for a number without a unit, such as a point of an image."""
     if not unit:
         return f"{value:.2g}"
     scale, sign = {"m": (1e3, " mm"), "rad": (57.29577951308232, "°")}.get(unit, (1.0, f" {unit}".rstrip()))
@@ -231,7 +231,7 @@ def real(graph: dm.Graph, reality: str) -> dm.Graph:
     made = graph.reality(reality)
     delayed = [label for label, block in graph.blocks.items() if "delay" in type(block).model_fields]
     identified = any(getattr(graph.blocks[label], "delay_up_to", None) is not None for label in delayed)
-    # the goal of the task is that of a later sample: right where a predictor says from where
+    # the goal of the task is that of a later sample: correct if a predictor outputs the start of that sample
     if not delayed or identified or delayed == ["task"]:
         return made
     samples = made.data["blocks"]["transport_delay"]["samples"]
@@ -253,7 +253,7 @@ def figures(run: dm.Run, graph: dm.Graph) -> dict[str, Any]:
 
 
 def law_row(law: Mapping[str, Any], k: int, circle: Mapping[str, str]) -> dict[str, Any]:
-    """What a law does on a circle."""
+    """The result of a law on a circle."""
     cell, row = law["cells"][circle.get("cell", k)], {"law": law["title"], "circle": circle["title"]}
     graph = law_of(cell, circle["on"])
     if "servo" in circle:
@@ -276,19 +276,19 @@ def limit_row(law: Mapping[str, Any], reality: str, on: str) -> dict[str, Any]:
 
 
 def _kept(graph: dm.Graph) -> str:
-    """What is proved of the joints' limits."""
+    """The proved bound of the joints."""
     statements = graph.verify().verdict.statements
-    return next((item.says for item in statements if item.says.startswith("stays between")), "nothing")
+    return next((item.says for item in statements if item.says.startswith("stays between")), "no proof")
 
 
-def table(rows: list[dict[str, str]], said: Mapping[str, Any]) -> Iterator[str]:
+def table(rows: list[dict[str, str]], texts: Mapping[str, Any]) -> Iterator[str]:
     """The table of graphs, in the order of the words."""
     by_name = {row["graph"]: row for row in rows}
-    heads = ["take it when", "error", "proved", "follows", "robot", "servo, takes, clock"]
-    heads += ["measured", "known exactly", "learnt"]
+    heads = ["use it if", "error", "proved", "controlled", "robot", "servo, command, clock"]
+    heads += ["measured", "known exactly", "estimated"]
     yield f"| {' | '.join(heads)} |"
     yield "|" + "---|" * len(heads)
-    for name, word in said["graphs"].items():
+    for name, word in texts["graphs"].items():
         row = by_name[name]
         when = f"{word['when']}<br>[`{name}`]({word['page']})"
         interface = f"{row['servo']}, {row['takes']}, {row['clock']}"
@@ -297,26 +297,26 @@ def table(rows: list[dict[str, str]], said: Mapping[str, Any]) -> Iterator[str]:
 
 
 def in_short(headline: str) -> str:
-    """The headline, of a proof over samples without what it leaves open: the page states that once."""
+    """The headline; of a proof over samples its first part, since the page states the restrictions once."""
     return headline.partition(",")[0] if headline.startswith("proved over samples") else headline
 
 
-def law_table(rows: list[dict[str, str]], said: Mapping[str, Any]) -> Iterator[str]:
+def law_table(rows: list[dict[str, str]], texts: Mapping[str, Any]) -> Iterator[str]:
     """The table of laws, one column a circle."""
-    titles = [circle["title"] for circle in said["circles"]]
+    titles = [circle["title"] for circle in texts["circles"]]
     by_cell = {(row["law"], row["circle"]): row for row in rows}
     yield f"| law | {' | '.join(titles)} |"
     yield "|" + "---|" * (1 + len(titles))
-    for law in said["laws"]:
+    for law in texts["laws"]:
         yield f"| {law['title']} | {' | '.join(_cell(by_cell[law['title'], title]) for title in titles)} |"
 
 
-def limit_table(rows: list[dict[str, str]], said: Mapping[str, Any]) -> Iterator[str]:
+def limit_table(rows: list[dict[str, str]], texts: Mapping[str, Any]) -> Iterator[str]:
     """The table of laws near limits, ideal and with non-idealities."""
     by_cell = {(row["law"], row["reality"]): row for row in rows}
-    yield "| law | error | least room | error, `ur` | least room, `ur` | proved of the joints |"
+    yield "| law | error | least distance | error, `ur` | least distance, `ur` | proved for the joints |"
     yield "|" + "---|" * 6
-    for title in (law["title"] for law in said["limits"]["laws"]):
+    for title in (law["title"] for law in texts["limits"]["laws"]):
         cells = (f"{_cell(by_cell[title, each])} | {_room(by_cell[title, each])}" for each in REALITIES)
         yield f"| {title} | {' | '.join(cells)} | {by_cell[title, 'none']['says']} |"
 
@@ -342,13 +342,13 @@ def _cell(row: Mapping[str, str]) -> str:
 
 
 def read(path: Path) -> list[dict[str, str]]:
-    """The rows that are kept."""
+    """The stored rows."""
     with path.open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
 
 
 def write(path: Path, heads: tuple[str, ...], rows: list[dict[str, Any]]) -> None:
-    """Keep rows."""
+    """Write rows."""
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, heads, lineterminator="\n")
         writer.writeheader()
@@ -360,13 +360,13 @@ def fill(
     rows: list[dict[str, str]],
     laws: list[dict[str, str]],
     limits: list[dict[str, str]],
-    said: Mapping[str, Any],
+    texts: Mapping[str, Any],
 ) -> str:
     """The page with its tables put in."""
     parts = (
-        (BEGIN, END, table(rows, said)),
-        (LAWS_BEGIN, LAWS_END, law_table(laws, said)),
-        (LIMITS_BEGIN, LIMITS_END, limit_table(limits, said)),
+        (BEGIN, END, table(rows, texts)),
+        (LAWS_BEGIN, LAWS_END, law_table(laws, texts)),
+        (LIMITS_BEGIN, LIMITS_END, limit_table(limits, texts)),
     )
     for begin, end, lines in parts:
         before, _, rest = text.partition(begin)
@@ -375,26 +375,26 @@ def fill(
 
 
 def draw() -> None:
-    """The page from what is kept."""
+    """The page from the stored rows."""
     text = fill(PAGE.read_text(encoding="utf-8"), read(TABLE), read(LAWS), read(LIMITS), words())
     PAGE.write_text(text, encoding="utf-8")
 
 
 def main(arguments: list[str]) -> None:
-    """Make rows, keep them, and draw the page."""
-    said, names = words(), [word for word in arguments if not word.startswith("--")]
-    if wrong := list(faults(said, dm.graphs())):
+    """Compute rows, store them, and draw the page."""
+    texts, names = words(), [word for word in arguments if not word.startswith("--")]
+    if wrong := list(faults(texts, dm.graphs())):
         sys.exit("\n".join(wrong))
     if not {"--draw", "--laws"} & set(arguments):
         kept = {row["graph"]: row for row in read(TABLE)} if names and TABLE.exists() else {}
-        for name in said["graphs"]:
+        for name in texts["graphs"]:
             if name not in kept or name in names:
                 kept[name] = row_of(name)
                 sys.stderr.write(f"{name}\n")
-        write(TABLE, HEADS, [kept[name] for name in said["graphs"]])
+        write(TABLE, HEADS, [kept[name] for name in texts["graphs"]])
     if "--draw" not in arguments and not names:
-        circles, limits = list(enumerate(said["circles"])), said["limits"]
-        write(LAWS, LAW_HEADS, [law_row(law, k, circle) for law in said["laws"] for k, circle in circles])
+        circles, limits = list(enumerate(texts["circles"])), texts["limits"]
+        write(LAWS, LAW_HEADS, [law_row(law, k, circle) for law in texts["laws"] for k, circle in circles])
         near = [limit_row(law, reality, limits["on"]) for law in limits["laws"] for reality in REALITIES]
         write(LIMITS, LIMIT_HEADS, near)
     draw()

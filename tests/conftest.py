@@ -10,11 +10,22 @@ from fnmatch import translate
 from pathlib import Path
 
 import pytest
+from flint import fmpz
+from hypothesis import settings
+from hypothesis.internal.conjecture import providers
+
+from dmframe.block import steady
+from dmframe.exact import primes
 
 os.environ.setdefault(
     "OPENBLAS_NUM_THREADS", "1"
 )  # before NumPy is loaded: a second thread mostly spins, and workers share
 gc.disable()  # until all tests are collected: what a collection makes stays
+# Hypothesis would read all our modules for numbers to try: seconds for each worker, and examples that depend on what
+# was imported before.
+providers._get_local_constants = lambda: providers._local_constants
+settings.register_profile("without deadlines", deadline=None)  # a busy machine is no fault
+settings.load_profile("without deadlines")
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -25,6 +36,26 @@ def _compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("DMFRAME_CACHE", str(folder))
         yield folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _checked_once() -> Iterator[None]:
+    """A packaged block's methods are evaluated at other numbers once for each of its options, numbers and expressions.
+
+    For other blocks with validators this is done each time, since they may leave numbers anywhere.
+    """
+    hooks = steady._hooks
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(steady, "_hooks", lambda kind: not kind.__module__.startswith("dmframe_blocks.") and hooks(kind))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _probable_primes() -> Iterator[None]:
+    """Proofs take probable primes, of which no composite one is known: to prove each takes 2 ms, thousands of times."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(primes, "is_prime", lambda number: bool(fmpz(number).is_probable_prime()))
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -51,8 +82,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     patterns = [line for line in lines if BUT not in line]
     plain = {pattern for pattern in patterns if not set("*?") & set(pattern)}
     shapes = {pattern: translate(pattern.replace("[", "[[]")) for pattern in patterns if pattern not in plain}
-    any_of, each = re.compile("|".join(shapes.values())), {line: re.compile(shape) for line, shape in shapes.items()}
-    unused = set(patterns).union(*kept.values())
+    any_of, left = re.compile("|".join(shapes.values())), {line: re.compile(shape) for line, shape in shapes.items()}
+    unused = plain.union(*kept.values())
     for item in items:
         name = item.nodeid
         if (of := name.partition("[")[0]) in kept:
@@ -64,7 +95,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         elif not any_of.match(name):
             continue
         item.add_marker(pytest.mark.thorough)
-        unused -= {pattern for pattern, shape in each.items() if shape.match(name)}
+        left = {line: shape for line, shape in left.items() if not shape.match(name)}
+    unused |= left.keys()
     if unused and config.args == config.getini("testpaths"):
         raise pytest.UsageError(f"{THOROUGH.name}: no test is called {', '.join(sorted(unused))}")
 

@@ -10,7 +10,7 @@ import argparse
 import sys
 
 import dmframe as dm
-from dmframe.units import plain
+from dmframe.common.units import plain
 
 
 def main() -> int:

@@ -10,7 +10,7 @@ the joint's rows of the regressors. theta consists of K_P/K_D, K_I/K_D, an offse
 w times the friction, with w = 1/(K K_D). For a PI velocity servo, e is the integral itself: the row is (e, 1, ...) and
 theta is (K_I/K_P, offset, ...), with w = 1/(K K_P).
 
-For a P-PI cascade with the share f of velocity feed-forward, tau = K_v (f u - k_p e - dq) + K_i xi, where xi is the
+For a P-PI cascade with the fraction f of velocity feed-forward, tau = K_v (f u - k_p e - dq) + K_i xi, where xi is the
 integral of the parenthesis, the row has two more columns, the command u and the target at the middle of the sample:
 
     u - v = (k_p + k_i) e + k_p k_i z + offset + (1 - f) u + k_i (1 - f) q_c + tau/K_v,    k_i = K_i/K_v
@@ -70,7 +70,7 @@ class Start(NamedTuple):
 
 
 def _used(chain: SerialChain) -> Sequence[Sequence[int]]:
-    """For each joint the inertial parameters that affect its torque; columns of zeros are left out."""
+    """For each joint the inertial parameters that affect its torque, without columns of zeros."""
     robot, q, dq = SymbolicRobot(chain), ca.SX.sym("q", chain.n), ca.SX.sym("dq", chain.n)
     parts = robot.momentum_regressor(q, dq), robot.kinetic_regressor(q, dq), robot.gravity_regressor(q)
     pattern = ca.densify(sum(ca.DM(part.sparsity(), 1) for part in parts)).full()

@@ -1,6 +1,6 @@
 """Adaptation of physically consistent inertial parameters: two laws on pseudo-inertias, their steps and storage.
 
-The first law uses the metric of the present estimate, in which the boundary of the set is infinitely far away. The
+The first law uses the metric of the present estimate, in which the boundary of the set is at infinite distance. The
 second uses the constant metric of the nominal body, and projects the estimate onto the set.
 """
 

@@ -1,4 +1,4 @@
-"""A delay that `delay_probe` identifies while the loop runs: ports of the blocks that need it, and choices by it."""
+"""A delay that `delay_probe` identifies while the loop runs: ports of the blocks that use it, and selections by it."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def needs_delay(block: Delayed, port: str) -> bool:
 
 
 def acting(block: Delayed, u: Signals, queue: SX) -> SX:
-    """The commands from the one that acted in the sample that is over to the last one, each in its column.
+    """The commands from the one that acted in the last completed sample to the newest one, each in its column.
 
     `queue` holds the last longest + 1 commands. With a smaller identified delay the last one is repeated at the end.
     """

@@ -1,4 +1,4 @@
-"""The sample that is over, as a sampled inverse sees it: its command, average velocity, row and output."""
+"""The last completed sample of a sampled inverse: its command, average velocity, row and output."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dmframe_blocks._sample_response import Response
 
 
 class Measured(Delayed, Protocol):
-    """The options of a block that decide what it knows of a sample."""
+    """The options of a block that determine the measurements of a sample."""
 
     @property
     def filtered(self) -> bool:
@@ -32,7 +32,7 @@ class Measured(Delayed, Protocol):
 @final
 @dataclass(frozen=True)
 class LastSample:
-    """A sample that is over.
+    """A completed sample.
 
     Parameters
     ----------

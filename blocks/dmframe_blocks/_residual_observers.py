@@ -23,14 +23,14 @@ class Forecasts(NamedTuple):
 
 
 class Observer(Protocol):
-    """What forecasts a signal from its past values."""
+    """Forecast of a signal from its past values."""
 
     @property
     def size(self) -> int:
-        """Numbers held for each joint."""
+        """Number of states per joint."""
 
     def updated(self, held: SX, seen: SX, waves: Waves) -> SX:
-        """What is held after the signal of the last sample has been seen."""
+        """The states after an update with the signal of the last sample."""
 
     def forecast(self, held: SX, ahead: int, waves: Waves) -> SX:
         """The signal of the `ahead`-th sample after the last one."""
@@ -94,7 +94,7 @@ class Trend:
 @final
 @dataclass(frozen=True)
 class Fourier:
-    """The coefficients of a Fourier series, with normalised steps of a given share of the error."""
+    """The coefficients of a Fourier series, with normalised steps of a given fraction of the error."""
 
     harmonics: int
     share: float
@@ -127,11 +127,11 @@ PERIODIC: Final[tuple[Observer, ...]] = (Fourier(4, 0.15), Fourier(4, 0.04), Fou
 
 
 def size_of(observers: Sequence[Observer]) -> int:
-    """Numbers held for each joint by all of them."""
+    """Number of states per joint of all observers."""
     return sum(observer.size for observer in observers)
 
 
 def split(observers: Sequence[Observer], held: SX) -> list[SX]:
-    """What each of them holds."""
+    """The states of each observer."""
     ends = [sum(observer.size for observer in observers[: k + 1]) for k in range(len(observers))]
     return [held[:, end - observer.size : end] for end, observer in zip(ends, observers, strict=True)]

@@ -17,8 +17,8 @@ _NEWTON: Final = 4
 class Ahead(NamedTuple):
     """The samples until a new command acts.
 
-    Columns of known commands and of planned velocities, the first of the sample that is over; the delay, None if it is
-    the number of the other columns; and the period.
+    Columns of known commands and of planned velocities, the first of the last completed sample; the delay, None if it
+    is the number of the other columns; and the period.
     """
 
     commands: SX

@@ -37,5 +37,5 @@ class Accelerometer(AbstractBlock):
         return Equations(outputs={"ddq_m": u.ddq})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """Nothing is stored."""
+        """No storage."""
         return Certificate()

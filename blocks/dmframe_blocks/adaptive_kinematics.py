@@ -7,7 +7,6 @@ from typing import Any, ClassVar, Final, Literal, final
 
 import casadi as ca
 
-from dmframe.adaptation import Fit
 from dmframe.block import (
     SX,
     Adapted,
@@ -27,6 +26,7 @@ from dmframe.block import (
     TrueValue,
     operation,
 )
+from dmframe.block.adaptation import Fit
 
 
 @final

@@ -9,12 +9,12 @@ from dmframe.block import (
     Assumption,
     Certificate,
     Diagonal,
-    Driven,
     Equations,
     Input,
     Output,
     Positive,
     Signals,
+    StableLinear,
     State,
     sentence,
 )
@@ -87,8 +87,8 @@ class Admittance(AbstractBlock):
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """No storage; x_a is bounded by the stable linear subsystem (3)."""
         return Certificate(
-            driven=(
-                Driven(
+            linear=(
+                StableLinear(
                     vectors=(x.x_a, x.v_a),
                     rates=((0, 1), (-p.K_a / p.M_a, -p.D_a / p.M_a)),
                     bounded=(x.x_a, x.v_a),

@@ -97,5 +97,5 @@ class Camera(AbstractBlock):
         )
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """Nothing is stored."""
+        """No storage."""
         return Certificate()

@@ -32,5 +32,5 @@ class CertaintyEquivalence(AbstractBlock):
         return Equations(outputs={"tau_d": u.Y_d @ u.a_d_hat})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """Nothing is stored."""
+        """No storage."""
         return Certificate()

@@ -9,7 +9,7 @@ from dmframe.block import AbstractBlock, Equations, Input, Output, Positive, Sca
 
 @final
 class CommandGain(AbstractBlock):
-    r"""Multiplies each joint's commanded velocity by a gain that the controller does not know.
+    r"""Multiplies each joint's commanded velocity by a gain that is unknown to the controller.
 
     .. math::
 

@@ -12,7 +12,6 @@ from dmframe.block import (
     Assumption,
     Certificate,
     Condition,
-    Driven,
     Equations,
     Input,
     Output,
@@ -20,6 +19,7 @@ from dmframe.block import (
     Scalar,
     Signals,
     Square,
+    StableLinear,
     named,
     sentence,
 )
@@ -83,14 +83,14 @@ class ComputedTorque(AbstractBlock):
         """(3) and (4) for direct adaptation; no storage for indirect adaptation."""
         outputs, q_err = self.equations(u, x, p).outputs, u.q - u.q_d
         s_star = named("s_star", outputs["s_star"])
-        driven = (Driven((q_err,), ((-p.alpha_bar,),), (q_err,)),)
+        driven = (StableLinear((q_err,), ((-p.alpha_bar,),), (q_err,)),)
         if truth.direct.is_zero():
-            return Certificate(driven=driven)
+            return Certificate(linear=driven)
         return Certificate(
             storage=(Square(s_star),),
             dissipation=(Square(s_star, p.alpha_bar),),
             supply=ca.dot(s_star, truth.ddq - outputs["ddq_ref"]),
-            driven=driven,
+            linear=driven,
         )
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:

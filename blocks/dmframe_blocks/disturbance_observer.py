@@ -44,7 +44,7 @@ class DisturbanceObserver(AbstractBlock):
     `alpha` the estimate is the lag of the last sample, as with :math:`\alpha = 1`, which is time delay control: the
     regression of `sampled_inverse` with one column, the constant 1, and no memory. A smaller :math:`\alpha` averages
     over :math:`1 / \alpha` samples; with `beta` a change per sample is estimated as well (an alpha-beta filter). With
-    :math:`\alpha = 0` nothing is observed, and the command is the reference velocity. The observer uses no model of
+    :math:`\alpha = 0` there is no observer, and the command is the reference velocity. The observer uses no model of
     servo or robot and estimates no parameters. :math:`u_{applied}`, the first element of `queue`, is the command that
     acted.
 
@@ -55,7 +55,7 @@ class DisturbanceObserver(AbstractBlock):
     Parameters
     ----------
     alpha : scalar, >= 0, <= 1
-        Gain of the level; by default the lag of the last sample; 0 to observe nothing.
+        Gain of the level; by default the lag of the last sample; 0 for no observer.
     beta : scalar, > 0
         Gain of the trend; by default there is none. The filter (2), (3) is stable if :math:`\beta` is below
         :math:`4 - 2 \alpha`.

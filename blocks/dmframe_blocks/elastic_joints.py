@@ -31,7 +31,7 @@ class ElasticJoints(AbstractBlock):
 
     The springs drive the arm. In most robots the servo measures the motors: wire `servo.q` to `theta` and `servo.dq`
     to `dtheta`. Without these wires it measures the links, like a servo with a second encoder. Initially the springs
-    hold the robot against gravity.
+    balance gravity.
 
     Parameters
     ----------

@@ -12,7 +12,6 @@ from dmframe.block import (
     AbstractBlock,
     Certificate,
     Diagonal,
-    Driven,
     Element,
     Equations,
     Input,
@@ -21,12 +20,13 @@ from dmframe.block import (
     Scalar,
     Signals,
     Square,
+    StableLinear,
     State,
     TrueValue,
     derivative,
     named,
 )
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.parameters import DynamicParameters, Friction, Part
 
@@ -173,7 +173,7 @@ class FilteredRegressor(AbstractBlock):
                 Square(h, p.weight / (2 * K_star)),
             ),
             supply=ca.dot(p.weight * error, explained - h),
-            driven=tuple(Driven((ca.vec(f),), ((-p.bandwidth,),), (ca.vec(f),)) for f in (x.v_f, x.q_f, x.Y_z)),
+            linear=tuple(StableLinear((ca.vec(f),), ((-p.bandwidth,),), (ca.vec(f),)) for f in (x.v_f, x.q_f, x.Y_z)),
         )
 
     def _filtered(self, u: Signals, x: Signals, p: Signals) -> SX:

@@ -76,7 +76,7 @@ class InverseDynamics(AbstractBlock):
         return Equations(outputs={"tau_c": (1 + p.off) * torque if "off" in p else torque})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """Nothing is stored."""
+        """No storage."""
         return Certificate(truth={"direct": 1})
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:

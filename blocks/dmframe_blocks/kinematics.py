@@ -46,5 +46,5 @@ class Kinematics(AbstractBlock):
         return Equations(outputs={"J_hat": J, "dx": J @ u.dq})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """Nothing is stored."""
+        """No storage."""
         return Certificate()

@@ -35,5 +35,5 @@ class MassEstimate(AbstractBlock):
         return Equations(outputs={"M_hat": p.robot.mass_matrix(u.q, u.a_d_hat[inertial])})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """Nothing is stored."""
+        """No storage."""
         return Certificate()

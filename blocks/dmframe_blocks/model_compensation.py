@@ -29,7 +29,7 @@ from dmframe.robot.parameters import INERTIAL
 
 @final
 class ModelCompensation(AbstractBlock):
-    r"""Adds a share of the inverse dynamics of the manufacturer's model to the servo's voltage.
+    r"""Adds a fraction of the inverse dynamics of the manufacturer's model to the servo's voltage.
 
     The manufacturer interpolates the velocity command by a low-pass filter, and computes the torque along it:
 
@@ -49,7 +49,7 @@ class ModelCompensation(AbstractBlock):
     Parameters
     ----------
     share : scalar, >= 0
-        Share of the model's torque that is added; 1 is all of it.
+        Fraction of the model's torque that is added; 1 is all of it.
     off : vector (n,)
         Relative error of the inertial parameters of each link: with -0.2 the link is a fifth too light in the model.
     smoothing : scalar, s, > 0
@@ -57,9 +57,9 @@ class ModelCompensation(AbstractBlock):
 
     Notes
     -----
-    The model contains neither a payload nor friction: see `friction_compensation`. For a share of gravity alone, with
-    a proof, use `maker_gravity` of `manipulator`. Not for: a positional interface whose steps are not in the velocity
-    command.
+    The model contains neither a payload nor friction: see `friction_compensation`. For a fraction of gravity alone,
+    with a proof, use `maker_gravity` of `manipulator`. Not for: a positional interface whose steps are not in the
+    velocity command.
 
     References
     ----------

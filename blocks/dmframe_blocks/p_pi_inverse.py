@@ -1,4 +1,4 @@
-"""Adaptive inverse of a P-PI cascade servo with an unknown share of feed-forward."""
+"""Adaptive inverse of a P-PI cascade servo with an unknown fraction of feed-forward."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from dmframe.block import (
     Certificate,
     Condition,
     Diagonal,
-    Driven,
     Equations,
     Inequality,
     Input,
@@ -25,6 +24,7 @@ from dmframe.block import (
     Real,
     Signals,
     Square,
+    StableLinear,
     State,
     TrueValue,
     named,
@@ -47,9 +47,9 @@ class PPiInverse(AdaptingBlock):
         \dot w_c &= \Lambda_c\, q_c \sigma                                \tag{6} \\
         \dot w_z &= \Lambda_z\, z \sigma                                  \tag{7}
 
-    The law is that of `pid_inverse` with two more scales, since a share f of the velocity command reaches the servo's
-    velocity controller: :math:`\dot q_{ref}` has its own scale, and the scales of :math:`q_r` and :math:`q_c` differ.
-    True values, with :math:`K_f = K K_v f`: :math:`1/f` for w_f, :math:`1/K_f` for w,
+    The law is that of `pid_inverse` with two more scales, since a fraction f of the velocity command reaches the
+    servo's velocity controller: :math:`\dot q_{ref}` has its own scale, and the scales of :math:`q_r` and :math:`q_c`
+    differ. True values, with :math:`K_f = K K_v f`: :math:`1/f` for w_f, :math:`1/K_f` for w,
     :math:`(K_v k_p + K_i)/(K_v f)` for w_r, :math:`(K_v k_p + K_i f)/(K_v f)` for w_c, and
     :math:`K_i k_p/(K_v f)` for w_z.
 
@@ -193,8 +193,8 @@ class PPiInverse(AdaptingBlock):
             dissipation=(Square(u.dq - u.dq_r, K * K_v + B), Square(e, K * M_bar * p.K_c)),
             dominates=(1,),
             supply=-ca.dot(sigma, K * truth.u - u.tau_dc - B * sigma),
-            driven=(
-                Driven(
+            linear=(
+                StableLinear(
                     vectors=(x.z, u.q_c - truth.momentum / K_f),
                     rates=((0, 1), (-K_I / (K_v * f), -rest / (K_v * f))),
                     bounded=(x.z, u.q_c),

@@ -27,8 +27,8 @@ from dmframe.block import (
 class PPiServo(AbstractBlock):
     r"""Closed cascade servo for joint positions, P around PI: it can be neither read nor changed.
 
-    A proportional position controller and a share f of the velocity command, `feed_forward`, give the set-point of a PI
-    velocity controller:
+    A proportional position controller and a fraction f of the velocity command, `feed_forward`, give the set-point of a
+    PI velocity controller:
 
     .. math::
 
@@ -62,7 +62,7 @@ class PPiServo(AbstractBlock):
     K_i : diagonal (n,), V/rad, > 0
         Integral gain of the velocity controller.
     feed_forward : diagonal (n,), >= 0
-        Share f of the velocity command that the velocity controller receives: 1 is all of it, 0 none.
+        Fraction f of the velocity command that the velocity controller receives: 1 is all of it, 0 none.
     velocity_filter : scalar, s, > 0
         Time constant of the filter of the measured velocity; by default there is none.
     torque_lag : scalar, s, > 0
@@ -72,9 +72,9 @@ class PPiServo(AbstractBlock):
 
     Notes
     -----
-    The theorem of `p_pi_inverse` covers :math:`f > 0` without filter, lag and cycle. With any of them, `verify` states
-    that no theorem applies. A `cycle` is an approximation in continuous time of a servo that reads its joints and
-    updates a held torque once in each cycle: what it reads is, on average, half a cycle old. With 1 ms and velocity
+    The theorem of `p_pi_inverse` covers :math:`f > 0` without filter, lag and cycle. With any of them, `verify` is not
+    applicable. A `cycle` is an approximation in continuous time of a servo that reads its joints and
+    updates a held torque once in each cycle: its readings are, on average, half a cycle old. With 1 ms and velocity
     loops of 160 and 400 rad/s it differs from that servo by a fifth of the effect of the cycle at most. Not for: a
     servo with anti-windup, or with acceleration feed-forward.
 

@@ -11,13 +11,13 @@ from dmframe.block import (
     AbstractBlock,
     Certificate,
     Diagonal,
-    Driven,
     Equations,
     Input,
     Output,
     Positive,
     Scalar,
     Signals,
+    StableLinear,
     State,
     named,
 )
@@ -52,7 +52,7 @@ class PathWait(AbstractBlock):
 
     Notes
     -----
-    It changes the timing of the path only, not its geometry. Not for: a law that looks ahead over samples; see
+    It changes the timing of the path only, not its geometry. Not for: a law with a preview over samples; see
     `path_pace`.
 
     References
@@ -87,4 +87,4 @@ class PathWait(AbstractBlock):
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """No storage; the pace is bounded by the stable linear subsystem (1), whose wish is bounded."""
-        return Certificate(driven=(Driven(vectors=(x.pace,), rates=((-1 / p.recovery,),), bounded=(x.pace,)),))
+        return Certificate(linear=(StableLinear(vectors=(x.pace,), rates=((-1 / p.recovery,),), bounded=(x.pace,)),))

@@ -41,7 +41,7 @@ class PayloadEstimate(AbstractBlock):
         return Equations({"m_load_hat": mass(u.a_d_hat), "c_load_hat": center(u.a_d_hat, p.robot.a_k, p.least)})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """Nothing is stored."""
+        """No storage."""
         return Certificate()
 
 

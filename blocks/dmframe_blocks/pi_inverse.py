@@ -16,7 +16,6 @@ from dmframe.block import (
     Certificate,
     Condition,
     Diagonal,
-    Driven,
     Equations,
     Inequality,
     Input,
@@ -25,6 +24,7 @@ from dmframe.block import (
     Real,
     Signals,
     Square,
+    StableLinear,
     State,
     TrueValue,
     named,
@@ -155,8 +155,8 @@ class PiInverse(AdaptingBlock):
             dissipation=(Square(sigma, K_star + truth.B),),
             dominates=(1,),
             supply=-ca.dot(sigma, truth.K * truth.u - u.tau_dc - truth.B * sigma) - ca.dot(u.e_f, filtered),
-            driven=(
-                Driven(
+            linear=(
+                StableLinear(
                     vectors=(h - truth.momentum / K_star,),
                     rates=((-truth.K_I / truth.K_P,),),
                     bounded=(h,),

@@ -32,7 +32,7 @@ class PiServo(AbstractBlock):
 
     The servo integrates the velocity command, :math:`q_c = q(0) + \int \dot q_c`, and reports the result, usually
     called the target position. :math:`q_{step}` is zero unless positions are commanded: see `position_interface`.
-    Initially the integrator holds the robot against gravity: :math:`i(0) = -g(q)/(K K_I)`.
+    Initially the integrator balances gravity: :math:`i(0) = -g(q)/(K K_I)`.
 
     Parameters
     ----------

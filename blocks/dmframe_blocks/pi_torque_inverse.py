@@ -16,7 +16,6 @@ from dmframe.block import (
     Certificate,
     Condition,
     Diagonal,
-    Driven,
     Equations,
     Inequality,
     Input,
@@ -24,6 +23,7 @@ from dmframe.block import (
     Positive,
     Real,
     Signals,
+    StableLinear,
     TrueValue,
     named,
     sentence,
@@ -124,7 +124,7 @@ class PiTorqueInverse(AdaptingBlock):
         return Certificate(
             estimates={"w": w, "w_I": w_I},
             supply=-ca.dot(u.epsilon, effect) - ca.dot(u.e_f, filtered),
-            driven=(Driven((u.q_c - u.q,), ((-x.w_I,),), (u.q_c - u.q,), self._otherwise(p)),),
+            linear=(StableLinear((u.q_c - u.q,), ((-x.w_I,),), (u.q_c - u.q,), self._otherwise(p)),),
             truth={"tau_bias": truth.K * truth.K_I * (truth.i - u.q + u.q_c)},
         )
 

@@ -17,7 +17,6 @@ from dmframe.block import (
     CommonLyapunov,
     Condition,
     Diagonal,
-    Driven,
     Equations,
     Inequality,
     Input,
@@ -26,6 +25,7 @@ from dmframe.block import (
     Real,
     Signals,
     Square,
+    StableLinear,
     State,
     TrueValue,
     Written,
@@ -184,8 +184,8 @@ class PidInverse(AdaptingBlock):
             dissipation=(Square(s, K_star + B), Square(e, K * M_bar * p.K_c)),
             dominates=(1,) if self.tie == "velocity" else (1, p.K_c),
             supply=-ca.dot(sigma, K * truth.u - u.tau_dc - B * sigma),
-            driven=(
-                Driven(
+            linear=(
+                StableLinear(
                     vectors=(x.z, h - truth.momentum / K_star),
                     rates=((0, 1), (-K_I / K_D, -K_P / K_D)),
                     bounded=(x.z, h),

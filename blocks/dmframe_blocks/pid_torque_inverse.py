@@ -17,13 +17,13 @@ from dmframe.block import (
     CommonLyapunov,
     Condition,
     Diagonal,
-    Driven,
     Equations,
     Input,
     Output,
     Positive,
     Real,
     Signals,
+    StableLinear,
     State,
     TrueValue,
     Written,
@@ -121,7 +121,9 @@ class PidTorqueInverse(AdaptingBlock):
         return Certificate(
             estimates={"w": w, "w_P": w_P, "w_I": w_I},
             supply=-ca.dot(u.epsilon, K_star * ((x.w - w.value) * u.tau_d + off)),
-            driven=(Driven((x.z, u.q_c - u.q), ((0, 1), (-x.w_I, -x.w_P)), (x.z, u.q_c - u.q), self._otherwise(p)),),
+            linear=(
+                StableLinear((x.z, u.q_c - u.q), ((0, 1), (-x.w_I, -x.w_P)), (x.z, u.q_c - u.q), self._otherwise(p)),
+            ),
             truth={"tau_bias": truth.K * truth.K_I * (truth.i + x.z)},
         )
 

@@ -40,5 +40,5 @@ class PositionCommand(AbstractBlock):
         return Equations(outputs={"q_t": u.q_c})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """Nothing is stored."""
+        """No storage."""
         return Certificate()

@@ -43,5 +43,5 @@ class PositionInterface(AbstractBlock):
         return Equations(outputs={"q_step": u.q_t - u.q_c})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """Nothing is stored."""
+        """No storage."""
         return Certificate()

@@ -39,7 +39,7 @@ class Regressor(AbstractBlock):
                     + D\, \phi(\dot q_{ref}) + g(q, a_d)   \tag{1}
 
     The initial estimates may be the fraction `nominal` of the model's inertial parameters, with zero friction; the bias
-    starts at the gravity torque that the servo holds at rest.
+    starts at the gravity torque of the servo at rest.
 
     :math:`a_d` contains ten inertial parameters per link (mass, first moments, inertia about the joint frame), then,
     with `rotors`, the rotors' inertia, then the elements of B and of D according to `friction`.
@@ -136,7 +136,7 @@ class Regressor(AbstractBlock):
             "coulomb": ca.diag(robot.coulomb(u.dq_ref)),
             "bias": ca.DM.eye(robot.n),
         }
-        if a_d.gravity_apart:
+        if a_d.separate_gravity:
             still = ca.DM.zeros(robot.n)
             weight = robot.regressor(u.q, still, still, still)
             columns |= {"inertial": columns["inertial"] - weight, "weighing": heavy(weight)}
@@ -163,7 +163,7 @@ class Regressor(AbstractBlock):
         rotors = truth.I_r if "I_r" in truth else ca.DM.zeros(p.robot.n)
         true: dict[Part, SX] = {part: getattr(truth, names[part]) for part in a_d.parts if part in names}
         true |= {"inertial": self._links(p, truth), "rotor": rotors}
-        if a_d.gravity_apart:
+        if a_d.separate_gravity:
             own = truth.g_share * heavy(p.robot.inertia)
             true["weighing"] = with_held(own, truth.a_held, heavy) if "a_held" in truth else own
         return Certificate(truth={"a_d": ca.vertcat(*a_d.in_order(true))})

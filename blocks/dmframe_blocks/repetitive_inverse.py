@@ -33,7 +33,7 @@ from dmframe.block import (
 
 @final
 class RepetitiveInverse(AbstractBlock):
-    r"""Learns the velocity error of each joint as a Fourier series, and adds its forecast to the command.
+    r"""Estimates the velocity error of each joint as a Fourier series, and adds its forecast to the command.
 
     The motion repeats with the angular frequency `rate`. At the phase :math:`\varphi` of the middle of a sample
 
@@ -43,8 +43,8 @@ class RepetitiveInverse(AbstractBlock):
         u_i     = clip(dq_r_i + h(phi + (1 + delay) rate T)' theta_i, u_max)
 
     with :math:`h^\top h = 1 + H`. The coefficients of joint i converge with the time constant
-    :math:`T (\nu / \Gamma + 1 + H)` if the motion of the joint lags its command at the learnt frequencies by less than
-    a quarter of a period. The block uses no model of servo or robot.
+    :math:`T (\nu / \Gamma + 1 + H)` if the motion of the joint lags its command at the estimated frequencies by less
+    than a quarter of a period. The block uses no model of servo or robot.
 
     A command acts `delay` samples later. The start of that sample, q_start, is predicted from the commands until then
     and the forecasts of the series.
@@ -69,8 +69,8 @@ class RepetitiveInverse(AbstractBlock):
 
     Notes
     -----
-    Not for: a motion that does not repeat, or an unknown rate. After a change of load or path the old series remains
-    for its time constant.
+    Not for: a motion that does not repeat, or an unknown rate. After a change of load or path the old series decays
+    with its time constant.
 
     References
     ----------

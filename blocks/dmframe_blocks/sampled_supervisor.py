@@ -34,7 +34,7 @@ class SampledSupervisor(AbstractBlock):
     Each predicts the velocity error over a sample, lag = u - v. "None" predicts zero, so that its command is dq_r
     itself; `disturbance_observer` predicts the lag of the last sample; `sampled_inverse` uses its estimates. "None"
     predicts the pose at which a command acts from the motion only, q + delay T v, without the queued commands, since
-    it replaces predictors whose delay may be wrong. The errors in the previous sample are
+    it replaces predictors with a possibly wrong delay. The errors in the previous sample are
 
         epsilon_0 = lag,    epsilon_1 = lag - lag_before,    epsilon_2 = epsilon
 
@@ -96,7 +96,7 @@ class SampledSupervisor(AbstractBlock):
     -----
     Not for: a robot that is unstable with the kinematic command. There is no proof that the error of the active
     predictor is small. The demand is relative to the time at which the sums were last zero, and does not contain
-    gravity held by the servo before. It therefore prevents wind-up, but does not keep a drive within its limit.
+    the gravity torque of the servo before. It therefore prevents wind-up, but does not keep a drive within its limit.
 
     References
     ----------

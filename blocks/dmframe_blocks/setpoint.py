@@ -7,7 +7,7 @@ from typing import Final, final
 from pydantic import model_validator
 
 from dmframe.block import AbstractBlock, Equations, Output, Real, Side, Signals, Vector
-from dmframe.errors import listed
+from dmframe.common.errors import listed
 from dmframe_blocks._quaternions import quaternion
 
 GOALS: Final = ("x_d", "q_d", "chi_d")

@@ -58,5 +58,5 @@ class ToolOrientation(AbstractBlock):
         return Equations(outputs={"R": p.robot.rotation(u.q), "J_pose": J_pose, "lever": p.lever})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """Nothing is stored."""
+        """No storage."""
         return Certificate()

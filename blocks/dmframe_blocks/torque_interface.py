@@ -39,5 +39,5 @@ class TorqueInterface(AbstractBlock):
         return Equations(outputs={"u": u.tau_c / u.K})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """Nothing is stored."""
+        """No storage."""
         return Certificate()

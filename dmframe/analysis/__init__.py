@@ -1,4 +1,4 @@
-"""Linear analysis: the servo as transfer functions, poles of the loop, how slow its clock may be, the least K_c."""
+"""Linear analysis: servo transfer functions, poles, largest stable sampling period, least feedback gain K_c."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from dmframe.analysis.period import Bracket, StablePeriods, largest_stable_perio
 from dmframe.analysis.rank_region import RankLoss, RankRegion, rank_region
 from dmframe.analysis.rank_report import option_value, rank_summary
 from dmframe.analysis.rational import Passivity, Rational, passivity, transfer
+from dmframe.analysis.reference_gain import ReferenceGain, least_K_c, reference_gains
 from dmframe.analysis.servo import JointLoop, Margins, margins, servo_transfer
 from dmframe.analysis.set_point import equilibrium, frozen
 from dmframe.analysis.stability_proof import StabilityProof, prove_stability, proved_schur
 from dmframe.analysis.summary import LoopAnalysis, analyse, summary
-from dmframe.analysis.tie import TieGain, least_K_c, tie_gains
 
 __all__ = [
     "Bracket",
@@ -28,9 +28,9 @@ __all__ = [
     "RankLoss",
     "RankRegion",
     "Rational",
+    "ReferenceGain",
     "StabilityProof",
     "StablePeriods",
-    "TieGain",
     "analyse",
     "bode_svg",
     "emulation_limits",
@@ -50,10 +50,10 @@ __all__ = [
     "rank_region",
     "rank_summary",
     "recorded_delay",
+    "reference_gains",
     "servo_transfer",
     "simulated_period",
     "summary",
     "tick_jacobian",
-    "tie_gains",
     "transfer",
 ]

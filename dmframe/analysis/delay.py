@@ -8,11 +8,11 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
+from dmframe.block.port import Signal
+from dmframe.common.errors import ValueFault
+from dmframe.common.units import compatible, plain
 from dmframe.diagram import Diagram
-from dmframe.errors import ValueFault
-from dmframe.port import Signal
 from dmframe.simulate import Recording
-from dmframe.units import compatible, plain
 
 Array = NDArray[np.float64]
 
@@ -121,19 +121,19 @@ def fitted_delay(q: Any, dq_c: Any, period: float) -> FittedDelay:
     fits = [_best(u, v, float(d), period) for d in _DELAYS]
     sums = np.array([np.sum(left**2, axis=0) for left, _, _ in fits])
     rows = fits[0][0].shape[0]
-    excess = rows * np.sum(np.log(sums + 1e-30), axis=1)  # -2 log likelihood
-    place = int(np.argmin(excess))
-    alike = _DELAYS[excess - excess[place] < 4]
-    left, lags, shares = fits[place]
+    deviance = rows * np.sum(np.log(sums + 1e-30), axis=1)  # -2 log likelihood
+    place = int(np.argmin(deviance))
+    likely = _DELAYS[deviance - deviance[place] < 4]
+    left, lags, ratios = fits[place]
     d, step = float(_DELAYS[place]), float(_DELAYS[1])
     first, second = (np.median(np.abs(np.diff(u, order, axis=0)), axis=0) for order in (1, 2))
     roughness = float(np.min(second / np.maximum(first, 1e-30)))
     return FittedDelay(
         d,
-        float(np.ptp(alike) + step) / 2,
+        float(np.ptp(likely) + step) / 2,
         _jitter(left, u, d, lags, period),
         roughness,
-        (float(np.min(shares)), float(np.max(shares))),
+        (float(np.min(ratios)), float(np.max(ratios))),
         float(period),
     )
 
@@ -153,11 +153,11 @@ def recorded_delay(recording: Recording) -> FittedDelay:
             raise ValueFault(f"delay: expected a record with {label}, found one without; add it to log.signals")
     if recording.divergence is not None:
         raise ValueFault(f"delay: expected a run that stays bounded, found one that diverged: {recording.divergence}")
-    apart = float(np.max(np.diff(recording.time), initial=clock))
-    if apart > 1.5 * clock:
+    spacing = float(np.max(np.diff(recording.time), initial=clock))
+    if spacing > 1.5 * clock:
         raise ValueFault(
-            f"delay: expected a record of every sample, {plain(clock, 's')} apart, found one of every "
-            f"{plain(apart, 's')}; set log.every to the clock"
+            f"delay: expected a record of every sample, {plain(clock, 's')} spacing, found one of every "
+            f"{plain(spacing, 's')}; set log.every to the clock"
         )
     q, u = signals
     return fitted_delay(recording[q], recording[u], clock)
@@ -221,7 +221,7 @@ def _best(u: Array, v: Array, d: float, T: float) -> tuple[Array, Array, Array]:
     count, n = v.shape
     t = np.linspace(-1, 1, count)
     slow = np.column_stack([t**power for power in range(4)])
-    left, lags, shares = np.full((count - _FIRST, n), np.inf), np.zeros(n), np.zeros(n)
+    left, lags, ratios = np.full((count - _FIRST, n), np.inf), np.zeros(n), np.zeros(n)
     for lag in _LAGS:
         made = _answer(u, d, lag, T)
         changes, sums = np.diff(made, axis=0, prepend=made[:1]), T * np.cumsum(made, axis=0)
@@ -230,8 +230,8 @@ def _best(u: Array, v: Array, d: float, T: float) -> tuple[Array, Array, Array]:
             factors = np.linalg.lstsq(columns, v[_FIRST:, j], rcond=None)[0]
             found = v[_FIRST:, j] - columns @ factors
             if found @ found < np.sum(left[:, j] ** 2):
-                left[:, j], lags[j], shares[j] = found, lag, factors[slow.shape[1]]
-    return left, lags, shares
+                left[:, j], lags[j], ratios[j] = found, lag, factors[slow.shape[1]]
+    return left, lags, ratios
 
 
 def _answer(u: Array, d: float, lag: float, T: float) -> Array:

@@ -21,13 +21,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from dmframe.block.parameter import specs
+from dmframe.block.port import Side
 from dmframe.block.symmetric import unique
 from dmframe.certify.true_values import true_values
 from dmframe.diagram import Diagram
 from dmframe.diagram.view import view
 from dmframe.diagram.wiring import Wire
-from dmframe.parameter import specs
-from dmframe.port import Side
 from dmframe.simulate import Solver, simulate
 
 Array = NDArray[np.float64]

@@ -92,7 +92,7 @@ class EnclosedLoop:
     ) -> None:
         self.linear, self.loop = linear, unrounded(frozen(diagram)).loop
         if len(linear.states) > MOST_STATES:
-            raise UndecidedError(f"it has {len(linear.states)} states, and with more than {MOST_STATES} none is tried")
+            raise UndecidedError(f"it has {len(linear.states)} states; the proof is limited to {MOST_STATES}")
         self._p = [ball(float(value)) for value in (at_speed(self.loop) if moving else self.loop.p_values)]
         known = estimates_of(diagram)
         self._estimates = [label.partition("[")[0] in known for label in linear.states]
@@ -148,7 +148,7 @@ class EnclosedLoop:
         return self._once
 
     def _on(self, period: float) -> Enclosure:
-        if self.moving > FEW:  # usually the equilibrium is that of the own period, which is much faster to try
+        if self.moving > FEW:  # the equilibrium is usually that of the graph's own period; trying it first is faster
             with suppress(UndecidedError):
                 return self._enclosed(self.linear.point, period)
         return self._enclosed(self.linear.on(period).point, period)
@@ -187,7 +187,7 @@ class EnclosedLoop:
         try:
             C = exactly(np.linalg.inv(few[:, chosen]))
         except np.linalg.LinAlgError:
-            raise UndecidedError("the signals that vanish at rest do not decide where it rests") from None
+            raise UndecidedError("the signals that vanish at rest do not determine the equilibrium") from None
         for _ in range(_STEPS):
             steps = (C * signals(box(ZERO, ()), rows)).mid().entries()
             for step, place in zip(steps, places, strict=True):
@@ -202,7 +202,7 @@ class EnclosedLoop:
         near = dense(product(sparse(C), picked([R[row] for row in rows], places)), len(places))
         moved = (identity(len(places)) - near) * arb_mat(len(places), 1, [reach] * len(places)) - error
         if not (reach.is_finite() and all(reach.contains_interior(value) for value in moved.entries())):
-            raise UndecidedError("that the loop has an equilibrium at this point is not proved")
+            raise UndecidedError("the existence of an equilibrium at this point is not proved")
         if not all(value.is_zero() for value in signals(inputs, list(alone)).entries()):
             raise UndecidedError("a signal that seemed to be a single state is not one")
         self._check(inputs)
@@ -217,7 +217,7 @@ class EnclosedLoop:
         return Enclosure(L, R, A, above(max(away, default=ZERO) + reach))
 
     def _alone(self, slope: Sequence[Row]) -> dict[int, int]:
-        """In a large loop: signals that are states, each with the state."""
+        """Signals of a large loop that equal a state, each with that state."""
         found = dict[int, int]()
         if self.moving > FEW:
             for row, entries in enumerate(slope):
@@ -227,7 +227,7 @@ class EnclosedLoop:
         return found
 
     def _check(self, inputs: Sequence[Sequence[arb]]) -> None:
-        """No comparison turns out another way nearby, nor later; and no state is put back into its set."""
+        """Check that no comparison changes nearby or later, and that no projection is active."""
         if not self._counts:
             (turns,) = self.split.guards.stored(enclosed(self.split.guards, inputs))
             decided = all(turn > 0 for turn in turns)
@@ -237,19 +237,19 @@ class EnclosedLoop:
                 later[0][place] = Interval(later[0][place].lower, later[0][place].upper * _LONG)
             decided = all(turn.lower > 0 for turn in ranges(self.split.guards, later))
         if not decided:
-            raise UndecidedError("it rests where a comparison turns")
+            raise UndecidedError("its equilibrium is at a switching point of a comparison")
         self._check_room(inputs)
 
     def _check_room(self, inputs: Sequence[Sequence[arb]]) -> None:
-        """The tick puts no state back into its set."""
+        """Check that no projection is active at the equilibrium."""
         for name, program in self._rests:
             (room,) = program.stored(enclosed(program, inputs))
             if not all(value > 0 for value in room):
-                raise UndecidedError(f"{name} rests at an end of its set")
+                raise UndecidedError(f"{name} is at the boundary of its set at the equilibrium")
 
 
 def _inside(loop: ClosedLoop) -> list[tuple[str, Program]]:
-    """Of each state with a set, a column that is above zero inside it."""
+    """Name of each projected state, with a column of values that are positive inside its set."""
     symbols = [loop.state, loop.p, loop.period]
     return [
         (item.name, read(ca.Function("room", symbols, [ca.vec(ca.densify(item.set.room(item.state)))])))
@@ -258,7 +258,7 @@ def _inside(loop: ClosedLoop) -> list[tuple[str, Program]]:
 
 
 def _pivots(R: np.ndarray, estimates: Sequence[bool]) -> list[int]:
-    """As many states as there are signals, which these decide: no estimates where others will do."""
+    """Indices of states that determine the signals, estimates only where no other state does."""
     from scipy.linalg import qr
 
     size = R.shape[0]
@@ -270,7 +270,7 @@ def _pivots(R: np.ndarray, estimates: Sequence[bool]) -> list[int]:
 
 
 def without_store(rows: Sequence[Row]) -> list[Row]:
-    """A transition without what it only stores: a smaller one with the same eigenvalues but for some at zero."""
+    """Transition without its memory: a smaller matrix with the same eigenvalues except some at zero."""
     store = set(_store(rows))
     core = [place for place in range(len(rows)) if place not in store]
     order = {place: k for k, place in enumerate(core)}
@@ -280,7 +280,7 @@ def without_store(rows: Sequence[Row]) -> list[Row]:
         if not read:
             continue
         found[reader][len(found)] = ONE
-        while read:  # what is read of the memory: of what it is given now, and of what it then holds
+        while read:  # the part of the memory that is read: of its inputs, then of its stored values
             later = combined(read, rows)
             found.append({order[k]: value for k, value in later.items() if k in order})
             read = {k: value for k, value in later.items() if k in store}
@@ -290,7 +290,7 @@ def without_store(rows: Sequence[Row]) -> list[Row]:
 
 
 def _store(rows: Sequence[Row]) -> list[int]:
-    """Those that copy one other, and those that are copied, where none feeds itself in any number of steps."""
+    """Rows that copy one other, and those that are copied, without feedback in any number of steps."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from dmframe.analysis.rational import Rational
 from dmframe.analysis.servo import JointLoop
-from dmframe.plotting import COLORS, GREY, PAGE, look, names_above, new_figure, styled
+from dmframe.common.plotting import COLORS, GREY, PAGE, look, names_above, new_figure, styled
 
 POINTS: Final = 400
 _LOOP: Final = "loop gain $L$"
@@ -19,7 +19,7 @@ _SERVO: Final = r"servo, $\dot q_c - \dot q \to$ torque"
 
 
 def bode_svg(joints: Sequence[JointLoop]) -> str:
-    """Magnitude and phase of the loop gain and of the port that the controller sees, one curve a joint."""
+    """Bode diagrams of the loop gain and of the controller's port, one curve per joint."""
     from matplotlib.ticker import MultipleLocator
 
     omega = _frequencies(joints)
@@ -39,7 +39,7 @@ def bode_svg(joints: Sequence[JointLoop]) -> str:
             panels[1, column].set_xlim(omega[0], omega[-1])
         panels[0, 0].axhline(1, color=GREY, linewidth=0.8)
         panels[1, 0].axhline(-180, color=GREY, linewidth=0.8)
-        for end in (-90, 90):  # between them a passive port stays
+        for end in (-90, 90):  # phase limits of a passive port
             panels[1, 1].axhline(end, color=GREY, linewidth=0.8)
         _phase_limits(panels[1, 0], -180)
         _phase_limits(panels[1, 1], -90, 90)
@@ -48,7 +48,7 @@ def bode_svg(joints: Sequence[JointLoop]) -> str:
 
 
 def nyquist_svg(joints: Sequence[JointLoop]) -> str:
-    """The loop gain about -1, and the port of servo and inverse, which is passive where it stays right of the axis."""
+    """Nyquist diagrams of the loop gain, and of servo and inverse: passive where the real part is nonnegative."""
     omega = _frequencies(joints, dense=8)
     with styled():
         figure = new_figure(PAGE, 3.3)
@@ -77,21 +77,21 @@ def nyquist_svg(joints: Sequence[JointLoop]) -> str:
 
 
 def _columns(joints: Sequence[JointLoop]) -> tuple[tuple[str, str, list[Rational]], tuple[str, str, list[Rational]]]:
-    """Title, unit and one system a joint: the loop, and the port, or the servo alone where nothing inverts it."""
+    """Title, unit and one system per joint: the loop gain, and the port, or the servo where there is no inverse."""
     ports = [joint.port for joint in joints if joint.port is not None]
     second = (_PORT, ports) if len(ports) == len(joints) else (_SERVO, [joint.servo for joint in joints])
     return (_LOOP, "", [joint.loop for joint in joints]), (second[0], "N m s/rad", second[1])
 
 
 def _frequencies(joints: Sequence[JointLoop], dense: int = 1) -> np.ndarray:
-    """From a decade below the slowest pole or zero of the loops to a decade above the fastest."""
+    """Frequencies from a decade below the slowest pole or zero of the loops to a decade above the fastest."""
     corners = [abs(r) for joint in joints for r in (*joint.tracking.poles, *joint.loop.zeros) if abs(r) > 1e-9]
     low, high = min(corners, default=1.0), max(corners, default=1.0)
     return np.logspace(np.floor(np.log10(low)) - 1, np.ceil(np.log10(high)) + 1, POINTS * dense)
 
 
 def _phase(value: np.ndarray) -> np.ndarray:
-    """In degrees, continuous, from where its high-frequency end lies between -180 and 180."""
+    """Continuous phase [deg], with the high-frequency end between -180 and 180."""
     continuous = np.unwrap(np.angle(value[::-1]))[::-1]
     return np.asarray(np.degrees(continuous))
 
@@ -102,7 +102,7 @@ def _phase_limits(axes: Any, *ends: float) -> None:
 
 
 def _curve(axes: Any, system: Rational, omega: np.ndarray, label: str, k: int, size: float) -> None:
-    """The part of a frequency response that lies within the picture, with an arrow towards rising frequency."""
+    """Draw the part of a frequency response within the axes, with an arrow towards rising frequency."""
     value = system.at(1j * omega)
     value = value[np.abs(value) < 4 * size]
     axes.plot(value.real, value.imag, label=label, **look(k))
@@ -115,7 +115,7 @@ def _curve(axes: Any, system: Rational, omega: np.ndarray, label: str, k: int, s
 
 
 def _right_end(systems: Sequence[Rational], omega: np.ndarray, size: float) -> float:
-    """The largest real part within the height of the picture, and some room."""
+    """Right end of the axes: the largest real part within their height, with a margin."""
     values = np.concatenate([system.at(1j * omega) for system in systems])
     shown = values.real[np.abs(values.imag) <= size]
     return 1.1 * float(min(2 * size, np.max(shown, initial=size / 2)))
@@ -126,8 +126,8 @@ def _xy(value: complex) -> tuple[float, float]:
 
 
 def _svg(figure: Any, title: str) -> str:
-    """The figure as text, the same bytes for the same figure, ready to stand inside an HTML page."""
-    from dmframe.version import version
+    """Figure as SVG text for an HTML page; the same figure gives the same bytes."""
+    from dmframe.common.version import version
 
     text = io.StringIO()
     meta = {"Date": None, "Creator": f"dmframe {version()}", "Title": title}

@@ -1,7 +1,7 @@
-"""The joint path on which the tool follows its desired path: inverse kinematics, pose by pose, in floating point.
+"""Joint path along which the tool follows its desired path: inverse kinematics in floating point.
 
-A step from pose to pose is taken only where `dmframe.analysis.path_tube` proves that the exact joint path lies close to
-the line between them over the whole interval of time.
+A step between two poses is accepted only if `dmframe.analysis.path_tube` proves that the exact joint path is close to
+the line between them over the whole time interval.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dmframe.analysis.path_tube import PathTube
 from dmframe.block.model import symbols_in
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
@@ -27,14 +27,14 @@ REACHED: Final = 1e-9
 """A pose is on the path if the tool is this close [m, or rad where joints follow a path]."""
 
 CLOSED: Final = 1e-6
-"""A joint path closes after a period if it misses its first pose by less [rad]."""
+"""Largest difference between the first pose and the one after a period of a closed joint path [rad]."""
 
 _LEAST_STEP: Final = 1e-9
 _DOUBTED: Final = 1e-3
-"""The longest step, as a share of the duration, once nothing is proved any more."""
+"""Longest step without a proof, as a fraction of the duration."""
 
 _JUMP: Final = 1e-3
-"""A path that moves by more [m] within the shortest step jumps."""
+"""Least displacement within the shortest step that counts as a jump of the path [m]."""
 
 _NEWTON: Final = 12
 _SEEDS: Final = 12
@@ -42,13 +42,13 @@ _MOST_POSES: Final = 20_000
 _LARGEST_DENOMINATOR: Final = 64
 _AT_ONCE: Final = 4096
 _MOST_INTERVALS: Final = 200_000
-"""Of a path that repeats itself, intervals of time that are enclosed; the claim ends where they do."""
+"""Maximum number of enclosed time intervals of a periodic path; the proof covers no later time."""
 
 
 @final
 @dataclass(frozen=True)
-class Leave:
-    """Where the tool cannot follow its path any further.
+class PathExit:
+    """First time at which the tool cannot follow its desired path.
 
     Parameters
     ----------
@@ -57,12 +57,12 @@ class Leave:
     q
         (n,) the last pose found.
     later, goal
-        A time soon after [s], and where the tool should then be.
+        A time shortly after [s], and the desired tool position at that time.
     distance
-        From there to the nearest point that any pose found reaches [m]; about 0 where poses reach it, but none near
-        `q`: the way there passes a singularity, or the desired path jumps.
+        Distance from `goal` to the nearest reachable point found [m]. About 0 if other poses reach it but none near `q`
+        does: the path passes a singularity, or the desired path jumps.
     jump
-        By how much the desired path jumps at `time` [m]; 0 where it does not.
+        Jump of the desired path at `time` [m]; 0 without a jump.
     """
 
     time: float
@@ -75,8 +75,8 @@ class Leave:
 
 @final
 @dataclass(frozen=True)
-class Doubt:
-    """From where on the exact joint path is not proved to lie close to the poses: the time [s], the pose and why."""
+class Unproved:
+    """First time from which the exact joint path is not proved to be close to the poses [s], with pose and reason."""
 
     time: float
     q: Array
@@ -86,38 +86,37 @@ class Doubt:
 @final
 @dataclass(frozen=True)
 class JointPath:
-    """Poses, each joined to the next by a straight line.
+    """Joint path: poses connected by straight lines.
 
     Parameters
     ----------
     times
-        (N,) [s]; 0 on the way from the start onto the path.
+        (N,) [s]; 0 for the approach from the start to the path.
     poses
         (N, n) [rad], [m] for prismatic joints.
     span
-        How much of the desired path is covered [s].
+        Covered duration of the desired path [s].
     period
-        After which the desired path repeats itself, and the joint path with it [s]; 0 for a point, None where it does
-        not.
-    leave
-        Where the tool leaves the path; None where it follows it to the end.
-    apart
-        (N - 1, n) bound on the distance of the exact joint path from each line, proved over its whole time interval
-        [rad]; 0 on the way onto the path. None for a path that was given.
+        Period of the desired path and of the joint path [s]; 0 for a point, None for an aperiodic path.
+    path_exit
+        Where the tool cannot follow the path; None if it follows it to the end.
+    line_distance
+        (N - 1, n) proved bound on the distance of the exact joint path from each line over its whole time interval
+        [rad]; 0 for the approach. None for a user's path.
     until
         The exact joint path is enclosed from 0 to this time [s].
-    doubt
-        Where that could not be proved; None where it is.
+    unproved
+        Where the enclosure could not be proved; None if it was.
     """
 
     times: Array
     poses: Array
     span: float
     period: float | None
-    leave: Leave | None
-    apart: Array | None = None
+    path_exit: PathExit | None
+    line_distance: Array | None = None
     until: float = 0.0
-    doubt: Doubt | None = None
+    unproved: Unproved | None = None
 
     @property
     def hulls(self) -> tuple[Array, Array]:
@@ -126,12 +125,12 @@ class JointPath:
         return np.minimum(first, last), np.maximum(first, last)
 
     @property
-    def led(self) -> bool:
-        """Whether a way leads from the start onto the path."""
-        return self.apart is not None and len(self.apart) > 1 and not np.any(self.apart[0])
+    def has_approach(self) -> bool:
+        """True if an approach connects the start to the path."""
+        return self.line_distance is not None and len(self.line_distance) > 1 and not np.any(self.line_distance[0])
 
     def distance(self, q: Array) -> Array:
-        """How wide a tube must be to hold each of the poses q (k, n), a run's for example: (k,) [rad]."""
+        """Largest distance in any joint of each pose of q (k, n) from the path: (k,) [rad]."""
         low, high = self.hulls
         outside = (np.max(np.maximum(low - pose, pose - high), axis=1) for pose in q)
         return np.maximum([np.min(away) for away in outside], 0.0)
@@ -139,8 +138,8 @@ class JointPath:
 
 @final
 @dataclass(frozen=True)
-class Reach:
-    """What follows the path, and the path: q -> s, q -> its Jacobian, and t -> s_d, arrays each."""
+class ToolPath:
+    """Tool position s(q), its Jacobian, and desired position s_d(t), as arrays."""
 
     actual: Callable[[Array], Array]
     slope: Callable[[Array], Array]
@@ -148,7 +147,7 @@ class Reach:
 
 
 def joint_path(
-    reach: Reach,
+    reach: ToolPath,
     start: Array,
     duration: float,
     period: float | None,
@@ -156,92 +155,94 @@ def joint_path(
     tube: PathTube | str,
     progress: Progress | None = None,
 ) -> JointPath:
-    """Follow the desired path from the pose `start`, by Newton's method with the shortest steps.
+    """Follow the desired path from the pose `start` by Newton's method with minimum-norm steps.
 
-    A start off the path is led onto it first, the tool on a straight line. The whole duration is followed, or one
-    period where both paths close; that the path is then the same in later periods is proved too.
+    A start off the path is first connected to it, the tool on a straight line. The whole duration is followed, or one
+    period if both paths are closed; later periods are proved to have the same joint path.
 
     Parameters
     ----------
     period
-        Of the desired path [s]; 0 for a point, None where it does not repeat itself.
+        Period of the desired path [s]; 0 for a point, None for an aperiodic one.
     stride
-        The most that a joint moves from pose to pose [rad].
+        Largest joint displacement between poses [rad].
     tube
-        What proves that the exact path lies close to the lines; or why there is no such proof.
+        Proof that the exact path is close to the lines, or the reason for its absence.
     progress
-        Called with the share that is done.
+        Called with the completed fraction.
 
     Raises
     ------
     ValueFault
         The path has too many poses.
     """
-    way, leave = _approach(reach, start, stride)
-    if leave is not None:
-        return JointPath(np.zeros(len(way)), np.array(way), 0.0, period, leave)
-    onto, until = len(way) - 1, 0.0
+    poses, path_exit = _approach(reach, start, stride)
+    if path_exit is not None:
+        return JointPath(np.zeros(len(poses)), np.array(poses), 0.0, period, path_exit)
+    onto, until = len(poses) - 1, 0.0
     for repeats in (period, None) if duration > 0 else (0.0,):
-        walk = _Walk([0.0], [way[-1]], [])
+        walk = _Walk([0.0], [poses[-1]], [])
         span = duration if repeats is None else min(repeats, duration)
-        leave = _follow(reach, reach.goal, walk, span, stride, tube, progress) if span > 0 else None
-        again = leave is None and (span < duration or not span)
-        if again and np.max(np.abs(walk.poses[-1] - walk.poses[0])) > CLOSED:
+        path_exit = _follow(reach, reach.goal, walk, span, stride, tube, progress) if span > 0 else None
+        closes = path_exit is None and (span < duration or not span)
+        if closes and np.max(np.abs(walk.poses[-1] - walk.poses[0])) > CLOSED:
             continue  # a redundant robot, or another branch
-        if again and walk.doubt is None:
-            held = _repeated(tube, walk, span, duration)
-            if held is None:  # it does not repeat itself as its expression promised
+        if closes and walk.unproved is None:
+            proved = _repeated(tube, walk, span, duration)
+            if proved is None:  # not periodic, although its expression is
                 continue
-            until = held
+            until = proved
         else:
-            until = span if walk.doubt is None and leave is None else 0.0
+            until = span if walk.unproved is None and path_exit is None else 0.0
         break
-    apart = np.vstack([np.zeros((onto, len(start))), *walk.apart])
+    line_distance = np.vstack([np.zeros((onto, len(start))), *walk.line_distance])
     times = np.array([0.0] * onto + walk.times)
-    return JointPath(times, np.array(way[:-1] + walk.poses), span, repeats, leave, apart, until, walk.doubt)
+    return JointPath(
+        times, np.array(poses[:-1] + walk.poses), span, repeats, path_exit, line_distance, until, walk.unproved
+    )
 
 
 @dataclass
 class _Walk:
-    """The poses found so far; what is proved of the lines between them, up to the first where nothing is."""
+    """Poses found so far, and proved distance bounds of the lines between them."""
 
     times: list[float]
     poses: list[Array]
-    apart: list[Array]
-    doubt: Doubt | None = None
+    line_distance: list[Array]
+    unproved: Unproved | None = None
 
     def proved(self, tube: PathTube | str | None, then: float, pose: Array) -> str:
-        """Take the next pose; empty, or why its line is not proved."""
-        if tube is None or self.doubt is not None:
+        """Append the next pose; returns the reason if its line is not proved, else an empty text."""
+        if tube is None or self.unproved is not None:
             return self._take(then, pose, np.full(len(pose), np.nan))
         if isinstance(tube, str):
             return tube
         found = tube.over(self.poses[-1][None], pose[None], np.array(self.times[-1:]), np.array([then]))
         return found.reason or self._take(then, pose, found.most[0])
 
-    def _take(self, then: float, pose: Array, apart: Array) -> str:
+    def _take(self, then: float, pose: Array, line_distance: Array) -> str:
         self.times.append(then)
         self.poses.append(pose)
-        self.apart.append(apart)
+        self.line_distance.append(line_distance)
         return ""
 
 
 def _repeated(tube: PathTube | str, walk: _Walk, span: float, duration: float) -> float | None:
-    """Up to which time later periods are proved to follow the same joint path; None where the first that is not is.
+    """Time up to which later periods are proved to have the same joint path; None if the first one is not.
 
-    A path that rests is one line of no length, over the whole duration.
+    A constant path is one line of zero length over the whole duration.
     """
     if isinstance(tube, str):
-        return _doubted(walk, tube)
+        return _undecided(walk, tube)
     if not span:
         rest = np.array(walk.poses)
         found = tube.over(rest, rest, np.zeros(1), np.array([duration]))
         if found.reason:
             return None
-        walk.apart.append(found.most[0])
+        walk.line_distance.append(found.most[0])
         walk.times, walk.poses = [0.0, 0.0], [rest[0], rest[0]]
         return duration
-    ends, poses, most = np.array(walk.times), np.array(walk.poses), np.array(walk.apart)
+    ends, poses, most = np.array(walk.times), np.array(walk.poses), np.array(walk.line_distance)
     count = min(int(np.ceil(duration / span)), max(_MOST_INTERVALS // len(most), 1))
     for turn in range(1, count):
         shifted = np.append(ends[:-1] + turn * span, (turn + 1) * span)  # the next period begins where this one ends
@@ -251,41 +252,41 @@ def _repeated(tube: PathTube | str, walk: _Walk, span: float, duration: float) -
             if found.reason:
                 return None
             most[here] = np.maximum(most[here], found.most)
-    walk.apart[:] = list(most)
+    walk.line_distance[:] = list(most)
     return min(count * span, duration)
 
 
-def _doubted(walk: _Walk, reason: str) -> float:
-    walk.doubt = Doubt(0.0, walk.poses[0], reason)
+def _undecided(walk: _Walk, reason: str) -> float:
+    walk.unproved = Unproved(0.0, walk.poses[0], reason)
     return 0.0
 
 
-def _approach(reach: Reach, start: Array, stride: float) -> tuple[list[Array], Leave | None]:
-    """From the start onto the path: the tool on a straight line, or, where that passes a singularity, the joints."""
+def _approach(reach: ToolPath, start: Array, stride: float) -> tuple[list[Array], PathExit | None]:
+    """Approach from the start to the path, the tool on a straight line or, past a singularity, the joints."""
     first, onto = reach.actual(start), reach.goal(0.0)
     if np.linalg.norm(first - onto) <= REACHED:
         return [start], None
     walk = _Walk([0.0], [start], [])
-    leave = _follow(reach, lambda share: first + share * (onto - first), walk, 1.0, stride, None, None)
-    if leave is None:
+    path_exit = _follow(reach, lambda fraction: first + fraction * (onto - first), walk, 1.0, stride, None, None)
+    if path_exit is None:
         return walk.poses, None
     there, distance = _nearest(reach, start, onto)
     if distance > REACHED:
-        return walk.poses, Leave(0.0, walk.poses[-1], 0.0, onto, distance)
+        return walk.poses, PathExit(0.0, walk.poses[-1], 0.0, onto, distance)
     count = int(np.ceil(np.max(np.abs(there - start)) / stride)) + 1
     return list(np.linspace(start, there, count)), None
 
 
 def _follow(
-    reach: Reach,
+    reach: ToolPath,
     curve: Callable[[float], Array],
     walk: _Walk,
     end: float,
     stride: float,
     tube: PathTube | str | None,
     progress: Progress | None,
-) -> Leave | None:
-    """Walk along a curve; a step is halved until it is short enough, and proved where there is a tube."""
+) -> PathExit | None:
+    """Follow a curve; steps are halved until they are short enough and, with a tube, proved."""
     step, longest = end / 64, end
     while walk.times[-1] < end:
         time, pose = walk.times[-1], walk.poses[-1]
@@ -305,32 +306,34 @@ def _follow(
                 progress(then / end)
         elif step > _LEAST_STEP * end and not (reached and isinstance(tube, str)):
             step /= 2
-        elif reached:  # nothing is proved from here on; whether the tool can follow its path is still to be seen
-            walk.doubt, longest = Doubt(time, pose, reason), end * _DOUBTED
+        elif reached:  # no proof from here on; the search for poses continues
+            walk.unproved, longest = Unproved(time, pose, reason), end * _DOUBTED
         else:
-            return _left(reach, curve, time, pose, then, end)
+            return _exit_at(reach, curve, time, pose, then, end)
     return None
 
 
-def _left(reach: Reach, curve: Callable[[float], Array], time: float, pose: Array, then: float, end: float) -> Leave:
-    """Why no pose near the last one puts the tool on its path an instant later."""
+def _exit_at(
+    reach: ToolPath, curve: Callable[[float], Array], time: float, pose: Array, then: float, end: float
+) -> PathExit:
+    """Reason why no pose near the last one follows the path."""
     jump = float(np.linalg.norm(curve(then) - curve(time)))
     if jump > _JUMP:
-        return Leave(time, pose, then, curve(then), 0.0, jump)
+        return PathExit(time, pose, then, curve(then), 0.0, jump)
     later = min(time + end / 100, end)
     _, distance = _nearest(reach, pose, curve(later))
-    if distance <= REACHED:  # a short way out of reach
+    if distance <= REACHED:  # reachable at `then`: take a later time
         _, nearer = _nearest(reach, pose, curve(then))
         later, distance = (then, nearer) if nearer > REACHED else (later, distance)
-    return Leave(time, pose, later, curve(later), distance)
+    return PathExit(time, pose, later, curve(later), distance)
 
 
-def _newton(reach: Reach, q: Array, goal: Array) -> tuple[Array, float]:
+def _newton(reach: ToolPath, q: Array, goal: Array) -> tuple[Array, float]:
     best, least = q, math.inf
     for _ in range(_NEWTON):
         missing = goal - reach.actual(q)
         distance = float(np.linalg.norm(missing))
-        if not distance < least:  # also where it is not a number
+        if not distance < least:  # also for NaN
             break
         best, least = q, distance
         if least <= REACHED * 1e-3:
@@ -339,8 +342,8 @@ def _newton(reach: Reach, q: Array, goal: Array) -> tuple[Array, float]:
     return best, least
 
 
-def _nearest(reach: Reach, q: Array, goal: Array) -> tuple[Array, float]:
-    """The pose found whose tool is nearest to the goal, first from q, then from anywhere; and the distance."""
+def _nearest(reach: ToolPath, q: Array, goal: Array) -> tuple[Array, float]:
+    """Pose whose tool is nearest to the goal, searched from q and then from random poses; and its distance."""
     from scipy.optimize import least_squares
 
     rng, best, least = np.random.default_rng(0), q, math.inf
@@ -357,7 +360,7 @@ def _nearest(reach: Reach, q: Array, goal: Array) -> tuple[Array, float]:
 
 
 def period_of(trajectory: Any, time: Any) -> float | None:
-    """After which an expression in time repeats itself by construction [s]: 0 for a constant, None for any other.
+    """Period of an expression in time, by its structure [s]: 0 for a constant, None for an aperiodic expression.
 
     Time must occur only in sines and cosines of angles with constant, commensurable rates.
     """

@@ -27,10 +27,10 @@ from dmframe.analysis.set_point import (
     undrawn,
 )
 from dmframe.analysis.switches import turning
+from dmframe.common.errors import EngineError, ShapeError, listed
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.pieces import rows_of
-from dmframe.errors import EngineError, ShapeError, listed
 from dmframe.simulate import Solver
 from dmframe.simulate.instants import DRAWN
 from dmframe.simulate.step import build_step
@@ -39,24 +39,24 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 FRICTION_VELOCITY: Final = "robot.friction_velocity"
-_SATURATED: Final = 1e12  # [rad/s]; smooth Coulomb friction has then no slope left
+_SATURATED: Final = 1e12  # [rad/s]; makes the slope of smooth Coulomb friction zero
 _NULL: Final = 1e-9
 """Singular values below this, relative to the largest of the balanced matrix, count as zero."""
 
 _PARTED: Final = 1e-6
-"""Imaginary parts below this, relative to the modulus: rounding parts a double pole by the root of an ulp."""
+"""Imaginary parts below this, relative to the modulus, count as zero: rounding splits a double real pole."""
 
 
 @final
 @dataclass(frozen=True)
 class Linear:
-    r"""The loop near a point, x the deviation of all states, the controller's z first.
+    r"""Linearised loop; x is the deviation of all states, with the controller's z first.
 
     .. math:: \dot x = A x + B w, \qquad z^+ = Z(T) x, \quad u = D x, \qquad \dot x_p = A_p x_p + B_p u
 
     with w the desired trajectory and its derivatives, Z `advanced`, D `command`, :math:`A_p` `plant_A` and
-    :math:`B_p` `plant_B`. Of a loop that runs on a clock alone, z holds the plant's sampled states too, u whatever is
-    held over a sample, and A x, in the rows of sampled states, what they move in one sample.
+    :math:`B_p` `plant_B`. In a discrete-time loop, z includes the plant's sampled states, u every signal that is held
+    over a sample, and rows of A for sampled states give the change per sample.
 
     Parameters
     ----------
@@ -65,20 +65,20 @@ class Linear:
     point
         The state at which it was linearised.
     controller
-        How many states are the controller's, or sampled.
+        Number of controller states or sampled states.
     drift
         Largest rate at `point`; it would be zero at an equilibrium.
     advanced
-        Z as a function of the period T [s]: the slope of the map of one sample that a run takes.
+        Z as a function of the period T [s]: Jacobian of the map over one sample, as in a run.
     kinks
-        Operations whose slope jumps at `point`: the linearised loop has that of one side.
+        Operations whose slope jumps at `point`: the linearisation is one-sided.
     clock
-        The period [s] at which a loop that runs on a clock alone was linearised; None for one in continuous time.
-    again
-        The same loop at the set-point that it has on another clock; only where there is a `clock`, or a step with a
-        second term.
+        Period [s] at which a discrete-time loop was linearised; None in continuous time.
+    at_period
+        The same loop at its set-point for another period; only with a `clock`, or with a step that depends on the
+        period.
     period
-        The period [s] at which `point` and the slopes are; zero of a loop in continuous time.
+        Period [s] of `point` and the Jacobians; zero in continuous time.
     """
 
     states: tuple[str, ...]
@@ -95,18 +95,18 @@ class Linear:
     plant_B: Array
     kinks: tuple[str, ...] = ()
     clock: float | None = None
-    again: Callable[[float], Linear] | None = None
+    at_period: Callable[[float], Linear] | None = None
     period: float = 0.0
 
     @cached_property
     def _others(self) -> Array:
-        """A basis of what is left of the space without the directions in which the loop rests anywhere."""
+        """Orthonormal basis of the complement of the equilibrium directions."""
         rest = rest_space(self.A)
         return np.asarray(np.linalg.qr(rest, mode="complete")[0][:, rest.shape[1] :])
 
     @property
     def poles(self) -> Complex:
-        """Eigenvalues of A [1/s], without those at zero; slowest first. None of a loop that runs on a clock alone."""
+        """Eigenvalues of A [1/s], without those at zero; slowest first. Empty for a discrete-time loop."""
         if self.clock is not None:
             return np.zeros(0, dtype=complex)
         found = np.linalg.eigvals(self._others.T @ self.A @ self._others)
@@ -115,7 +115,7 @@ class Linear:
     def pole(self, place: int) -> complex | None:
         """The slowest pole (0) or the fastest (-1), if there is one.
 
-        A pair is complex where it is parted by more than what rounding makes of a double real pole.
+        Imaginary parts within the rounding error of a double real pole count as zero.
         """
         if not len(self.poles):
             return None
@@ -128,7 +128,7 @@ class Linear:
         return self._resting[0] if self.clock is not None else len(self.states) - int(self._others.shape[1])
 
     @property
-    def drifting(self) -> int:
+    def ramp_modes(self) -> int:
         """Number of ramp modes (Jordan blocks at one) of a discrete-time loop; 0 for continuous ones."""
         return self._resting[1] if self.clock is not None else 0
 
@@ -142,12 +142,12 @@ class Linear:
 
     def on(self, period: float) -> Linear:
         """Linearisation at the set-point for that period [s]."""
-        return self if self.again is None or period == self.period else self.again(period)
+        return self if self.at_period is None or period == self.period else self.at_period(period)
 
     def sampled(self, period: float) -> Array:
         r"""The state's transition over one tick of that period [s].
 
-        The controller as a run has it, and exact zero-order hold for the plant:
+        The controller's step as in a run, and exact zero-order hold for the plant:
 
         .. math:: z^+ = Z(T) x, \qquad
             x_p^+ = e^{A_p T} x_p + \int_0^T e^{A_p \tau} d\tau\, B_p\, D x.
@@ -176,7 +176,7 @@ class Linear:
         return np.asarray(found[np.argsort(-np.abs(found))], dtype=complex)
 
     def spectral_radius(self, period: float) -> float:
-        """The largest modulus of `sampled_poles`, infinite where they overflow; below 1 the loop comes to rest."""
+        """Largest modulus of `sampled_poles`, infinite on overflow; the loop converges if it is below 1."""
         found = self._multipliers(period)
         return float("inf") if found is None else float(np.max(np.abs(found), initial=0.0))
 
@@ -184,7 +184,7 @@ class Linear:
         """Eigenvalues of `sampled`, without those at one; None where the transition overflows."""
         try:
             here = self.on(period)
-        except EngineError:  # it rests nowhere on this clock
+        except EngineError:  # no equilibrium at this period
             return None
         Phi = here.sampled(period)
         if not np.max(np.abs(Phi), initial=0.0) < MOST:  # nan too
@@ -194,7 +194,8 @@ class Linear:
             _, rest = _rest_on_a_clock(Phi)
             others = np.linalg.qr(rest, mode="complete")[0][:, rest.shape[1] :]
             return np.asarray(np.linalg.eigvals(others.T @ Phi @ others), dtype=complex)
-        # What rests in continuous time rests on every clock: one decision for all periods, made where it is clearest.
+        # The equilibrium directions of continuous time exist for every period: they are determined once, in continuous
+        # time.
         return np.asarray(np.linalg.eigvals(here._others.T @ Phi @ here._others), dtype=complex)
 
 
@@ -206,24 +207,24 @@ def linearise(
     moving: bool = False,
     clock: float | None = None,
 ) -> Linear:
-    """Jacobians of the closed loop that a run integrates, its trajectories frozen at t = 0, nothing drawn.
+    """Jacobians of the closed loop of a run, with trajectories frozen at t = 0 and random signals zero.
 
-    What a block declares to be rounded is as it is in the mean; any other switch as it turns out at the point.
+    Outputs declared as rounded are replaced by their mean; other switches keep their piece at the point.
 
     Parameters
     ----------
     state
-        Where; by default the `equilibrium`.
+        Point of linearisation; by default the `equilibrium`.
     moving
-        Leave out the slope that smooth Coulomb friction has at rest: it acts within a few mrad/s, and would hide what
-        the loop does when it moves.
+        Omit the slope of smooth Coulomb friction at rest: it acts within a few mrad/s and would hide the behaviour of
+        the moving loop.
     clock
-        The period [s] of a loop that runs on a clock alone; no other needs one.
+        Sampling period [s]; required by discrete-time loops only.
 
     Raises
     ------
     ShapeError, EngineError
-        A state of another size; no equilibrium; one at which the loop jumps; a loop that needs a clock.
+        The state has the wrong size; there is no equilibrium; the loop is discontinuous there; it needs a clock.
     """
     still = unrounded(frozen(diagram))
     loop, T = still.loop, period_of(still.loop, clock)
@@ -236,7 +237,7 @@ def linearise(
     slopes = at_set_point(loop, "advanced", loop.advanced).jacobian()
     held = at_set_point(loop, "held", loop.held_over_a_sample[1])
     command, (plant_A, plant_B) = held.jacobian(), _plant(loop)
-    first, timed = slopes.size1_out(0), bool(loop.clocked or ca.depends_on(moves(loop), loop.period))
+    first, timed = slopes.size1_out(0), bool(loop.discrete_time or ca.depends_on(moves(loop), loop.period))
 
     def checked(matrix: Any) -> Array:
         return np.asarray(computable(loop, "linearise", np.asarray(matrix.full())))
@@ -245,7 +246,7 @@ def linearise(
         def advanced(period: float) -> Array:
             return np.asarray(slopes(point, p, period, 0)[0].full())
 
-        def again(period: float) -> Linear:
+        def at_period(period: float) -> Linear:
             moved = point
             if not at_rest(field(point, loop.p_values, period), point):
                 moved = equilibrium(still, start=_by_label(loop, point), clock=period)
@@ -269,8 +270,8 @@ def linearise(
             plant_A=checked(plant_A(point[first:], u, p)),
             plant_B=checked(plant_B(point[first:], u, p)),
             kinks=kinks,
-            clock=T if loop.clocked else None,
-            again=again if timed else None,
+            clock=T if loop.discrete_time else None,
+            at_period=at_period if timed else None,
             period=T,
         )
 
@@ -278,14 +279,14 @@ def linearise(
 
 
 def _kinks(loop: ClosedLoop, point: Array, p: Array, T: float) -> tuple[str, ...]:
-    """Where its slope is that of one side; refused where it jumps, for it then has none."""
+    """Operations whose slope is discontinuous at the point; raises `EngineError` if an operation itself is."""
     symbols = [loop.state, loop.p, loop.period]
     held = undrawn(loop, loop.on_path(loop.acting([moves(loop)])[0]))
     jumps, kinks = turning(held, symbols, [point, p, T])
     if jumps:
         raise EngineError(
-            f"linearise: expected a loop without a jump at its set-point, found that it rests where {listed(jumps)} "
-            "jumps: it has no slope there; give another set-point, or replace the switch by a steep smooth function"
+            f"linearise: expected a loop that is continuous at its set-point, found that {listed(jumps)} "
+            "jumps there: it has no derivative; use another set-point, or replace the switch by a steep smooth function"
         )
     return tuple(kinks)
 
@@ -296,7 +297,7 @@ def _by_label(loop: ClosedLoop, point: Array) -> dict[str, Array]:
 
 
 def _trajectory_slope(loop: ClosedLoop, point: Array, p: Array, T: float) -> Array:
-    """The Jacobian of all rates in the trajectory's leaves."""
+    """Jacobian of all rates with respect to the trajectory variables."""
     (rate,) = loop.acting([moves(loop)])
     leaves = stack(leaf.symbol for leaf in loop.trajectories)
     slope = undrawn(loop, loop.on_path(ca.densify(ca.jacobian(rate, leaves))))
@@ -304,7 +305,7 @@ def _trajectory_slope(loop: ClosedLoop, point: Array, p: Array, T: float) -> Arr
 
 
 def _plant(loop: ClosedLoop) -> tuple[Any, Any]:
-    """Jacobians of the plant's rate in the states that flow and in what is held over a sample."""
+    """Jacobians of the plant's rates with respect to continuous states and signals held over a sample."""
     x, (held, _) = stack(v.symbol for v in loop.flowing), loop.held_over_a_sample
     rate, inputs = loop.on_path(loop.flow), [x, held, loop.p]
     return (
@@ -314,7 +315,7 @@ def _plant(loop: ClosedLoop) -> tuple[Any, Any]:
 
 
 def at_speed(loop: ClosedLoop) -> Array:
-    """The parameters, with smooth Coulomb friction as steep as a step: it then has no slope but at rest."""
+    """Parameters with the velocity scale of smooth Coulomb friction so small that its slope is zero when moving."""
     labels = [parameter.label for parameter in loop.parameters for _ in range(parameter.symbol.numel())]
     return np.where([label == FRICTION_VELOCITY for label in labels], _SATURATED, loop.p_values)
 
@@ -322,10 +323,9 @@ def at_speed(loop: ClosedLoop) -> Array:
 def tick_jacobian(
     diagram: Diagram, linear: Linear, clock: float, solver: Solver | None = None, *, moving: bool = False
 ) -> Array:
-    """The Jacobian, at the same point, of the very tick that a run on this clock computes, trajectories frozen.
+    """Jacobian of the tick that a run computes at this period, at the same point with frozen trajectories.
 
-    `moving`, without the slope that smooth Coulomb friction has at rest. What a block declares to be rounded is as it
-    is in the mean.
+    `moving` omits the slope of smooth Coulomb friction at rest. Outputs declared as rounded are replaced by their mean.
     """
     loop = unrounded(frozen(diagram)).loop
     step = build_step(loop, clock, solver or Solver(), ca.SX(0, 1))
@@ -336,7 +336,7 @@ def tick_jacobian(
 
 
 def _rest_on_a_clock(Phi: Array) -> tuple[Array, Array]:
-    """The directions that a tick leaves as they are; and these with those that it moves along them, again and again."""
+    """Eigenvectors at one of a transition; and the generalised eigenspace at one (with ramp modes)."""
     moved = Phi - np.eye(len(Phi))
     still = found = rest_space(moved)
     while True:
@@ -347,7 +347,7 @@ def _rest_on_a_clock(Phi: Array) -> tuple[Array, Array]:
 
 
 def rest_space(A: Array) -> Array:
-    """An orthonormal basis of the null space of A, as columns; found on the balanced matrix, whose units are even."""
+    """Orthonormal basis of the null space of A, as columns; computed on the balanced matrix."""
     from scipy.linalg import matrix_balance
 
     with np.errstate(invalid="ignore"):  # SciPy casts a wide scale even without a permutation

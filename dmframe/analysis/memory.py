@@ -16,7 +16,7 @@ _UNREAD: Final = 1e-13
 
 
 def without_memory(Phi: Array) -> Array:
-    r"""Transition without stored values that no state reads: a smaller matrix, same eigenvalues but for some at zero.
+    r"""Transition without unread stored values: a smaller matrix with the same eigenvalues except some at zero.
 
     States that copy another, and those that they copy, form delay lines. With :math:`c_d` the inputs of all lines d
     ticks ago, :math:`x` the other states, and :math:`c_0^+` like :math:`x^+`,
@@ -93,7 +93,7 @@ def _sums(reads: Array) -> tuple[Array, tuple[int, ...]]:
 
 
 def _memory(Phi: Array) -> Index:
-    """States that copy another, and those that are copied, where none feeds itself."""
+    """States that copy another, and those that are copied, without feedback."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
 
@@ -101,7 +101,7 @@ def _memory(Phi: Array) -> Index:
     copies = np.flatnonzero((filled.sum(axis=1) == 1) & (np.diag(Phi) == 0))
     sources = np.unique(np.argmax(filled[copies], axis=1)) if len(copies) else copies
     store = np.union1d(copies, sources[np.diag(Phi)[sources] == 0])
-    # states that feed one another are none: each has to be a component of its own
+    # exclude states that feed one another: each must be a strongly connected component of its own
     _, groups = connected_components(csr_array(filled[np.ix_(store, store)]), connection="strong")
     alone = np.bincount(groups)[groups] == 1 if len(store) else np.zeros(0, dtype=bool)
     return np.asarray(store[alone], dtype=int)

@@ -1,18 +1,20 @@
-r"""What a loop moves from sample to sample, split where it must vanish: the fewest signals that are zero at rest.
+r"""Factorisation of a loop's change per sample through the fewest signals that vanish at an equilibrium.
 
-Let g(x) be what each state moves (`set_point.moves`). Where the loop rests, few signals vanish: the velocities, the
+Let g(x) be the change of each state (`set_point.moves`). At an equilibrium few signals vanish: velocities, errors,
+unbalanced torques. An estimate without excitation changes only with these signals and is otherwise free. So
 errors, the unbalanced torques; an estimate that nothing excites moves with them, and is otherwise free. So
 
 .. math:: g(x) = \hat g(x, y(x)), \qquad \hat g(x, 0) = 0
 
-with as few signals y as can be: a least cut in the graph of operations, between the states and their moves. The second
-identity is read off the operations, not off numbers: 0 times anything, and sums of zeros. At a point with y = 0
+with as few signals y as possible: a minimum cut in the graph of operations between the states and their changes. The
+second identity follows from the operations, not from numbers: 0 times anything, and sums of zeros. At a point with y =
+0
 
 .. math:: \frac{\partial g}{\partial x} = L R, \qquad L = \frac{\partial \hat g}{\partial y}, \quad
     R = \frac{\partial y}{\partial x}
 
-A sum of states that no sample changes, identically, is a number and not a state: one of its states is put as what it
-then is. Two integrals of one command, the servo's and its model's, differ by such a number.
+An invariant sum of states (changed by no sample, identically) is a constant, so one of its states is substituted. For
+example, two integrals of one command, the servo's and its model's, differ by a constant.
 """
 
 from __future__ import annotations
@@ -26,11 +28,11 @@ import casadi as ca
 import numpy as np
 from flint import arb
 
-from dmframe.analysis.least_cut import ITSELF, LEAST, Cut, vanishing
+from dmframe.analysis.minimum_cut import ITSELF, LEAST, Cut, vanishing
 from dmframe.analysis.set_point import at_set_point, counts, moves, undrawn
 from dmframe.analysis.sums import Sum, conserved, scaled, sums_of
-from dmframe.analysis.switches import apart, chosen, numbers_of, values_of
-from dmframe.certificate import SX
+from dmframe.analysis.switches import chosen, distinct, numbers_of, values_of
+from dmframe.block.certificate import SX
 from dmframe.diagram import ClosedLoop
 from dmframe.diagram.closed_loop import stack
 from dmframe.exact.balls import ZERO, UndecidedError, ball, enclosed, precise
@@ -50,23 +52,23 @@ from dmframe.program import (
 @final
 @dataclass(frozen=True, repr=False, eq=False)
 class SplitMoves:
-    """`y` and both Jacobians of a loop's moves, as programs of (x, p, T).
+    """`y` and both Jacobians of a loop's change, as programs of (x, p, T).
 
     Parameters
     ----------
     count
-        How many signals y has.
+        Number of signals in y.
     y, L, R
-        Their programs; L and R store what is not zero by structure, column by column.
+        Programs; L and R store structural nonzeros column by column.
     guards
-        Columns (x, p, T) -> numbers that are all above zero where no switch turns out another way.
+        Columns (x, p, T) -> values that are positive while all switches keep their piece.
     held
-        (x, p, T) -> what is held over a sample.
+        (x, p, T) -> signals held over a sample.
     slope
-        (what flows, what is held, p) -> the plant's slope in what flows.
+        (continuous states, held signals, p) -> Jacobian of the plant's rates in the continuous states.
     kept
-        Sums of states that no sample changes, and that are zero: factors by state and power of T. The first state of
-        each, with factor one, is none of those that y, L and R read.
+        Invariant sums of states that are zero: factors by state and power of T. The first state of each, with factor
+        one, is not an input of y, L and R.
     """
 
     loop: ClosedLoop
@@ -82,13 +84,13 @@ class SplitMoves:
 
 @precise()
 def split_moves(loop: ClosedLoop, point: np.ndarray, p: Sequence[arb], period: arb) -> SplitMoves:
-    """The split, found with the numbers at a point near an equilibrium; it holds as identities wherever guards do.
+    """Find the factorisation at a point near an equilibrium; it is an identity wherever the guards are positive.
 
-    Raises `UndecidedError` where a comparison is at its turn, or an operation is not known.
+    Raises `UndecidedError` at a switching point, or for an unknown operation.
     """
     expression = undrawn(loop, loop.on_path(loop.acting([moves(loop)])[0]))
     zeros = [k for k, value in enumerate(loop.p_values) if value == 0]
-    if zeros:  # a term that is not there needs no proof
+    if zeros:  # a zero term needs no proof
         expression = ca.substitute(expression, loop.p[zeros], ca.SX.zeros(len(zeros)))
     symbols = [loop.state, loop.p, loop.period]
     inputs = [[arb(float(value)) for value in point], list(p), [period]]
@@ -116,7 +118,7 @@ def split_moves(loop: ClosedLoop, point: np.ndarray, p: Sequence[arb], period: a
     signals, rest = _rebuilt(program, symbols, cut, sums, y)
     at_zero = _rebuilt(program, symbols, cut, sums, ca.SX.zeros(len(cut)))[1]
     if not all(element.is_zero() for element in ca.vertsplit(ca.densify(at_zero))):
-        raise UndecidedError("what moves is not seen to vanish with the signals that vanish at rest")
+        raise UndecidedError("the rates do not vanish structurally with the signals that are zero at rest")
     L = ca.substitute(ca.jacobian(rest, y), y, ca.SX.zeros(len(cut)))
     R = ca.jacobian(signals, loop.state)
 
@@ -128,9 +130,9 @@ def split_moves(loop: ClosedLoop, point: np.ndarray, p: Sequence[arb], period: a
 
 
 def _flow(loop: ClosedLoop, symbols: Sequence[SX], at: Sequence[Sequence[float]]) -> tuple[Program, Program, SX]:
-    """What is held over a sample, the plant's slope in what flows, and the guards of the first.
+    """Signals held over a sample, Jacobian of the plant's rates in the continuous states, and guards of the signals.
 
-    The guards of the second are among those of the moves, of which its rates are some.
+    Guards of the Jacobian are among those of the moves, which include its rates.
     """
     held = read(at_set_point(loop, "held", ca.densify(loop.held_over_a_sample[1])))
     values, guards = chosen(held, symbols, numbers_of(held, symbols, at))
@@ -144,9 +146,9 @@ def _flow(loop: ClosedLoop, symbols: Sequence[SX], at: Sequence[Sequence[float]]
 
 
 def _conserved(loop: ClosedLoop, program: Program) -> list[Sum]:
-    """Sums of states that no sample changes, with factors that are rational in T; `program` says what states move.
+    """Invariant sums of states, with factors rational in T; `program` gives the change of each state.
 
-    Of what flows between samples, states count whose rates read nothing that flows; of others, those without a set.
+    Continuous states are included if their rates read no continuous state; sampled states if they are not projected.
     """
     (places,) = program.stored(range(len(program.nodes)))
     sums, flowing = sums_of(program.nodes), stack(v.symbol for v in loop.flowing)
@@ -166,7 +168,7 @@ def _conserved(loop: ClosedLoop, program: Program) -> list[Sum]:
 
 @precise()
 def kept_value(item: Sum, x: Sequence[arb], T: Sequence[arb]) -> arb:
-    """What a sum of states is."""
+    """Value of a sum of states."""
     total = ZERO
     for (state, power), factor in item.items():
         term = ball(factor) * x[state]
@@ -175,7 +177,7 @@ def kept_value(item: Sum, x: Sequence[arb], T: Sequence[arb]) -> arb:
 
 
 def _without(kept: Sequence[Sum], loop: ClosedLoop, expression: SX) -> SX:
-    """An expression with the first state of each sum put as what it is where the sum is zero."""
+    """Expression with the first state of each sum substituted by its value for a zero sum."""
     T, first, meanings = loop.period, list[SX](), list[SX]()
     for item in kept:
         (own, *others) = item.items()
@@ -186,7 +188,7 @@ def _without(kept: Sequence[Sum], loop: ClosedLoop, expression: SX) -> SX:
 
 
 def _summed(loop: ClosedLoop, program: Program, symbols: Sequence[SX], numbers: Sequence[Any]) -> SX:
-    """The moves; of a sampled state that cancels in its own, as a sum in which it does not stand."""
+    """Changes of the states; for a sampled state that cancels in its own change, a sum without that state."""
     zero, kinds = vanishing(program.nodes, numbers)
     (places,) = program.stored(range(len(program.nodes)))
     whole = [zero[k] and kinds[k] == ITSELF for k in range(len(zero))]
@@ -207,13 +209,14 @@ def _summed(loop: ClosedLoop, program: Program, symbols: Sequence[SX], numbers: 
 
 
 def _refuse_turns(loop: ClosedLoop, pieces: SX, guards: SX, inputs: Sequence[Sequence[arb]]) -> None:
-    """Raises `UndecidedError` where a switch is left that a state turns, or a root that a state may end: at rest its
-    slope is that of one side, as that of |z| is zero at z = 0, and nearby it is another. Raises it too where what moves
-    reads a count, which never rests. A guard may have kinks: where it is continuous, it stays above zero nearby.
+    """Raise `UndecidedError` at a switching point, at the end of a root's domain, and for a rate that reads a counter.
+
+    At a switching point the slope is one-sided: that of |z| counts as zero at z = 0 and differs nearby. A counter never
+    settles. Guards may have kinks: a continuous guard stays positive nearby.
     """
     counted = [v.symbol for v in loop.variables if counts(v)]
     if counted and ca.depends_on(pieces, stack(counted)):
-        raise UndecidedError("it never rests: what moves depends on a number that grows with each sample")
+        raise UndecidedError("it has no equilibrium: its rates depend on a counter that grows with each sample")
     for expression, turning in ((pieces, JUMPS | KINKS | EDGES), (guards, JUMPS)):
         program = read(ca.Function("turns", [loop.state, loop.p, loop.period], [expression]))
         if not program.codes & turning:
@@ -222,16 +225,16 @@ def _refuse_turns(loop: ClosedLoop, pieces: SX, guards: SX, inputs: Sequence[Seq
         for node in program.nodes:
             state = node.code == INPUT and node.a == 0
             moving.append(state or any(moving[place] for place in node.operands))
-            ends = node.code in EDGES and apart(float(numbers[node.a]), 0.0)
+            ends = node.code in EDGES and distinct(float(numbers[node.a]), 0.0)
             if node.code in turning and moving[-1] and not ends:
-                verb = "ends" if node.code in EDGES else "turns"
-                raise UndecidedError(f"it rests where {sign_of(node.code)} {verb}")
+                verb = "is at the edge of its domain" if node.code in EDGES else "switches"
+                raise UndecidedError(f"its equilibrium is at a point where {sign_of(node.code)} {verb}")
 
 
 def _rebuilt(
     program: Program, symbols: Sequence[SX], cut: Sequence[int], sums: Mapping[int, Sum], y: SX
 ) -> tuple[SX, SX]:
-    """The cut's values in the function's arguments; and the outputs with `y` in their place."""
+    """Values of the cut in the function's arguments; and the outputs as functions of `y`."""
     places, order = {place: k for k, place in enumerate(cut)}, iter(range(len(program.nodes)))
 
     def keep(_: Node, value: SX) -> SX:
@@ -254,7 +257,7 @@ def _floats(numbers: Sequence[arb]) -> list[float]:
 
 
 def _number(value: Fraction) -> SX:
-    """As a constant of an expression, which `literal` reads back as the number that it is."""
+    """Fraction as a constant of an expression; `literal` must recover the same fraction."""
     if literal(float(value)) != value:
-        raise UndecidedError(f"a factor of {value} is no decimal")
+        raise UndecidedError(f"a factor of {value} is not a finite decimal")
     return ca.SX(float(value))

@@ -1,12 +1,14 @@
-r"""That an exact joint path lies close to the lines between poses, over every interval of time: nothing is sampled.
+r"""Proof that an exact joint path is close to the lines between poses, over whole time intervals (no sampling).
 
-Between two poses let l(t) be the line, v its velocity and :math:`t_m` the middle of the time. A pose l(t) + d puts the
+Between two poses let l(t) be the line, v its velocity and :math:`t_m` the middle of the interval. A pose l(t) + d puts
+the tool on its path if
 tool on its path where
 
 .. math:: F(t, d) = \begin{pmatrix} f(l(t) + d) - x_d(t) \\ N^\top d \end{pmatrix} = 0
 
-with the rows of N the directions in which the tool rests at :math:`t_m`; a robot that is not redundant has none. With X
-near the inverse of the Jacobian A of F in d, and A enclosed over a box of half-width r about the line, Krawczyk's test
+with the rows of N a basis of the null space of the Jacobian at :math:`t_m`; a robot that is not redundant has none.
+With X near the inverse of the Jacobian A of F in d, and A enclosed over a box of half-width r about the line,
+Krawczyk's test
 
 .. math:: |X F(t, 0)| + |I - X A|\, r < r
 
@@ -26,40 +28,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmframe.analysis.rank_bound import times
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact.enclosure import RULES, Enclosing, Enclosure, down, up
 from dmframe.exact.switching import SWITCHING, over_pieces
 
 Array = NDArray[np.float64]
 
-SHARE: Final = 0.1
+TUBE_FRACTION: Final = 0.1
 """Largest distance of the exact joint path from the lines between poses, as a fraction of the tube."""
 
 LEAST: Final = 1e-4
-"""Where the tube is narrower, this [rad]."""
+"""Least value of that distance [rad], for a narrow tube."""
 
 _SMALLER: Final = 8.0
 _SMALLEST: Final = 1e-5
-"""Boxes are made smaller by that factor, and not below this half-width [rad]."""
+"""Factor by which boxes are reduced, and their least half-width [rad]."""
 
 _CLOSE: Final = 0.5
-"""Where |I - X A| is below this, a smaller box would not help: the interval of time is too long."""
+"""If |I - X A| is below this, a smaller box would not help: the time interval is too long."""
 
 _SEAM: Final = 0.9
-"""What is proved lies this far inside the box of the next interval: where two meet, both have the same pose."""
+"""Fraction of a box within which the proved pose lies, so that adjacent intervals share the pose at their boundary."""
 
 
 @final
 @dataclass(frozen=True)
-class Apart:
-    """What is certain over intervals of time.
+class LineDistance:
+    """Proved distance bounds over time intervals.
 
     Parameters
     ----------
     most
-        (N, n) the exact joint path lies within this of the line, in each joint; not a number where that is not proved.
+        (N, n) bound on the distance of the exact joint path from the line, by joint; NaN if not proved.
     reason
-        Why it is not, of the first interval where it is not.
+        Reason for the first interval without a proof.
     """
 
     most: Array
@@ -67,7 +69,7 @@ class Apart:
 
     @property
     def proved(self) -> NDArray[np.bool_]:
-        """(N,) where it is proved."""
+        """(N,) True for proved intervals."""
         return np.asarray(np.isfinite(self.most).all(axis=1))
 
 
@@ -78,9 +80,9 @@ class PathTube:
     Parameters
     ----------
     actual, q
-        f, SX (m,), of the pose q and `p` alone.
+        f, SX (m,), a function of the pose q and `p` only.
     desired, time
-        :math:`x_d`, SX (m,), of the time and `p` alone.
+        :math:`x_d`, SX (m,), a function of time and `p` only.
     p, values
         The parameters, and each element as a number or an enclosure.
     limit
@@ -89,7 +91,7 @@ class PathTube:
     Raises
     ------
     ValueFault
-        An operation of which no enclosure is known.
+        An operation has no enclosure.
     """
 
     def __init__(self, actual: Any, q: Any, desired: Any, time: Any, p: Any, values: Sequence[Any], limit: float):
@@ -105,10 +107,10 @@ class PathTube:
         self._desired = enclosed("path", [time, p], desired, SWITCHING)
         self._speed = enclosed("velocity", [time, p], ca.jacobian(desired, time), SWITCHING)
 
-    def over(self, first: Array, last: Array, begin: Array, end: Array) -> Apart:
-        """The test for lines from `first` to `last` (N, n), over the times from `begin` to `end` (N,).
+    def over(self, first: Array, last: Array, begin: Array, end: Array) -> LineDistance:
+        """Krawczyk's test for lines from `first` to `last` (N, n), over the times from `begin` to `end` (N,).
 
-        Where the Jacobian varies too much over the box, a smaller box may do: near a singularity, for example.
+        If the Jacobian varies too much over the box, smaller boxes are tried, for example near a singularity.
         """
         most, reason, limit = np.full(first.shape, np.nan), "", self.limit
         open_ones = np.arange(len(first))
@@ -119,14 +121,14 @@ class PathTube:
             if limit < _SMALLEST or not wide:
                 break
             open_ones = open_ones[np.isnan(found).any(axis=1)]
-        return Apart(most, reason)
+        return LineDistance(most, reason)
 
     def _within(self, limit: float, first: Array, last: Array, begin: Array, end: Array) -> tuple[Array, str, bool]:
-        """The test with boxes of that half-width; why it fails; and whether it does since they are too wide."""
+        """Test with boxes of that half-width; the reason of a failure; and whether the boxes are too wide."""
         q, t = (first + last).T / 2, np.clip((begin + end) / 2, begin, end)
         v = (last - first).T / np.where(end > begin, end - begin, 1.0)
         passed = Enclosure(down(begin - t), up(end - t))
-        with np.errstate(all="ignore"):  # where a number is none, nothing is proved
+        with np.errstate(all="ignore"):  # NaN: not proved
             line = Enclosure.of(q) + Enclosure.of(v) * passed
             slack = self._slack(first.T, last.T, q, v, begin - t, end - t)
             box = Enclosure(down(line.lower - limit), up(line.upper + limit))
@@ -134,19 +136,19 @@ class PathTube:
             missed, jumps = self._missed(q, t, v, Enclosure(begin, end), passed, J)
             X, still = self._inverse(J)
             A = Enclosure(np.concatenate([J.lower, still]), np.concatenate([J.upper, still]))
-            doubt = (_product(X, A) - np.eye(self.n)[:, :, None]).magnitude
+            contraction = (_product(X, A) - np.eye(self.n)[:, :, None]).magnitude
             step = _product(X[:, : self.m], Enclosure(missed.lower[:, None], missed.upper[:, None])).magnitude[:, 0]
-            within = up(step + _row_sums(doubt * limit))
-            sharp = up(step + _row_sums(up(doubt * within)))
+            within = up(step + _row_sums(contraction * limit))
+            sharp = up(step + _row_sums(up(contraction * within)))
             good = (within < _SEAM * limit).all(axis=0)
             found = np.where(good, up(sharp + slack), np.nan).T
-            close = np.max(_row_sums(doubt), axis=0) < _CLOSE
+            close = np.max(_row_sums(contraction), axis=0) < _CLOSE
         if good.all():
             return found, "", False
-        return found, self._reason(int(np.argmin(good)), jumps, doubt), bool((~good & ~close & ~jumps).any())
+        return found, self._reason(int(np.argmin(good)), jumps, contraction), bool((~good & ~close & ~jumps).any())
 
     def _slack(self, first: Array, last: Array, q: Array, v: Array, before: Array, after: Array) -> Array:
-        """By how much rounding lets the line miss its ends."""
+        """Rounding error of the line at its ends."""
         ends = zip((first, last), (before, after), strict=True)
         missed = [(Enclosure.of(q) + Enclosure.of(v) * Enclosure(down(s), up(s)) - pose).magnitude for pose, s in ends]
         return np.asarray(np.maximum(*missed))
@@ -154,7 +156,7 @@ class PathTube:
     def _missed(
         self, q: Array, t: Array, v: Array, instants: Enclosure, passed: Enclosure, J: Enclosure
     ) -> tuple[Enclosure, NDArray[np.bool_]]:
-        """F(t, 0), (m, N), over each interval; and where the desired path may jump."""
+        """F(t, 0), (m, N), over each interval; and intervals in which the desired path may jump."""
         here = self._column(self._actual, list(q))
         goals, jumps = over_pieces(self._desired, [[instants], self._p], t.shape)
         moved = times(Enclosure(J.lower[None], J.upper[None]), v[:, None])
@@ -167,7 +169,7 @@ class PathTube:
         return Enclosure(lower, np.where(sure, np.minimum(plain.upper, sharp.upper), plain.upper)), jumps
 
     def _inverse(self, J: Enclosure) -> tuple[Array, Array]:
-        """X (n, n, N), and the rows of N (n - m, n, N), in floating point: any will do."""
+        """X (n, n, N), and the rows of N (n - m, n, N), in floating point; the proof holds for any X and N."""
         middle = np.nan_to_num((J.lower + J.upper).transpose(2, 0, 1) / 2)
         _, s, Vt = np.linalg.svd(middle)
         still = Vt[:, self.m :]
@@ -187,25 +189,25 @@ class PathTube:
         shape = columns, self.m, box.lower.shape[1]
         return Enclosure(found.lower.reshape(shape).swapaxes(0, 1), found.upper.reshape(shape).swapaxes(0, 1))
 
-    def _reason(self, place: int, jumps: NDArray[np.bool_], doubt: Array) -> str:
+    def _reason(self, place: int, jumps: NDArray[np.bool_], contraction: Array) -> str:
         if jumps[place]:
-            return "the desired path may jump there"
-        if not np.max(doubt[:, :, place].sum(axis=1)) < 1:
-            return "the tool's Jacobian is too near to rank loss there"
+            return "the desired path may be discontinuous there"
+        if not np.max(contraction[:, :, place].sum(axis=1)) < 1:
+            return "the tool's Jacobian is nearly rank-deficient there"
         return "the desired path could not be enclosed there"
 
 
 def path_tube(path: tuple[Any, ...], tube: float) -> PathTube | str:
-    """The test of a path, (f, q, x_d, t, p, values), in a tube of that half-width [rad]; or why there is none."""
+    """Krawczyk's test of a path (f, q, x_d, t, p, values) in a tube of that half-width [rad], or why there is none."""
     actual, q, desired, time, p, values = path
     try:
-        return PathTube(actual, q, desired, time, p, values, max(SHARE * tube, LEAST))
+        return PathTube(actual, q, desired, time, p, values, max(TUBE_FRACTION * tube, LEAST))
     except ValueFault as fault:
         return fault.text
 
 
 def _stacked(elements: Sequence[Enclosure], shape: tuple[int, ...]) -> Enclosure:
-    """Elements as the rows of one enclosure."""
+    """Stack elements as rows of one enclosure."""
     lower = np.stack([np.broadcast_to(element.lower, shape) for element in elements])
     return Enclosure(lower, np.stack([np.broadcast_to(element.upper, shape) for element in elements]))
 
@@ -218,11 +220,11 @@ def _product(X: Array, A: Enclosure) -> Enclosure:
 
 
 def _row_sums(parts: Array) -> Array:
-    """Upper bounds of the sums of rows, (n, k, N) or, times a column (k, N), the same."""
+    """Upper bounds of row sums, (n, k, N); for a column (k, N), the same."""
     total = np.zeros((parts.shape[0], parts.shape[2]))
     for j in range(parts.shape[1]):
         total = up(total + up(parts[:, j]))
     return total
 
 
-__all__ = ["LEAST", "SHARE", "Apart", "PathTube", "path_tube"]
+__all__ = ["LEAST", "TUBE_FRACTION", "LineDistance", "PathTube", "path_tube"]

@@ -10,11 +10,11 @@ import numpy as np
 
 from dmframe.analysis.linear import Linear, linearise
 from dmframe.analysis.set_point import LARGE
+from dmframe.common.errors import DmframeError, EngineError, ValueFault
+from dmframe.common.units import plain
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError, EngineError, ValueFault
 from dmframe.simulate import Solver, simulate
 from dmframe.simulate.step import MOST_SUBSTEPS
-from dmframe.units import plain
 
 SHORTEST, LONGEST = 1e-5, 10.0
 """Range of tested sampling periods [s]."""

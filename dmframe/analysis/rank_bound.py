@@ -32,12 +32,12 @@ class Bound:
     least
         (N,) below every singular value of the matrix over the box and over the set of parameters; NaN if
         undecided.
-    share
+    contribution
         (N, n) contribution of each joint's width to the uncertainty.
     """
 
     least: Array
-    share: Array
+    contribution: Array
 
 
 @final
@@ -51,25 +51,25 @@ class MatrixBound:
         J(q, a) X - I \in J(q_m, a_m) X - I + \sum_v [\partial_v J] X\, (v - v_m) = E,
 
     the derivatives enclosed over the whole box. Of E only the symmetric part :math:`E_s` counts, since
-    :math:`y^\top J X y \ge (1 - |E_s|) |y|^2` for every y: where :math:`|E_s| < 1`, J has full row rank, and
-
+    the derivatives enclosed over the whole box. Only the symmetric part :math:`E_s` of E matters, since
+    :math:`y^\top J X y \ge (1 - |E_s|) |y|^2` for every y: if :math:`|E_s| < 1`, J has full row rank, and
     .. math::
 
         \sigma_{min}(J) \ge (1 - |E_s|) / |X|.
 
-    The sum over v is taken after the product with X, so that what moves several columns of J together counts once; and
-    what only turns the task, as a robot's first joint does, counts little, its part of E being antisymmetric.
+    The sum over v is taken after the product with X, so that simultaneous changes of several columns of J count once. A
+    pure rotation of the task, such as by a robot's first joint, contributes little: its part of E is antisymmetric.
 
     Parameters
     ----------
     matrix
-        J, SX (m, n'), an expression of `q`, `a` and `p` alone.
+        J, SX (m, n'), an expression in `q`, `a` and `p` only.
     values
-        p, each element a number or an enclosure.
+        p; each element is a number or an enclosure.
 
     References
     ----------
-    [Rump2010]_ for the method: an approximate inverse, and a residual that is enclosed.
+    [Rump2010]_ for the method: an approximate inverse and an enclosed residual.
     """
 
     def __init__(self, matrix: Any, q: Any, a: Any, p: Any, values: Sequence[Any]) -> None:
@@ -84,15 +84,17 @@ class MatrixBound:
         self._p = list(values)
 
     def over(self, low: Array, high: Array, middle: Array, half: Array, shape: Shape = "box") -> Bound:
-        """The bound over boxes of q, (N, n) from `low` to `high`, and the set of a about `middle` (h,).
+        """Bound over boxes of q, (N, n) from `low` to `high`, and the set of a about `middle` (h,).
 
-        The set is the box of half-widths `half` (h,), or the ball, an ellipsoid of these half axes.
+        The set is a box of half-widths `half` (h,), or a ball: an ellipsoid with these half-axes.
         """
         parts = [
             self._over(low[k : k + _AT_ONCE].T, high[k : k + _AT_ONCE].T, middle, half, shape)
             for k in range(0, len(low), _AT_ONCE)
         ]
-        return Bound(np.concatenate([part.least for part in parts]), np.concatenate([part.share for part in parts]))
+        return Bound(
+            np.concatenate([part.least for part in parts]), np.concatenate([part.contribution for part in parts])
+        )
 
     def _over(self, low: Array, high: Array, middle: Array, half: Array, shape: Shape) -> Bound:
         centre = np.clip((low + high) / 2, low, high)
@@ -106,17 +108,17 @@ class MatrixBound:
             turned = np.swapaxes(Vt, 1, 2) / s[:, None, :]
             X = np.ascontiguousarray(np.moveaxis(turned @ np.swapaxes(U, 1, 2), 0, 2))
             U = np.ascontiguousarray(np.moveaxis(U, 0, 2))
-            doubt = _symmetric(times(slopes, X)).magnitude
-            moved = up(around[:, None, None, :] * doubt[: self.n])
+            variation = _symmetric(times(slopes, X)).magnitude
+            moved = up(around[:, None, None, :] * variation[: self.n])
             middles = _symmetric(times(J, X)) - np.eye(self.rows)[:, :, None]
             error = up(middles.magnitude[0] + _sum(moved))
-            error = up(error + _spread(doubt[self.n :], half, shape))
+            error = up(error + _spread(variation[self.n :], half, shape))
             least = down(down(1 - _norm(error)) / _size(X, U))
-        # X that is no number would make every comparison false, which is right; a zero would not be.
+        # A non-finite X must not count as proved; comparisons with NaN are False, with zero they would not be.
         return Bound(np.where(np.isfinite(X).all(axis=(0, 1)), least, np.nan), np.sqrt((moved**2).sum(axis=(1, 2))).T)
 
     def _filled(self, found: list[list[Enclosure]], count: int, boxes: int) -> Enclosure:
-        """Stored elements, as `count` matrices: (count, rows, columns, boxes)."""
+        """Dense matrices from stored elements: (count, rows, columns, boxes)."""
         pattern = (self.value if count == 1 else self.slope).sparsity_out(0)
         lower, upper = (np.zeros((count, self.columns, self.rows, boxes)) for _ in range(2))
         for entry, place, variable in zip(found[0], pattern.row(), pattern.get_col(), strict=True):
@@ -148,9 +150,9 @@ def _sum(parts: Array) -> Array:
     return total
 
 
-def _spread(doubt: Array, half: Array, shape: Shape) -> Array:
-    """The most by which each entry of E moves while the parameters stay in their set."""
-    parts = up(half[:, None, None, None] * doubt)
+def _spread(variation: Array, half: Array, shape: Shape) -> Array:
+    """Largest change of each entry of E over the set of parameters."""
+    parts = up(half[:, None, None, None] * variation)
     return _sum(parts) if shape == "box" else up(np.sqrt(_sum(up(parts * parts))))
 
 
@@ -164,15 +166,15 @@ def _norm(error: Array) -> Array:
     v = np.ones(G.shape[1:])
     for _ in range(_ROUNDS):
         v = np.einsum("ijk,jk->ik", G, v)
-        v = v / np.max(v, axis=0) + 1e-3  # positive; any v is right, a near one is sharp
+        v = v / np.max(v, axis=0) + 1e-3  # positive; the bound holds for any v and is sharp near the eigenvector
     v = np.where(np.isfinite(v), v, 1.0)
     return up(np.sqrt(np.max(up(_sum(up(G.swapaxes(0, 1) * v[:, None])) / v), axis=0)))
 
 
 def _size(X: Array, U: Array) -> Array:
-    """Upper bound of |X| (n, m, N), with U (m, m, N) nearly orthogonal and the columns of X U nearly so.
+    """Upper bound of |X| (n, m, N), with U (m, m, N) and the columns of X U nearly orthogonal.
 
-    |X| <= |X U| / sqrt(1 - |U' U - I|), and a symmetric matrix's norm is at most its largest sum of a row.
+    |X| <= |X U| / sqrt(1 - |U' U - I|), and the norm of a symmetric matrix is at most its largest row sum.
     """
     product = times(Enclosure.of(X[None]), U)
     turned = Enclosure(product.lower[0], product.upper[0])

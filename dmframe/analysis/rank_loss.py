@@ -30,7 +30,7 @@ class Witness:
     q, a
         The pose and the parameters.
     singular
-        The least singular value there; 0 where its determinant changes sign on the way from the middle.
+        The least singular value there; 0 if its determinant changes sign between the centre and this point.
     """
 
     place: int
@@ -49,11 +49,11 @@ def witness(
     shape: Shape,
     least: float,
 ) -> Witness | None:
-    """The worst point found within the tube about the poses and the set; None where none is below `least`.
+    """Worst point found within the tube about the poses and the parameter set; None if none is below `least`.
 
-    With the least singular value taken as linear, the first rounds leap towards the corner where it is smallest, as far
-    as it is then zero; the others step down its slope, within the set. Floating-point numbers and no completeness: it
-    refutes a bound, it never proves one.
+    The first rounds linearise the least singular value and jump towards the corner where it is smallest, as far as it
+    is then zero; the others descend along its gradient within the set. Floating point and incomplete: the search can
+    refute a bound, never prove one.
     """
     chosen = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), _MOST)).astype(int))
     begin = np.hstack([poses[chosen], np.tile(middle, (len(chosen), 1))])
@@ -87,7 +87,7 @@ def witness(
 
 
 def _corner(pull: Array, n: int, shape: Shape) -> Array:
-    """Where in the tube and the set, both scaled to 1, a linear function with this slope is largest."""
+    """Maximiser of a linear function with this gradient over the tube and the set, both scaled to 1."""
     joints, numbers = np.sign(pull[:, :n]), pull[:, n:]
     if shape == "box":
         return np.hstack([joints, np.sign(numbers)])
@@ -95,7 +95,7 @@ def _corner(pull: Array, n: int, shape: Shape) -> Array:
 
 
 def _pulled(x: Array, n: int, shape: Shape) -> Array:
-    """Back into the tube and the set, both scaled to 1."""
+    """Projection onto the tube and the set, both scaled to 1."""
     joints, numbers = np.clip(x[:, :n], -1, 1), x[:, n:]
     if shape == "box":
         return np.hstack([joints, np.clip(numbers, -1, 1)])
@@ -108,7 +108,7 @@ def _values(bound: MatrixBound, at: Array, p: Array) -> Array:
 
 
 def _slopes(bound: MatrixBound, at: Array, p: Array) -> Array:
-    """(N, variables, rows, columns)."""
+    """Derivatives: (N, variables, rows, columns)."""
     variables = bound.n + bound.h
     found = bound.slope(at[:, : bound.n].T, at[:, bound.n :].T, p).full()
     parts = found.reshape(bound.columns, bound.rows, len(at), variables)

@@ -1,4 +1,4 @@
-"""What a diagram says of a matrix that must keep its rank: what it depends on, and which path leads it."""
+"""Matrix of a diagram that must keep full row rank: its arguments and the desired path."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from dmframe.analysis.joint_path import Reach, period_of
+from dmframe.analysis.joint_path import ToolPath, period_of
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
+from dmframe.block.port import Side
 from dmframe.certify.true_values import true_values
+from dmframe.common.errors import MissingError, listed
 from dmframe.diagram import ClosedLoop, Diagram, Variable
 from dmframe.diagram.closed_loop import Signal
-from dmframe.errors import MissingError, listed
 from dmframe.exact.enclosure import Enclosure
-from dmframe.port import Side
 from dmframe.results.dataset import element_labels
 from dmframe.robot.symbolic import SymbolicRobot
 from dmframe.simulate.rank import watched
@@ -31,7 +31,7 @@ Centre = Literal["truth", "start"]
 @final
 @dataclass(frozen=True)
 class RankProblem:
-    """A matrix J(q, a, p), and the path.
+    """Matrix J(q, a, p) that must keep full row rank, and the path.
 
     Parameters
     ----------
@@ -40,25 +40,25 @@ class RankProblem:
     parameters
         ``block.state`` of the estimate, or ``robot.a_k``.
     options
-        The parameters ``block.name`` that take a box and a ball of the estimate; empty where there is none.
+        Parameters ``block.name`` for a box and a ball of the estimate; empty without one.
     expression, q, a, p
         J and its arguments, SX.
     enclosed, values
-        p, each element an exact number or an enclosure of it, and in floating point.
+        p with each element exact or enclosed, and p in floating point.
     centre
-        (h,) the middle of the set of a.
+        (h,) centre of the set of a.
     estimate
-        (h,) where the estimate starts; None where there is none.
+        (h,) initial estimate; None without one.
     names
-        Of the elements of a.
+        Names of the elements of a.
     start
-        (n,) where a run starts.
+        (n,) initial joint positions of a run.
     reach
-        What follows the path, and the path; None where the joint path is given.
+        Tool position and desired path; None for a user's joint path.
     path
-        What `dmframe.analysis.path_tube` takes: the same as expressions, with enclosures of their parameters.
+        Argument of `dmframe.analysis.path_tube`: the same as expressions, with enclosures of their parameters.
     period
-        Of the desired path; see `period_of`.
+        Period of the desired path; see `period_of`.
     """
 
     matrix: str
@@ -75,18 +75,18 @@ class RankProblem:
     estimate: Array | None
     names: tuple[str, ...]
     start: Array
-    reach: Reach | None = None
+    reach: ToolPath | None = None
     path: tuple[Any, ...] = ()
     period: float | None = None
 
 
 def rank_problem(diagram: Diagram, start: Mapping[str, Any], centre: Centre, *, given: bool = False) -> RankProblem:
-    """Read a diagram's first matrix that must keep full row rank; `given`, the joint path is known, and none is sought.
+    """Find a diagram's first matrix that must keep full row rank; `given`: the joint path is known and not computed.
 
     Raises
     ------
     MissingError
-        There is none, or nothing that follows a path, or it depends on more than a pose and one estimate.
+        There is no such matrix or no path to follow, or the matrix depends on more than a pose and one estimate.
     """
     matrices = watched(diagram)
     if not matrices:
@@ -120,12 +120,12 @@ def rank_problem(diagram: Diagram, start: Mapping[str, Any], centre: Centre, *, 
 
 
 def _adapted(diagram: Diagram, estimate: Variable, state: Array, centre: Centre) -> dict[str, Any]:
-    """The estimate's set lies about the truth, or about where it starts."""
+    """Set of the estimate, about its true value or its start."""
     loop = diagram.loop
     begin = _part(loop, state, estimate)
     truth = true_values(diagram).get(estimate.label) if centre == "truth" else begin
     if truth is None:
-        text = f"{estimate.label}: expected a certificate that says what it estimates, found none; take centre start"
+        text = f"{estimate.label}: expected a certificate that names the true value, found none; use centre start"
         raise MissingError(text)
     declared = next(s for s in diagram.blocks[estimate.block].states if s.name == estimate.name)
     options = {"box": declared.box, "ball": declared.ball}
@@ -143,7 +143,7 @@ def _adapted(diagram: Diagram, estimate: Variable, state: Array, centre: Centre)
 
 
 def _known(diagram: Diagram, signal: Signal, matrix: SX, joints: Variable) -> dict[str, Any]:
-    """Where nothing is adapted, every translation may be wrong, those too that are zero in the model."""
+    """Set about known kinematics: every translation may be wrong, also those that are zero in the model."""
     if diagram.robot is None:
         raise MissingError(f"{signal.label}: expected a robot, whose translations are the parameters; found none")
     robot = SymbolicRobot(diagram.robot)
@@ -174,7 +174,7 @@ def _known(diagram: Diagram, signal: Signal, matrix: SX, joints: Variable) -> di
 
 
 def _enclosed(diagram: Diagram) -> list[Enclosure]:
-    """The loop's parameters, each element a number or, where it is rational, an enclosure of it."""
+    """Parameters of the loop, each element a number or, if it is rational, an enclosure."""
     enclosed = list[Enclosure]()
     for parameter in diagram.loop.parameters:
         rational = parameter.rational
@@ -183,7 +183,7 @@ def _enclosed(diagram: Diagram) -> list[Enclosure]:
     return enclosed
 
 
-_GIVE: Final = "give the joint path of a run: rank_region(..., path=...)"
+_PASS_PATH: Final = "pass the joint path of a run: rank_region(..., path=...)"
 
 
 def _goal(loop: ClosedLoop) -> tuple[str, str, SX, SX]:
@@ -195,36 +195,36 @@ def _goal(loop: ClosedLoop) -> tuple[str, str, SX, SX]:
 
 
 def _refuse_others(diagram: Diagram, label: str, output: str) -> None:
-    """The robot follows no other goal than this one: its joint path would be another."""
+    """Raise `MissingError` if the robot follows another goal, which would change its joint path."""
     loop = diagram.loop
     led = dict(loop.led).get(output)
     if led is not None:
-        text = f"found {led}, which a block of the controller makes of {label}, and which {output} follows"
-        raise MissingError(f"rank: expected a path that is known in advance, {text}; {_GIVE}")
+        text = f"found {led}, which a controller block computes from {label} and {output} follows"
+        raise MissingError(f"rank: expected a path that is known in advance, {text}; {_PASS_PATH}")
     sources = {name for name, block in diagram.blocks.items() if block.side is Side.SOURCE}
     others = [s.label for s in loop.outputs if s.block in sources and s.name.endswith("_d") and s.label != label]
     if others:
-        text = f"found {listed(others)} too, which decides the joints with it and is not followed here"
-        raise MissingError(f"rank: expected {label} as the one goal, {text}; {_GIVE}")
+        text = f"found {listed(others)} too, which also determines the joint positions and is not supported here"
+        raise MissingError(f"rank: expected {label} as the only goal, {text}; {_PASS_PATH}")
 
 
 def _timed(loop: ClosedLoop, label: str, desired: SX) -> SX:
-    """The desired path as a function of time and parameters; refused where it is none."""
+    """Desired path as a function of time and parameters; raises `MissingError` if it depends on anything else."""
     wanted = loop.on_path(loop.joined([desired])[0])
     others = symbols_in([wanted]) - symbols_in([loop.time]) - symbols_in([loop.p])
     if others:
         moving = listed([v.label for v in loop.variables if v.identities & others] or ["a signal"])
-        text = f"found {label}, whose time is not that of the run: it moves with {moving}"
-        raise MissingError(f"rank: expected a path that is a function of time, {text}; {_GIVE}")
+        text = f"found {label}, which also depends on {moving}"
+        raise MissingError(f"rank: expected a path that is a function of time, {text}; {_PASS_PATH}")
     return wanted
 
 
-def _reach(loop: ClosedLoop, desired: SX, actual: SX, joints: Variable) -> Reach:
+def _reach(loop: ClosedLoop, desired: SX, actual: SX, joints: Variable) -> ToolPath:
     p = loop.p_values
     values = ca.Function("actual", [joints.symbol, loop.p], [ca.vec(actual)])
     slopes = ca.Function("slope", [joints.symbol, loop.p], [ca.jacobian(ca.vec(actual), joints.symbol)])
     goal = ca.Function("goal", [loop.time, loop.p], [ca.vec(desired)])
-    return Reach(
+    return ToolPath(
         lambda q: np.asarray(values(q, p).full().ravel()),
         lambda q: np.asarray(slopes(q, p).full()),
         lambda t: np.asarray(goal(t, p).full().ravel()),

@@ -1,4 +1,4 @@
-"""The region of kinematic parameters on which a Jacobian keeps its rank along a path."""
+"""Region of kinematic parameters in which a Jacobian keeps full row rank along a path."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from dmframe.analysis.path_tube import path_tube
 from dmframe.analysis.rank_bound import Shape
 from dmframe.analysis.rank_problem import Centre, RankProblem, rank_problem
 from dmframe.analysis.rank_search import LARGEST, Cover, RankSearch
+from dmframe.common.errors import ValueFault
 from dmframe.diagram import Diagram
-from dmframe.errors import ValueFault
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 MOST_BOXES: Final = 40_000
-SHARE: Final = 0.1
+LEAST_FRACTION: Final = 0.1
 """Default required singular value, as a fraction of the least one along the path."""
 
 LOST: Final = 1e-9
@@ -65,53 +65,52 @@ class RankLoss:
 @final
 @dataclass(frozen=True)
 class RankRegion:
-    r"""A set of kinematic parameters on which :math:`J J^\top \ge c^2 I` is proved along a joint path.
+    r"""Set of kinematic parameters for which :math:`J J^\top \ge c^2 I` is proved along a joint path.
 
     For every q within `tube` of the joint path, in each joint, and every :math:`a_k` in the set, every singular value
-    of J is at least `certified` > 0. That is proved, by interval arithmetic with outward rounding, for all real q and
-    :math:`a_k` there. Assumed is that the robot stays in the tube and the estimate in its set, which a projection onto
-    the set sees to. The joint path is exact: inverse kinematics gives poses in floating point, and for every time up to
-    `until` a pose that puts the tool on its path is proved to lie within `apart` of the lines between them, in each
-    joint. That is not so of a path that was given: there the lines are the path.
+    of J is at least `certified` > 0. The proof uses interval arithmetic with outward rounding and covers all real q and
+    :math:`a_k` there. It assumes that the robot stays in the tube and the estimate in its set (ensured by a
+    projection). The joint path is exact: inverse kinematics gives poses in floating point, and for every time up to
+    `until` a pose with the tool on its path is proved to lie within `line_distance` of the lines between them, in each
+    joint. For a path that was given, the lines are the path.
 
     Parameters
     ----------
     matrix
         ``block.port`` of J.
     parameters
-        ``block.state`` of the estimate, or ``robot.a_k`` where the kinematics are known: the region is then what the
-        model may be wrong by.
+        ``block.state`` of the estimate, or ``robot.a_k`` for known kinematics: the region then bounds the model error.
     names, centre, half
-        (h,) each: what the parameters place, the middle of the set, and its half-widths or half axes [m].
+        (h,) each: names of the parameters, centre of the set, and its half-widths or half-axes [m].
     shape
         box, or ball (with unequal `half`, an ellipsoid).
     radius
         The largest of `half` [m].
     option
-        ``block.parameter`` of the graph that takes the set; None where the kinematics are known.
+        ``block.parameter`` of the graph for the set; None for known kinematics.
     start_inside
-        False where the estimate starts outside the set; None where the kinematics are known.
+        False if the initial estimate is outside the set; None for known kinematics.
     tube
-        In each joint [rad].
+        Largest deviation of each joint from the path [rad].
     asked, certified
         Required c, and certified least singular value. [unit]
     nominal
-        The least singular value at the path's poses and the set's middle, in floating point. [unit]
+        Least singular value at the path's poses and the set's centre, in floating point. [unit]
     unit
-        Of the singular values.
+        Unit of the singular values.
     time, q
-        Where along the path the certified value is least [s], and the pose in the middle of that box.
+        Time of the least certified value [s], and the centre pose of that box.
     fails_at
-        Radius with known parameters that violate `asked`, in floating point; None if none was found. The largest region
-        is between `radius` and this [m].
+        Radius of a set with known parameters that violate `asked`, in floating point; None if none was found. The
+        largest region has a radius between `radius` and this [m].
     path
         The joint path.
     boxes
-        Of poses, over which it was proved.
+        Number of boxes of poses in the proof.
     model
         Fingerprint of the diagram.
     redundant
-        The robot has many joint paths along which the tool follows its path; this one is the shortest, pose by pose.
+        True for a redundant robot: this joint path, with minimum-norm steps, is one of many.
     loss
         Reason for the absence of a region; `radius` and `certified` are then 0.
     """
@@ -140,7 +139,7 @@ class RankRegion:
 
     @property
     def holds(self) -> bool:
-        """True where there is a region."""
+        """True if there is a region."""
         return self.loss is None
 
     @property
@@ -149,9 +148,13 @@ class RankRegion:
         return self.path.until
 
     @property
-    def apart(self) -> float | None:
+    def line_distance(self) -> float | None:
         """Bound on the distance of the exact joint path from the lines [rad]; None for a given path."""
-        return None if self.path.apart is None or not self.holds else float(np.max(self.path.apart, initial=0.0))
+        return (
+            None
+            if self.path.line_distance is None or not self.holds
+            else float(np.max(self.path.line_distance, initial=0.0))
+        )
 
     @property
     def radius(self) -> float:
@@ -173,19 +176,18 @@ def rank_region(
     path: JointPath | None = None,
     progress: Progress | None = None,
 ) -> RankRegion:
-    r"""The largest set of :math:`a_k` found on which J keeps full row rank along the desired path.
+    r"""Largest set of :math:`a_k` found for which J keeps full row rank along the desired path.
 
-    The joint path follows the desired one by inverse kinematics from where a run starts; where that is off the path, it
-    leads there first. Boxes of q cover the tube around it; a lower bound of J's singular values over each
-    (`dmframe.analysis.rank_bound`) is made sharper by cutting the box, until it suffices or cannot. The size of the set
-    is found by bisection.
+    The joint path follows from inverse kinematics and the start of a run, with an approach if the start is off the
+    path. Boxes of q cover the tube around it; boxes are bisected until the lower bound of J's singular values over each
+    (`dmframe.analysis.rank_bound`) suffices or cannot. The size of the set is found by bisection.
 
     Parameters
     ----------
     diagram
         A diagram with a matrix that must keep full row rank, such as ``J_hat``.
     start
-        As `dmframe.simulate.start_state` takes it.
+        As in `dmframe.simulate.start_state`.
     duration
         Covered part of the path [s]; one period of a periodic path.
     tube
@@ -193,22 +195,21 @@ def rank_region(
     least
         c, the required least singular value; default: a tenth of the least one along the path.
     centre
-        truth or start: the middle of the set.
+        truth or start: centre of the set.
     shape
         box or ball.
     scale
-        uniform; length, in proportion to the translation that a parameter belongs to (a tenth of the longest at least);
-        or a number for each parameter. The largest half-width is the radius.
+        uniform; length, in proportion to the parameter's translation (at least a tenth of the longest); or a number for
+        each parameter. The largest half-width is the radius.
     boxes
-        Maximum number of boxes for one size of the set; more find a larger one.
+        Maximum number of boxes for one size of the set; a higher number may give a larger set.
     path
-        A joint path to be taken instead, such as a run's: for a redundant robot, whose own path depends on its
-        controller, too.
+        Joint path to be used instead, such as a run's: that of a redundant robot depends on its controller.
 
     Raises
     ------
     NotApplicableError
-        The diagram has no such matrix, no path, or one of which more than the pose and the parameters is unknown.
+        The diagram has no such matrix or no path, or the matrix depends on other unknowns.
     ValueFault
         An argument is out of its range.
     """
@@ -220,10 +221,10 @@ def rank_region(
     search = RankSearch(problem, path, tube, shape, weights, boxes, tell)
     singular = search.singular(path.poses)
     nominal = float(np.min(singular))
-    required = SHARE * nominal if least is None else least
+    required = LEAST_FRACTION * nominal if least is None else least
     cover, radius, fails_at = None, 0.0, None
     loss = _unreachable(problem, path, float(singular[-1])) or _lost(search, path, nominal, int(np.argmin(singular)))
-    loss = loss or _doubted(search, path)
+    loss = loss or _undecided(search, path)
     if loss is None:
         loss, cover = _middle(search, path, required)
     if cover is not None:
@@ -252,47 +253,49 @@ def rank_region(
         path=path,
         boxes=0 if cover is None else len(cover.least),
         model=diagram.fingerprint,
-        redundant=search.bound.n > search.bound.rows and path.apart is not None,
+        redundant=search.bound.n > search.bound.rows and path.line_distance is not None,
         loss=loss,
     )
 
 
 def _followed(problem: RankProblem, duration: float, tube: float, tell: Progress) -> JointPath:
-    if problem.reach is None:  # only of a path that is given
+    if problem.reach is None:  # only with a user's path
         raise TypeError(problem.matrix)
     stride, proof = min(max(tube / 2, _LEAST_STRIDE), _MOST_STRIDE), path_tube(problem.path, tube)
 
-    def follows(share: float) -> None:
-        tell(f"following the path: {100 * share:.0f} %")
+    def follows(fraction: float) -> None:
+        tell(f"following the path: {100 * fraction:.0f} %")
 
     return joint_path(problem.reach, problem.start, duration, problem.period, stride, proof, follows)
 
 
 def _unreachable(problem: RankProblem, path: JointPath, singular: float) -> RankLoss | None:
-    leave = path.leave
-    if leave is None:
+    path_exit = path.path_exit
+    if path_exit is None:
         return None
-    goal = ", ".join(f"{number:.4g}" for number in leave.goal)
-    away = f"at t = {leave.later:.6g} s it is at [{goal}], {leave.distance:.3g} m from the nearest point in reach"
+    goal = ", ".join(f"{number:.4g}" for number in path_exit.goal)
+    away = (
+        f"at t = {path_exit.later:.6g} s it is at [{goal}], {path_exit.distance:.3g} m from the nearest reachable point"
+    )
     text = (
-        f"the path jumps by {leave.jump:.3g} m at t = {leave.time:.6g} s, where no joint path can follow it"
-        if leave.jump
-        else f"the path leaves the workspace at t = {leave.time:.6g} s: {away}"
-        if leave.distance > REACHED
-        else f"the path passes a singularity at t = {leave.time:.6g} s, behind which no pose near the last reaches it"
+        f"the path jumps by {path_exit.jump:.3g} m at t = {path_exit.time:.6g} s, where no joint path can follow it"
+        if path_exit.jump
+        else f"the path leaves the workspace at t = {path_exit.time:.6g} s: {away}"
+        if path_exit.distance > REACHED
+        else f"the path passes a singularity at t = {path_exit.time:.6g} s, after which no nearby pose reaches it"
     )
     text += f"; the least singular value of {problem.matrix} at the last pose is {singular:.3g} {problem.unit}"
-    return RankLoss("unreachable", leave.time, leave.q, singular, text)
+    return RankLoss("unreachable", path_exit.time, path_exit.q, singular, text)
 
 
-def _doubted(search: RankSearch, path: JointPath) -> RankLoss | None:
-    """Nothing is proved of a path of which the way between two poses is not known."""
-    doubt = path.doubt
-    if doubt is None:
+def _undecided(search: RankSearch, path: JointPath) -> RankLoss | None:
+    """Undecided result for a path whose joint path is not proved between two poses."""
+    unproved = path.unproved
+    if unproved is None:
         return None
-    why = f"that a joint path follows the desired one is not proved from t = {doubt.time:.6g} s on: {doubt.reason}"
-    singular = float(search.singular(doubt.q[None])[0])
-    return RankLoss("undecided", doubt.time, doubt.q, singular, f"{why}; nothing is proved of {search.problem.matrix}")
+    why = f"the joint path is not proved to follow the desired one from t = {unproved.time:.6g} s on: {unproved.reason}"
+    singular = float(search.singular(unproved.q[None])[0])
+    return RankLoss("undecided", unproved.time, unproved.q, singular, f"{why}; no bound on {search.problem.matrix}")
 
 
 def _lost(search: RankSearch, path: JointPath, nominal: float, place: int) -> RankLoss | None:
@@ -328,7 +331,7 @@ def _middle(search: RankSearch, path: JointPath, least: float) -> tuple[RankLoss
 
 
 def _inside(problem: RankProblem, half: Array, shape: Shape) -> bool | None:
-    """True where the estimate starts in the set."""
+    """True if the estimate starts in the set; None without one."""
     if problem.estimate is None:
         return None
     away = np.abs(problem.estimate - problem.centre)

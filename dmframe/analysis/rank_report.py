@@ -8,17 +8,17 @@ from typing import Any, Final
 from dmframe.analysis.rank_region import RankRegion
 
 PROVED: Final = (
-    "Proved, by interval arithmetic with outward rounding, of the model {model}: the bound on J J', for every pose in "
-    "the tube and all parameters in the set. Assumed: the robot stays in the tube."
+    "The bound on J J' is proved for the model {model} by interval arithmetic with outward rounding, for every pose in "
+    "the tube and all parameters in the set. Assumption: the robot stays in the tube."
 )
 EXACT: Final = (
-    "Proved too: at every time from 0 to {until:.6g} s, not only at the poses, the joint path on which the tool "
-    "follows its path lies within {apart:.2g} rad of the lines between the poses, in each joint; the boxes cover the "
-    "tube about it."
+    "At every time from 0 to {until:.6g} s, also between the poses, the joint path on which the tool follows its path "
+    "is proved to lie within {line_distance:.2g} rad of the lines between the poses, in each joint; the boxes cover "
+    "the tube about it."
 )
-WAY: Final = "The straight lines from the start onto the path are an assumption; the robot may move differently."
+APPROACH: Final = "The straight lines from the start onto the path are an assumption; the robot may move differently."
 MANY: Final = "The robot is redundant: this joint path is one of many, and its controller may choose another."
-GIVEN: Final = "The joint path was given: that the tool is on its path was not checked."
+GIVEN: Final = "The joint path was given; whether the tool follows its path on it was not checked."
 KEPT: Final = "The projection keeps the estimate in the set."
 MODEL: Final = "The true translations must be in the set: it bounds the model error."
 
@@ -28,11 +28,11 @@ _MICROMETRE: Final = Decimal("0.000001")
 def proved(region: RankRegion) -> str:
     """Proved statements with their model, and assumptions."""
     parts = [PROVED.format(model=region.model[:12])]
-    if region.apart is None:
+    if region.line_distance is None:
         parts.append(GIVEN)
     else:
-        parts.append(EXACT.format(until=region.until, apart=region.apart))
-        parts += [WAY] * region.path.led + [MANY] * region.redundant
+        parts.append(EXACT.format(until=region.until, line_distance=region.line_distance))
+        parts += [APPROACH] * region.path.has_approach + [MANY] * region.redundant
     return " ".join([*parts, MODEL if region.option is None else KEPT])
 
 
@@ -79,7 +79,7 @@ def rank_summary(name: str, region: RankRegion) -> dict[str, Any]:
             "span": path.span,
             "period": path.period,
             "until": region.until,
-            "apart": region.apart,
+            "apart": region.line_distance,
         },
         "boxes": region.boxes,
         "field_hash": region.model,

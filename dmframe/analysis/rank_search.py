@@ -1,4 +1,4 @@
-"""The search for the largest set of parameters over which a rank bound holds along a joint path."""
+"""Search for the largest set of parameters for which a rank bound is proved along a joint path."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ LARGEST: Final = 10.0
 @final
 @dataclass(frozen=True)
 class Cover:
-    """Boxes of poses, (N, n) from `low` to `high`, that cover the tube.
+    """Boxes of poses, (N, n) from `low` to `high`, that together contain the tube.
 
     Parameters
     ----------
     segment
-        (N,) the piece of the path that each box belongs to.
+        (N,) index of the path segment of each box.
     least
         (N,) certified least singular value over each box; below the required one in a failed cover.
     """
@@ -47,26 +47,26 @@ class Cover:
     least: Array
 
     def among(self, chosen: NDArray[np.bool_]) -> Cover:
-        """Some of the boxes."""
+        """Selected boxes."""
         return Cover(self.low[chosen], self.high[chosen], self.segment[chosen], self.least[chosen])
 
     @staticmethod
     def joined(parts: list[Cover]) -> Cover:
-        """The boxes of several."""
+        """Concatenation of several covers."""
         names = ("low", "high", "segment", "least")
         return Cover(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 @final
 class RankSearch:
-    """One path, one tube, one shape of the set; the set's size varies.
+    """Search over the size of the set for one path, tube and shape.
 
     Parameters
     ----------
     weights
         (h,) half-widths of the set of radius 1.
     most
-        The most boxes for one radius.
+        Maximum number of boxes for one radius.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class RankSearch:
         self._weights, self._progress = weights, tell
 
     def singular(self, q: Array) -> Array:
-        """The least singular value at each pose (N, n), with the parameters at the middle; in floating point."""
+        """Least singular value at each pose (N, n), with the parameters at the centre; in floating point."""
         centre = np.tile(self.problem.centre, (len(q), 1))
         found = self.bound.value(q.T, centre.T, self.problem.values).full()
         return np.asarray(np.linalg.svd(found.T.reshape(len(q), self.bound.columns, -1), compute_uv=False)[:, -1])
@@ -96,9 +96,9 @@ class RankSearch:
         return witness(self.bound, problem.values, self.path.poses, self.tube, problem.centre, half, self.shape, least)
 
     def segments(self) -> Cover:
-        """Box around each piece of the path, enlarged by the tube and the distance bound of the exact path."""
+        """Box around each segment of the path, enlarged by the tube and the distance bound of the exact path."""
         low, high = self.path.hulls
-        wide = self.tube if self.path.apart is None else up(self.tube + self.path.apart)
+        wide = self.tube if self.path.line_distance is None else up(self.tube + self.path.line_distance)
         low, high = down(low - wide), up(high + wide)
         return Cover(low, high, np.arange(len(low)), np.full(len(low), -np.inf))
 
@@ -111,10 +111,10 @@ class RankSearch:
         while len(open_boxes.low):
             count += len(open_boxes.low)
             self._progress(f"radius {radius * 1e3:.4g} mm: {count} boxes")
-            found, share = self._certified(open_boxes, radius)
+            found, contribution = self._certified(open_boxes, radius)
             good = found.least >= least
             done.append(found.among(good))
-            open_boxes, share = found.among(~good), share[~good]
+            open_boxes, contribution = found.among(~good), contribution[~good]
             if not len(open_boxes.low):
                 break
             middle = (open_boxes.low + open_boxes.high) / 2
@@ -122,11 +122,11 @@ class RankSearch:
             at_points, _ = self._certified(points, radius)
             if not (at_points.least >= least).all() or count > self.most:
                 return False, open_boxes
-            open_boxes = _halved(open_boxes, share)
+            open_boxes = _halved(open_boxes, contribution)
         return True, Cover.joined(done)
 
     def largest(self, least: float, begin: Cover, ceiling: float) -> tuple[float, Cover]:
-        """The largest radius found below `ceiling`, and its cover; `begin` covers with radius 0."""
+        """Largest radius found below `ceiling`, and its cover; `begin` is a cover for radius 0."""
         low, high, cover = 0.0, ceiling, begin
         while high - low > max(RESOLUTION * high, _SMALLEST):
             radius = (low + high) / 2
@@ -138,7 +138,7 @@ class RankSearch:
         return low, cover
 
     def fails_at(self, least: float) -> float | None:
-        """The smallest radius found with parameters that refute it; None where there is none below the largest."""
+        """Smallest radius found with a counterexample; None if there is none up to the largest radius."""
         low, high = 0.0, _SMALLEST
         while self.witness(high, least) is None:
             low, high = high, 2 * high
@@ -152,12 +152,12 @@ class RankSearch:
     def _certified(self, boxes: Cover, radius: float) -> tuple[Cover, Array]:
         half = up(radius * self._weights)
         bound = self.bound.over(boxes.low, boxes.high, self.problem.centre, half, self.shape)
-        return Cover(boxes.low, boxes.high, boxes.segment, bound.least), bound.share
+        return Cover(boxes.low, boxes.high, boxes.segment, bound.least), bound.contribution
 
 
-def _halved(boxes: Cover, share: Array) -> Cover:
-    """Each box in two, across the joint whose width adds most to the doubt."""
-    rows, joint = np.arange(len(share)), np.argmax(np.nan_to_num(share), axis=1)
+def _halved(boxes: Cover, contribution: Array) -> Cover:
+    """Bisect each box across the joint whose width contributes most to the uncertainty."""
+    rows, joint = np.arange(len(contribution)), np.argmax(np.nan_to_num(contribution), axis=1)
     middle = (boxes.low[rows, joint] + boxes.high[rows, joint]) / 2
     low, high = boxes.low.copy(), boxes.high.copy()
     low[rows, joint], high[rows, joint] = middle, middle

@@ -1,4 +1,4 @@
-"""Transfer functions of one joint: exact in what is structural, and tested for positive realness."""
+"""Rational transfer functions of one joint, with exact structural zeros, and a test of positive realness."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _NOTHING: Final = 1e-10
-"""What a direction adds to those known, relative to the matrix, below which it adds nothing."""
+"""Size of a Krylov direction's new component, relative to the matrix, below which it is zero."""
 _AXIS: Final = 1e-9
 
 
 @final
 @dataclass(frozen=True)
 class Rational:
-    """num(s) / den(s), coefficients from the highest power down, den monic."""
+    """Transfer function num(s) / den(s): coefficients from the highest power down, den monic."""
 
     num: Array
     den: Array
 
     def at(self, s: Any) -> Any:
-        """Its value at s."""
+        """Value at s."""
         return np.polyval(self.num, s) / np.polyval(self.den, s)
 
     @property
@@ -38,11 +38,11 @@ class Rational:
         return np.asarray(np.roots(self.num), dtype=complex)
 
     def scaled(self, factor: float) -> Rational:
-        """Factor times this."""
+        """Transfer function times a factor."""
         return Rational(self.num * factor, self.den)
 
     def system(self) -> Any:
-        """The same as a `control.TransferFunction`."""
+        """Equivalent `control.TransferFunction`."""
         import control
 
         return control.TransferFunction(self.num, self.den)
@@ -51,15 +51,15 @@ class Rational:
 def transfer(A: Array, b: Array, c: Array, d: float) -> Rational:
     r""":math:`c (sI - A)^{-1} b + d` of the minimal part, by the Leverrier-Faddeev recursion.
 
-    What the input does not reach, or the output does not show, is projected away first: a servo under its exact inverse
-    has such modes, and cancelling their poles with zeros afterwards is hopeless where roots are close.
+    Uncontrollable and unobservable modes, such as those of a servo under its exact inverse, are projected out first:
+    cancelling their poles with zeros afterwards is ill-conditioned for close roots.
     """
     from scipy.linalg import matrix_balance
 
     if len(A):
         A, (scale, _) = matrix_balance(A, permute=False, separate=True)
         b, c = b / scale, c * scale
-    for _ in range(2):  # once for what is reached, once, transposed, for what is shown
+    for _ in range(2):  # first the controllable part, then, transposed, the observable one
         Q = _krylov(A, b)
         A, b, c = (Q.T @ A @ Q).T, Q.T @ c, Q.T @ b
     n = len(A)
@@ -72,7 +72,7 @@ def transfer(A: Array, b: Array, c: Array, d: float) -> Rational:
 
 
 def _krylov(A: Array, b: Array) -> Array:
-    """An orthonormal basis, as columns, of the span of b, A b, A^2 b, ..."""
+    """Orthonormal basis, as columns, of the span of b, A b, A^2 b, ..."""
     Q = np.zeros((len(b), 0))
     new, size = b, float(np.linalg.norm(b))
     while Q.shape[1] < len(b):
@@ -88,7 +88,7 @@ def _krylov(A: Array, b: Array) -> Array:
 
 
 def _clean(p: Array, *, strip: bool = False) -> Array:
-    """A polynomial with zeros for what rounding leaves of them; `strip` drops those that lead."""
+    """Polynomial with rounding errors set to zero; `strip` removes leading zeros."""
     kept = np.where(np.abs(p) > 1e-12 * float(np.max(np.abs(p), initial=0.0)), p, 0.0)
     return np.trim_zeros(kept, "f") if strip and kept.any() else kept
 
@@ -96,7 +96,7 @@ def _clean(p: Array, *, strip: bool = False) -> Array:
 @final
 @dataclass(frozen=True)
 class Passivity:
-    """The test whether a transfer function is positive real, that is passive: least Re H(jw), and where [rad/s]."""
+    """Positive realness (passivity) of a transfer function: least Re H(jw), and its frequency [rad/s]."""
 
     holds: bool
     least: float
@@ -104,9 +104,9 @@ class Passivity:
 
 
 def passivity(H: Rational) -> Passivity:
-    r"""Positive realness: no pole right of the axis, those on it simple with a positive residue, and Re H(jw) >= 0.
+    r"""Test positive realness: no poles right of the axis, simple ones with positive residue on it, and Re H(jw) >= 0.
 
-    Re H(jw) is a rational function of w^2, so that its least value is found among finitely many frequencies.
+    Re H(jw) is a rational function of w^2, so its minimum is among finitely many candidate frequencies.
     """
     top, bottom = _real_part(H)
     slope: Array = np.polysub(np.polymul(np.polyder(top), bottom), np.polymul(top, np.polyder(bottom)))
@@ -120,7 +120,7 @@ def passivity(H: Rational) -> Passivity:
 
 
 def _real_part(H: Rational) -> tuple[Array, Array]:
-    """Numerator and denominator of Re H(jw) as polynomials of w^2, of one length."""
+    """Numerator and denominator of Re H(jw) as polynomials of w^2 with equal lengths."""
     mirrored = _mirrored(H.den)
     top, bottom = _of_square(np.convolve(H.num, mirrored)), _of_square(np.convolve(H.den, mirrored))
     size = max(len(top), len(bottom))
@@ -139,7 +139,7 @@ def _of_square(p: Array) -> Array:
 
 
 def _low(top: Array, bottom: Array) -> float:
-    """The value of top / bottom at zero, where both may vanish."""
+    """Limit of top / bottom at zero, where both may vanish."""
     t, b = list(top[::-1]), list(bottom[::-1])
     size_t, size_b = max(map(abs, t)), max(map(abs, b))
     while len(b) > 1 and abs(b[0]) <= 1e-14 * size_b:

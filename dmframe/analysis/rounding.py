@@ -1,8 +1,8 @@
-r"""A loop without the rounding of its encoders: near a set-point a rounded signal is a staircase of fine steps.
+r"""Loop with declared quantisers, such as encoders, replaced by their mean.
 
-Only a quantiser that a block declares (`Output.rounded_by`) is taken as it is in the mean: z replaces
-step floor(z / step + 1/2), whose mean it is where z is spread evenly over a step. So the steps are taken as fine. Any
-other rounding is a switch, which has its pieces (`dmframe.analysis.switches`): an angle that is wrapped is one.
+A quantiser step floor(z / step + 1/2) has the mean z if z is uniformly distributed over a step, so fine steps are
+assumed. Only quantisers that a block declares (`Output.rounded_by`) are replaced. Any other rounding, such as the
+wrapping of an angle, is a switch with pieces (`dmframe.analysis.switches`).
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from typing import Final
 import casadi as ca
 
 from dmframe.analysis.switches import APPLY, unknown
+from dmframe.block.certificate import SX
 from dmframe.block.model import BlockModel, symbols_in
-from dmframe.certificate import SX
+from dmframe.block.port import Output
+from dmframe.common.errors import BlockError
 from dmframe.diagram import Diagram
-from dmframe.errors import BlockError
-from dmframe.port import Output
 from dmframe.program import CONST, INPUT, Node, Program, read, run
 
 _FLOOR: Final = ca.OP_FLOOR
 
 
 def unrounded(diagram: Diagram) -> Diagram:
-    """The same diagram with what its blocks declare to be rounded as it is in the mean.
+    """Diagram with declared quantisers replaced by their mean.
 
-    Raises `BlockError` for a block that declares of an output what it is not.
+    Raises `BlockError` for a block whose declaration does not match its equations.
     """
     steps = _steps(diagram)
     if not steps:
@@ -36,7 +36,7 @@ def unrounded(diagram: Diagram) -> Diagram:
 
 
 def averaged(diagram: Diagram) -> dict[str, float]:
-    """The outputs that are taken as they are in the mean, ``block.port``, each with its largest step."""
+    """Outputs that are replaced by their mean, ``block.port``, each with its largest step."""
     values = {parameter.label: parameter.value for parameter in diagram.loop.parameters}
     return {
         f"{name}.{port.name}": float(abs(values[f"{name}.{port.rounded_by}"]).max()) for name, port in _all(diagram)
@@ -53,7 +53,7 @@ def _all(diagram: Diagram) -> list[tuple[str, Output]]:
 
 
 def _steps(diagram: Diagram) -> set[int]:
-    """The elements of the declared steps, by their identity."""
+    """Elements of the declared steps, by identity."""
     found, declared = set[int](), _all(diagram)
     for name, port in declared:
         model = diagram.models[name]
@@ -63,7 +63,7 @@ def _steps(diagram: Diagram) -> set[int]:
 
 
 def _check(model: BlockModel, port: Output) -> None:
-    """The output is the input that it replaces, with what is drawn added, rounded to whole steps."""
+    """Check that the output is the replaced input, with random terms added, rounded to whole steps."""
     expression, step = model.equations.outputs[port.name], model.parameters[port.rounded_by]
     measured = model.inputs[port.instead_of]
     drawn = symbols_in([model.inputs[each.name] for each in model.block.inputs if each.drawn])
@@ -90,7 +90,7 @@ def _check(model: BlockModel, port: Output) -> None:
 
 
 def _rounded_at(program: Program, place: int, symbols: Sequence[SX], steps: set[int]) -> int | None:
-    """Where z is, of a value that is p floor(z / p + 1/2) with p one of the steps; None of any other."""
+    """Node of z in a value p floor(z / p + 1/2) with p one of the steps; None for any other value."""
     node = program.nodes[place]
     if node.code != ca.OP_MUL:
         return None
@@ -101,7 +101,7 @@ def _rounded_at(program: Program, place: int, symbols: Sequence[SX], steps: set[
 
 
 def _inner(program: Program, floor: int, symbols: Sequence[SX], steps: set[int]) -> tuple[int, int] | None:
-    """The places of p and z, of floor(z / p + 1/2)."""
+    """Nodes of p and z in floor(z / p + 1/2)."""
     total = program.nodes[program.nodes[floor].a]
     if total.code != ca.OP_ADD:
         return None
@@ -120,7 +120,7 @@ def _same(program: Program, one: int, other: int) -> bool:
 
 
 def _mean(expression: SX, steps: set[int]) -> SX:
-    """The expression with each declared rounding as it is in the mean."""
+    """Expression with each declared rounding replaced by its mean."""
     symbols, program = _program(expression)
     if _FLOOR not in program.codes:
         return expression
@@ -144,7 +144,7 @@ def _program(expression: SX) -> tuple[list[SX], Program]:
 
 
 def _values(program: Program, symbols: Sequence[SX], fine: Iterable[int] = ()) -> list[SX]:
-    """The values of all nodes; x - 1/2 of a floor(x) that is fine."""
+    """Values of all nodes, with x - 1/2 for each floor(x) to be averaged."""
     seen, means = list[SX](), set(fine)
 
     def keep(node: Node, value: SX) -> SX:

@@ -1,4 +1,4 @@
-"""Transfer functions of the closed joint servo and of the inverse, joint by joint."""
+"""Transfer functions of the closed joint servo and of the adaptive inverse, by joint."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from dmframe.analysis.additional_friction import AdditionalFriction, additional_friction
 from dmframe.analysis.rational import Passivity, Rational, passivity, transfer
 from dmframe.analysis.rounding import unrounded
 from dmframe.analysis.set_point import computable, equilibrium, frozen
 from dmframe.block import AbstractBlock
 from dmframe.block.model import BlockModel
+from dmframe.block.port import Access, Side
 from dmframe.certify.true_values import true_values
+from dmframe.common.errors import EngineError, MissingError
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.view import view
 from dmframe.diagram.wiring import Wire
-from dmframe.errors import EngineError, MissingError
-from dmframe.port import Access, Side
 
 Array = NDArray[np.float64]
 
@@ -37,7 +38,7 @@ VOLTAGE: Final = "u"
 @final
 @dataclass(frozen=True)
 class Margins:
-    """Of a loop gain: gain margin (a factor), phase margin [deg], and the crossovers at which they are met [rad/s]."""
+    """Gain margin (a factor) and phase margin [deg] of a loop gain, with their crossover frequencies [rad/s]."""
 
     gain: float
     phase: float
@@ -48,29 +49,29 @@ class Margins:
 @final
 @dataclass(frozen=True)
 class JointLoop:
-    r"""One joint with its servo, at a set-point, the other joints held.
+    r"""One joint with its servo at a set-point; the other joints do not move.
 
     Parameters
     ----------
     inertia, viscous, motor
         :math:`M_{jj}` [kg m^2], B [N m s/rad] and K [N m/V].
     servo
-        :math:`K C(s)`: torque for a unit of velocity error dq_c - dq [N m s/rad].
+        :math:`K C(s)`: torque per velocity error dq_c - dq [N m s/rad].
     loop
         :math:`L = K C / (M_{jj} s + B)`.
     tracking
-        dq for dq_c, L / (1 + L).
+        From dq_c to dq: L / (1 + L).
     margins
-        Of L.
+        Stability margins of L.
     passive_servo
-        Of K C; a PID servo alone is not passive.
+        Passivity of K C; a PID servo alone is not passive.
     inverse
-        dq_c for tau_dc, by the inverse at its true values: 1 / (K C). None where no adaptive inverse drives the servo.
+        From tau_dc to dq_c for the inverse at its true values: 1 / (K C). None without an adaptive inverse.
     port
-        The servo with the inverse at its true values, as the rest of the controller sees it: from sigma = dq - dq_ref
-        to the braking torque B sigma + tau_dc - K u. None likewise.
+        The servo with the inverse at its true values: from sigma = dq - dq_ref to the braking torque
+        B sigma + tau_dc - K u. None without an adaptive inverse.
     passive_port
-        Its passivity, on which the certificate rests: for a PID servo it is M_bar >= 0.
+        Passivity of `port`, required by the certificate: M_bar >= 0 for a PID servo.
     """
 
     joint: str
@@ -90,17 +91,18 @@ class JointLoop:
 def servo_transfer(
     diagram: Diagram, state: Array | None = None, *, start: Mapping[str, Any] | None = None
 ) -> tuple[JointLoop, ...]:
-    """The joint loops of a diagram at a state, by default at its equilibrium.
+    """Transfer functions of the joint servos of a diagram at a state, by default its equilibrium.
 
-    The servo is the block of the plant that takes dq_c and gives u; the arm is the one that takes u. M is read from the
-    arm's own equations, as the inverse of the slope of ddq in the torque.
+    The servo is the plant block from dq_c to u; friction in between that depends on the velocity alone is left out, see
+    `left_out`; the arm is the block with input u. M is the inverse of the slope of ddq
+    in the torque, from the arm's equations.
 
     Raises
     ------
     MissingError
-        A diagram without a servo and an arm of that kind.
+        The diagram has no such servo and arm.
     EngineError
-        Numbers that overflow.
+        Transfer functions overflow.
     """
     still = unrounded(frozen(diagram))
     point = equilibrium(still, start=start) if state is None else np.asarray(state, dtype=float)
@@ -111,7 +113,7 @@ def servo_transfer(
     found = list[JointLoop]()
     for j, name in enumerate(names):
         try:
-            with np.errstate(all="ignore"):  # overflow is reported below, or does not matter
+            with np.errstate(all="ignore"):  # overflow is reported below
                 found.append(_joint(diagram, servo, inverse, name, j, (float(M[j, j]), float(B[j]), float(K[j]))))
         except (np.linalg.LinAlgError, OverflowError):
             raise EngineError(f"servo: the transfer functions of {name} overflow; take gains nearer to 1") from None
@@ -163,10 +165,10 @@ def margins(loop: Rational) -> Margins:
 
 
 def _servo_and_arm(diagram: Diagram) -> tuple[str, str]:
-    """The block that turns dq_c into u, and the one that u drives."""
+    """Names of the servo (from dq_c to u) and of the arm (with input u)."""
     for (arm, port), source in diagram.sources.items():
         if port == VOLTAGE and isinstance(source, Wire) and diagram.blocks[arm].side is Side.PLANT:
-            servo = source.block
+            servo, _ = _through(diagram, source.block)
             shown = diagram.models[arm].equations.outputs.keys()
             if COMMAND in diagram.models[servo].inputs and {"dq", "ddq"} <= shown:
                 return servo, arm
@@ -176,13 +178,33 @@ def _servo_and_arm(diagram: Diagram) -> tuple[str, str]:
                     "transfer functions of the servo would leave out; analyse the graph without"
                 )
     raise MissingError(
-        f"servo: expected a block of the plant that takes {COMMAND} and gives {VOLTAGE} to an arm with dq and ddq, "
+        f"servo: expected a plant block with input {COMMAND} whose output {VOLTAGE} drives an arm with dq and ddq, "
         "found none; transfer functions need one"
     )
 
 
+def left_out(diagram: Diagram) -> tuple[AdditionalFriction, ...]:
+    """Friction between servo and arm that the transfer functions leave out."""
+    for (arm, port), source in diagram.sources.items():
+        if port == VOLTAGE and isinstance(source, Wire) and "ddq" in diagram.models[arm].equations.outputs:
+            return _through(diagram, source.block)[1]
+    return ()
+
+
+def _through(diagram: Diagram, block: str) -> tuple[str, tuple[AdditionalFriction, ...]]:
+    """The block before those that only add friction, from the arm's side, and their friction."""
+    found, passed = list[AdditionalFriction](), block
+    while (friction := additional_friction(passed, diagram.models[passed])) is not None:
+        source = diagram.sources.get((passed, VOLTAGE))
+        if not isinstance(source, Wire):
+            break
+        found.append(friction)
+        passed = source.block
+    return (passed, tuple(found)) if COMMAND in diagram.models[passed].inputs else (block, ())
+
+
 def _between(diagram: Diagram, block: str) -> list[str]:
-    """The blocks that stand between a servo and the arm, the servo's side first, `block` being the last of them."""
+    """Blocks between the servo and the arm, from the servo's side; `block` is the last of them."""
     found = list[str]()
     while any(port.instead_of == VOLTAGE for port in diagram.blocks[block].outputs) and block not in found:
         found.insert(0, block)
@@ -194,9 +216,9 @@ def _between(diagram: Diagram, block: str) -> list[str]:
 
 
 def _inverse(diagram: Diagram, servo: str) -> str | None:
-    """The controller's block that commands the servo, if it adapts to it and takes a sliding variable's torque.
+    """Controller block that commands the servo, if it adapts to it and has a sliding variable's torque as input.
 
-    The inverse of a user's torque, in the torque-based framework, has no sliding variable to be passive at.
+    In the torque-based framework the inverse has no sliding variable, so no passive port.
     """
     source = diagram.sources[servo, COMMAND]
     if not isinstance(source, Wire):
@@ -210,7 +232,7 @@ def _inverse(diagram: Diagram, servo: str) -> str | None:
 
 
 def _arm(still: Diagram, arm: str, point: Array) -> tuple[Array, Array, Array]:
-    """M, B and K at a state; from the arm's equations, and its outputs of those names where it has them."""
+    """M, B and K at a state, from the arm's equations and its outputs of these names."""
     loop, model = still.loop, still.models[arm]
     seen = view(still, arm)
     n = model.inputs[VOLTAGE].numel()
@@ -219,7 +241,7 @@ def _arm(still: Diagram, arm: str, point: Array) -> tuple[Array, Array, Array]:
         for name, default in (("K", ca.SX.ones(n)), ("B", ca.SX.zeros(n)))
     }
     slope = ca.jacobian(model.equations.outputs["ddq"], model.inputs[VOLTAGE])
-    read = [ca.vec(symbol) for symbol in model.inputs.values()]  # a load's too, which moves M
+    read = [ca.vec(symbol) for symbol in model.inputs.values()]  # includes a load, which changes M
     meant = [ca.vec(ca.densify(getattr(seen.u, name))) for name in model.inputs]
     slope = loop.on_path(ca.substitute([slope], [ca.vertcat(*read)], [ca.vertcat(*meant)])[0])
     slope = ca.substitute(slope, loop.time, 0)
@@ -235,7 +257,7 @@ def _arm(still: Diagram, arm: str, point: Array) -> tuple[Array, Array, Array]:
 @final
 @dataclass(frozen=True)
 class _System:
-    """A block's linear equations at one joint: dx/dt = A x + B v, y = C x + D v."""
+    """Linear equations of a block at one joint: dx/dt = A x + B v, y = C x + D v."""
 
     A: Array
     B: Array
@@ -251,7 +273,7 @@ def _system(
     fixed: Mapping[str, Array],
     j: int,
 ) -> _System:
-    """One joint of a block whose other states are fixed; all signals are deviations from rest."""
+    """Linear equations of one joint of a block with its other states fixed; signals are deviations from equilibrium."""
     x, v = stack(model.states[s][j] for s in states), stack(model.inputs[i][j] for i in inputs)
     rates = stack(model.equations.rates[s][j] for s in states)
     y = stack(model.equations.outputs[o][j] for o in outputs)
@@ -265,7 +287,7 @@ def _system(
 
 
 def _inverse_transfer(diagram: Diagram, inverse: str, j: int) -> Rational:
-    """dq_c for tau_dc, q_c being the integral of dq_c, as every servo here reports it."""
+    """Transfer function from tau_dc to dq_c, with q_c the integral of dq_c."""
     moving, truth = _inverse_states(diagram, inverse)
     part = _system(diagram.models[inverse], ["q_c", TORQUE], [COMMAND], moving, truth, j)
     size = len(moving) + 1
@@ -275,7 +297,7 @@ def _inverse_transfer(diagram: Diagram, inverse: str, j: int) -> Rational:
 
 
 def _inverse_states(diagram: Diagram, inverse: str) -> tuple[list[str], dict[str, Array]]:
-    """States of the inverse that are no estimates; the true values of those that are."""
+    """States of the inverse that are not estimates, and true values of its estimates."""
     pairs = ((label.split(".", 1), value) for label, value in true_values(diagram).items())
     truth = {state: value for (block, state), value in pairs if block == inverse}
     return [state for state in diagram.models[inverse].states if state not in truth], truth
@@ -306,9 +328,9 @@ def _port(diagram: Diagram, servo: str, inverse: str, j: int, motor: float, visc
 
 
 def _held(free: _System) -> _System:
-    """The system with its last output held at zero by its last input."""
-    share = -1 / free.D[-1, -1]
-    row, feed = share * free.C[-1:], share * free.D[-1:, :-1]
+    """System with its last output held at zero by its last input."""
+    scale = -1 / free.D[-1, -1]
+    row, feed = scale * free.C[-1:], scale * free.D[-1:, :-1]
     return _System(
         free.A + free.B[:, -1:] @ row,
         free.B[:, :-1] + free.B[:, -1:] @ feed,
@@ -318,7 +340,7 @@ def _held(free: _System) -> _System:
 
 
 def _rows(block: Array, first: int, size: int) -> Array:
-    """A block of columns set into rows of full length."""
+    """Rows of full length with a block of columns inserted."""
     wide = np.zeros((block.shape[0], size))
     wide[:, first : first + block.shape[1]] = block
     return wide

@@ -9,12 +9,12 @@ from typing import Any, Final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
 from dmframe.certify.true_values import true_values
+from dmframe.common.errors import EngineError, ValueFault
 from dmframe.diagram import ClosedLoop, Diagram, Variable
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import EngineError, ValueFault
 from dmframe.program import EDGES, JUMPS, KINKS, codes
 from dmframe.simulate import start_state
 
@@ -65,7 +65,7 @@ def equilibrium(
     diagram
         A diagram of `frozen`.
     estimates
-        Values by state label at which the estimates are held, ``{"inverse.w": 0.001}``; the others are at their true
+        Fixed values of estimates by state label, ``{"inverse.w": 0.001}``; the others are at their true
         values.
     start
         As for `dmframe.simulate.start_state`.
@@ -80,13 +80,13 @@ def equilibrium(
     from scipy.linalg import lstsq
 
     loop, T = diagram.loop, period_of(diagram.loop, clock)
-    held = true_values(diagram, resting=True) | _given(loop, estimates or {})
+    fixed = true_values(diagram, resting=True) | _given(loop, estimates or {})
     x = start_state(diagram, start or {})
     labels = [variable.label for variable in loop.variables for _ in range(variable.symbol.numel())]
-    free = np.array([label not in held for label in labels], dtype=bool)
+    free = np.array([label not in fixed for label in labels], dtype=bool)
     for variable in filter(counts, loop.variables):
         x[[other == variable.label for other in labels]] = LATE
-    for label, value in held.items():
+    for label, value in fixed.items():
         x[[other == label for other in labels]] = value
     field = rates(loop)
     slope = field.jacobian()
@@ -107,16 +107,16 @@ def equilibrium(
     worst = int(np.argmax(np.abs(np.nan_to_num(rate, nan=np.inf))))
     if at_rest(rate[worst], x):
         return x
-    moves = f"{labels[worst]} still moves at {rate[worst]:.3g} a {_unit(loop, worst)}"
+    moves = f"{labels[worst]} still changes by {rate[worst]:.3g} per {_unit(loop, worst)}"
     if not (_moderate(rate) and _moderate(now)):
-        moves = f"the search for one leads to where the rate of {labels[worst]}, or its slope, overflows"
+        moves = f"in the search, the rate of {labels[worst]} or its slope overflows"
     raise EngineError(
         f"set-point: expected an equilibrium of the loop with its trajectories frozen, found none; {moves}; "
-        "give estimates with which the loop has an equilibrium, or another start"
+        "use estimates for which the loop has an equilibrium, or another start"
     )
 
 
-def _shortest(slope: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+def _shortest(slope: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Minimum-norm Newton step of a large loop with a sparse Jacobian.
 
     A' (A A' + delta)^-1 b with scaled rows of A; delta regularises zero directions.
@@ -129,18 +129,20 @@ def _shortest(slope: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     A = csc_array(slope / sizes[:, None])
     rows, columns = A.shape
     joined = block_array([[eye_array(columns), A.T], [A, -_DELTA * eye_array(rows)]], format="csc")
-    right = np.concatenate([np.zeros(columns), wanted / sizes])
+    right = np.concatenate([np.zeros(columns), target / sizes])
     factors = splu(joined)
     found = factors.solve(right)
     found = found + factors.solve(right - joined @ found)
     return np.asarray(found[:columns])
 
 
-def at_rest(rate: Any, state: np.ndarray, share: float = 1.0) -> bool:
-    """True for rates below `share` times the tolerance at a state."""
+def at_rest(rate: Any, state: np.ndarray, factor: float = 1.0) -> bool:
+    """True for rates below `factor` times the tolerance at a state."""
     largest = float(np.max(np.abs(np.asarray(rate)), initial=0.0))
     sizes = np.abs(np.asarray(state))
-    return largest <= AT_REST * share * (1 + float(np.max(sizes[sizes < LATE], initial=0.0)))  # without sample counters
+    return largest <= AT_REST * factor * (
+        1 + float(np.max(sizes[sizes < LATE], initial=0.0))
+    )  # without sample counters
 
 
 def computable(loop: ClosedLoop, where: str, numbers: np.ndarray) -> np.ndarray:
@@ -176,7 +178,7 @@ def _given(loop: ClosedLoop, estimates: Mapping[str, Any]) -> dict[str, np.ndarr
         numbers = np.asarray(value, dtype=float)
         if label not in sizes or numbers.shape not in ((), (sizes[label],)):
             raise ValueFault(
-                f"estimates.{label}: expected one number or one an element of a state of the controller, found "
+                f"estimates.{label}: expected one number, or one per element, for a state of the controller, found "
                 f"{numbers.tolist()}; its states are {', '.join(sizes)}"
             )
         values[label] = np.broadcast_to(numbers, (sizes[label],))
@@ -209,9 +211,9 @@ def period_of(loop: ClosedLoop, clock: float | None) -> float:
 
     Raises `EngineError` for a discrete-time loop without a clock.
     """
-    if clock is None and loop.clocked:
-        raise EngineError(f"set-point: expected a clock, found none; {loop.clocked}")
-    return clock if clock is not None and loop.clocked else 0.0
+    if clock is None and loop.discrete_time:
+        raise EngineError(f"set-point: expected a clock, found none; {loop.discrete_time}")
+    return clock if clock is not None and loop.discrete_time else 0.0
 
 
 def _unit(loop: ClosedLoop, row: int) -> str:
@@ -224,12 +226,14 @@ def at_set_point(loop: ClosedLoop, name: str, expression: SX) -> Any:
 
     Raises `EngineError` for a loop whose equations depend on time: it has no equilibrium.
     """
-    held = undrawn(loop, loop.on_path(loop.acting([expression])[0]))
-    if symbols_in([held]) & symbols_in([loop.time]):
+    autonomous = undrawn(loop, loop.on_path(loop.acting([expression])[0]))
+    if symbols_in([autonomous]) & symbols_in([loop.time]):
         timed = [v for v in loop.variables if symbols_in(loop.joined([loop.moves_of(v)])) & symbols_in([loop.time])]
         where = ", ".join(f"{v.label}+" if v.sampled else f"d {v.label}/dt" for v in timed) or name
-        raise EngineError(f"set-point: expected a loop that rests when its trajectories do, found t in {where}")
-    return ca.Function(name, [loop.state, loop.p, loop.period], [ca.cse(held)])
+        raise EngineError(
+            f"set-point: expected a loop that is time-invariant for frozen trajectories, found t in {where}"
+        )
+    return ca.Function(name, [loop.state, loop.p, loop.period], [ca.cse(autonomous)])
 
 
 def undrawn(loop: ClosedLoop, expression: SX) -> SX:

@@ -27,8 +27,8 @@ from dmframe.analysis.linear import Linear, tick_jacobian
 from dmframe.analysis.moves import SplitMoves
 from dmframe.analysis.period import LONGEST, SHORTEST, Bracket
 from dmframe.analysis.set_point import LARGE, MOST, at_rest
+from dmframe.common.errors import DisagreementError, DmframeError, EngineError
 from dmframe.diagram import Diagram
-from dmframe.errors import DisagreementError, DmframeError, EngineError
 from dmframe.exact.ball_matrix import exactly, identity, middles, positive_definite, scaled
 from dmframe.exact.balls import ball, precise
 from dmframe.exact.rounded import Rounded, falls, gram, similar
@@ -43,7 +43,7 @@ _MOST_POWER: Final = 40
 
 _HOPELESS: Final = 1e-12
 _STEPS: Final = 4
-_SHARES: Final = (0.9999, 0.999, 0.99, 0.9, 0.5)
+_FRACTIONS: Final = (0.9999, 0.999, 0.99, 0.9, 0.5)
 """Tested periods, as fractions of the largest stable one in floating point."""
 
 
@@ -53,7 +53,7 @@ _ROUNDING: Final = 1e-7
 _OTHER: Final = 1e-3
 """Largest difference of two spectral radii of one loop, above the splitting of a multiple eigenvalue."""
 
-_ELSEWHERE: Final = 1e-3
+_EQUILIBRIUM_TOLERANCE: Final = 1e-3
 """Largest distance between the floating-point and the enclosed equilibrium."""
 
 _INTEGRATED: Final = 1e-2
@@ -135,7 +135,7 @@ def proved_schur(F: arb_mat, radius: arb | None = None) -> bool:
 
 
 def _falls(F: arb_mat) -> bool:
-    """The same of a large matrix, in floats: in coordinates in which it contracts, a power has a norm below one."""
+    """The same for a large matrix in floating-point balls: a power of it, suitably scaled, has a norm below one."""
     from scipy.linalg import matrix_balance
 
     numbers = middles(F)
@@ -163,14 +163,14 @@ def prove_stability(
     moving: bool = False,
     split: SplitMoves | None = None,
 ) -> tuple[StabilityProof, SplitMoves | None]:
-    """Prove that a linearised loop is stable on its clock, and on as slow a clock as can be.
+    """Prove that a linearised loop is stable at its sampling period, and find the longest provable period.
 
-    Returns the proof, and the split of the loop's moves, which serves the same loop with other numbers.
+    Returns the proof, and the factorisation of the loop, which is valid for the same loop with other parameter values.
 
     Parameters
     ----------
     bracket
-        What floats find of the longest stable period: the search begins below it.
+        Longest stable period in floating point: the search starts below it.
     clock
         The graph's period [s], or None.
     """
@@ -209,18 +209,20 @@ def _compare(
     for own, bound in proved:
         found = linear.spectral_radius(own)
         if not found <= bound + _ROUNDING:
-            raise _disagreement(own, f"{bound:.8g} is proved to bound the eigenvalues, and floats find {found:.8g}")
+            raise _disagreement(
+                own, f"the proved bound of the spectral radius is {bound:.8g}, its floating-point value {found:.8g}"
+            )
     if not proved:
         return
     own, _ = proved[0]
-    if not loop.at(own).within <= _ELSEWHERE:
-        raise _disagreement(own, f"the equilibrium that is enclosed lies {loop.at(own).within:.2g} from that of floats")
+    if not loop.at(own).within <= _EQUILIBRIUM_TOLERANCE:
+        raise _disagreement(own, f"the enclosed equilibrium is {loop.at(own).within:.2g} from the floating-point one")
     found = linear.spectral_radius(own)
-    if linear.at_rest == len(linear.states) - loop.moving - loop.kept:  # else floats leave out others
+    if linear.at_rest == len(linear.states) - loop.moving - loop.kept:  # otherwise the omitted directions differ
         seen = float(np.max(np.abs(np.linalg.eigvals(middles(loop.transition(own)))), initial=0.0))
         if abs(seen - found) > _OTHER:
             raise _disagreement(
-                own, f"the enclosed loop has a spectral radius of {seen:.6g}, that in floats {found:.6g}"
+                own, f"the enclosed loop has a spectral radius of {seen:.6g}, the floating-point loop {found:.6g}"
             )
     if len(linear.states) > LARGE:
         return
@@ -234,8 +236,8 @@ def _compare(
 
 def _disagreement(period: float, text: str) -> DisagreementError:
     return DisagreementError(
-        f"the proof is withdrawn: sampled every {period:g} s, {text}; these are maps of two loops: a defect of "
-        "dmframe or of a block, please report it"
+        f"the proof is withdrawn: sampled every {period:g} s, {text}; this indicates a defect of dmframe or of a "
+        "block, please report it"
     )
 
 
@@ -243,12 +245,12 @@ def _why(linear: Linear, loop: EnclosedLoop, clock: float | None, radius: float 
     """Reason for a missing bound or period."""
     if period is not None and (clock is None or radius is not None):
         return ""
-    if linear.drifting > loop.kept:
-        return f"it has {linear.drifting - loop.kept} ramp modes without a restoring term"
+    if linear.ramp_modes > loop.kept:
+        return f"it has {linear.ramp_modes - loop.kept} ramp modes without a restoring term"
     more = linear.at_rest - len(linear.states) + loop.moving + loop.kept
     if more > 0:
-        return f"floats find that it rests in more directions, by {more}; its equations do not show that"
-    return "floats find it unstable" if clock is not None and linear.spectral_radius(clock) >= 1 else ""
+        return f"in floating point it has {more} more equilibrium directions, which do not follow from its equations"
+    return "it is unstable in floating point" if clock is not None and linear.spectral_radius(clock) >= 1 else ""
 
 
 def _proved_radius(loop: EnclosedLoop, clock: float) -> float | None:
@@ -257,8 +259,8 @@ def _proved_radius(loop: EnclosedLoop, clock: float) -> float | None:
     if not np.all(np.isfinite(numbers := middles(F))):
         return None
     seen = float(np.max(np.abs(np.linalg.eigvals(numbers)), initial=0.0))
-    for share in (0.001, 0.1, 0.9):
-        bound = float(np.format_float_positional(seen + share * (1 - seen), 8))
+    for fraction in (0.001, 0.1, 0.9):
+        bound = float(np.format_float_positional(seen + fraction * (1 - seen), 8))
         if seen < bound < 1 and proved_schur(F, ball(bound)):
             return bound
     return 1.0 if proved_schur(F) else None
@@ -286,8 +288,8 @@ def _longest(loop: EnclosedLoop, bracket: Bracket, own: float | None) -> float |
         while lower and upper <= LONGEST and proved(upper):
             lower, upper = upper, 2 * upper
     else:
-        for share in _SHARES if bracket.stable else ():
-            period = _short(bracket.stable * share)
+        for fraction in _FRACTIONS if bracket.stable else ():
+            period = _short(bracket.stable * fraction)
             if proved(period):
                 lower = period
                 break

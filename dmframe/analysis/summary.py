@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, final
 
+from dmframe.analysis.additional_friction import AdditionalFriction
 from dmframe.analysis.emulation import SECONDS, EmulationLimit, emulation_limits
 from dmframe.analysis.linear import Linear, linearise
 from dmframe.analysis.period import Bracket, StablePeriods, linearised_period, simulated_period
 from dmframe.analysis.rational import Passivity, Rational
+from dmframe.analysis.reference_gain import ReferenceGain, reference_gains
 from dmframe.analysis.rounding import averaged
-from dmframe.analysis.servo import JointLoop, servo_transfer
+from dmframe.analysis.servo import JointLoop, left_out, servo_transfer
 from dmframe.analysis.stability_proof import StabilityProof, prove_stability
-from dmframe.analysis.tie import TieGain, tie_gains
 from dmframe.certify.true_values import estimates_of
+from dmframe.common.errors import listed
 from dmframe.diagram import Diagram
-from dmframe.errors import listed
 from dmframe.exact.rational import Interval
 from dmframe.simulate import Solver
 
@@ -49,7 +51,7 @@ class LoopAnalysis:
         Servo and inverse, joint by joint.
     periods
         Largest stable sampling periods.
-    ties
+    reference_gains
         K_c of each PID inverse, joint by joint.
     proofs
         Interval proofs for `at_rest` and `moving`.
@@ -61,6 +63,8 @@ class LoopAnalysis:
         Outputs declared as rounded, such as encoders, with their largest steps.
     field_hash
         `Diagram.fingerprint`.
+    left_out
+        Friction that the joint loops leave out.
     """
 
     clock: float | None
@@ -68,12 +72,19 @@ class LoopAnalysis:
     moving: Linear
     joints: tuple[JointLoop, ...]
     periods: StablePeriods
-    ties: tuple[TieGain, ...]
+    reference_gains: tuple[ReferenceGain, ...]
     proofs: tuple[StabilityProof, StabilityProof]
     emulation: tuple[EmulationLimit, ...] = ()
     unknown: tuple[str, ...] = ()
     averaged: Mapping[str, float] = field(default_factory=dict)
     field_hash: str = ""
+    left_out: tuple[AdditionalFriction, ...] = ()
+
+    @property
+    def ties(self) -> tuple[ReferenceGain, ...]:
+        """Former name of `reference_gains`."""
+        warnings.warn("LoopAnalysis: ties is now reference_gains", DeprecationWarning, stacklevel=2)
+        return self.reference_gains
 
     @property
     def note(self) -> str:
@@ -84,6 +95,10 @@ class LoopAnalysis:
             note += f" Rounded signals are replaced by their means: {steps}."
         if self.at_rest.kinks:
             note += f" The equilibrium is at an edge of {listed(self.at_rest.kinks)}: the linearisation is one-sided."
+        if self.left_out:
+            note += (
+                f" The joint loops are {'; '.join(map(str, self.left_out))}. The linearised loop contains it at rest."
+            )
         if self.unknown:
             note += f" True values of {', '.join(self.unknown)} are unknown: they have their values at the set-point."
         return note
@@ -121,7 +136,7 @@ def analyse(
         simulated_period(diagram, clock, solver=solver, start=start, horizon=horizon, tell=tell),
     )
     tell("finding the least K_c")
-    ties = tie_gains(diagram, uncertain)
+    gains = reference_gains(diagram, uncertain)
     tell("proving that the linearised loop is stable")
     proof, split = prove_stability(diagram, at_rest, periods.at_rest, clock)
     proofs = proof, prove_stability(diagram, moving, periods.moving, clock, moving=True, split=split)[0]
@@ -133,8 +148,10 @@ def analyse(
     )
     unknown = tuple(label for label, value in estimates_of(diagram, resting=True).items() if value is None)
     joints = servo_transfer(diagram, at_rest.point)
-    means, field_hash = averaged(diagram), diagram.fingerprint
-    return LoopAnalysis(clock, at_rest, moving, joints, periods, ties, proofs, limits, unknown, means, field_hash)
+    means, field_hash, left = averaged(diagram), diagram.fingerprint, left_out(diagram)
+    return LoopAnalysis(
+        clock, at_rest, moving, joints, periods, gains, proofs, limits, unknown, means, field_hash, left
+    )
 
 
 def summary(name: str, analysis: LoopAnalysis) -> dict[str, Any]:
@@ -176,7 +193,7 @@ def summary(name: str, analysis: LoopAnalysis) -> dict[str, Any]:
             }
             for limit in analysis.emulation
         ],
-        "K_c": [_tie(tie) for tie in analysis.ties],
+        "K_c": [_gain(gain) for gain in analysis.reference_gains],
         "averaged": dict(analysis.averaged),
         "kinks": list(analysis.at_rest.kinks),
         "note": analysis.note,
@@ -210,14 +227,14 @@ def _joint(joint: JointLoop) -> dict[str, Any]:
     }
 
 
-def _tie(tie: TieGain) -> dict[str, Any]:
+def _gain(gain: ReferenceGain) -> dict[str, Any]:
     return {
-        "block": tie.block,
-        "joint": tie.joint,
-        "own": float(tie.own),
-        "holds": tie.holds,
-        "least": float(tie.least),
-        "least_without_friction": float(tie.least_without_friction),
+        "block": gain.block,
+        "joint": gain.joint,
+        "own": float(gain.own),
+        "holds": gain.holds,
+        "least": float(gain.least),
+        "least_without_friction": float(gain.least_without_friction),
     }
 
 

@@ -13,20 +13,20 @@ from dmframe.exact.literal import literal
 from dmframe.program import CONST, INPUT, Node, by_code
 
 Term = tuple[int, int]
-"""A value's place in a program, and a power of T by which it is multiplied."""
+"""Index of a value in a program, and the power of T that multiplies it."""
 
 Sum = dict[Term, Fraction]
 
 PERIOD: Final = 2
-"""Which argument of the program is T."""
+"""Index of T among the program's arguments."""
 
 _NAMED: Final = by_code({name: name for name in ("add", "sub", "neg", "twice", "mul", "div")})
 
 
 def sums_of(nodes: Sequence[Node], whole: Sequence[bool] = (), *, inputs_alone: bool = False) -> list[Sum | None]:
-    """Of each value the sum that it is, of inputs and of values that are no sums, or are `whole`.
+    """Each value as a linear combination of inputs and of values that are no sums, or are `whole`.
 
-    None for those that are no sums of inputs, where `inputs_alone` count.
+    With `inputs_alone`, None for values that are not combinations of inputs.
     """
     found, factors, first = list[Sum | None](), list[tuple[Fraction, int] | None](), dict[tuple[int, int], int]()
     for place, (code, a, b, constant, _) in enumerate(nodes):
@@ -60,14 +60,14 @@ def sums_of(nodes: Sequence[Node], whole: Sequence[bool] = (), *, inputs_alone: 
 
 
 def scaled(one: Sum | None, times: Fraction, power: int, otherwise: Sum | None = None) -> Sum | None:
-    """A sum times a number and a power of T; `otherwise`, of what is none."""
+    """Sum times a number and a power of T; `otherwise` if there is no sum."""
     if one is None:
         return otherwise
     return {(place, k + power): times * value for (place, k), value in one.items() if times}
 
 
 def added(one: Mapping[Term, Fraction], other: Mapping[Term, Fraction], factor: Fraction) -> Sum:
-    """A sum and a factor times another, without terms that cancel."""
+    """Sum plus a factor times another, without cancelled terms."""
     found = dict(one)
     for key, value in other.items():
         new = found.get(key, Fraction(0)) + factor * value
@@ -84,13 +84,13 @@ def _times(one: tuple[Fraction, int] | None, other: tuple[Fraction, int] | None)
 
 @final
 class Span:
-    """All sums of some sums, with factors that are rational."""
+    """Linear span of sums over the rational numbers."""
 
     def __init__(self) -> None:
-        self._rows = dict[Term, tuple[Sum, Sum]]()  # by the leading term: the sum, and of which it is made
+        self._rows = dict[Term, tuple[Sum, Sum]]()  # by leading term: the reduced sum and its combination
 
     def add(self, one: Sum, name: Term) -> Sum | None:
-        """One more. Where it is a sum of the others: that relation, factors by name, as a sum that is zero."""
+        """Add a sum; returns the linear relation, factors by name, if it depends on the others."""
         left, made = self._reduced(one, {name: Fraction(1)})
         if not left:
             return made
@@ -98,13 +98,13 @@ class Span:
         return None
 
     def factors(self, one: Sum) -> Sum | None:
-        """The sums of which one is the sum, with their factors by name; None where it is none."""
+        """Factors by name of a sum as a combination of the others; None if it is independent."""
         left, made = self._reduced(one, {})
         return None if left else {key: -value for key, value in made.items()}
 
     def _reduced(self, one: Sum, made: Sum) -> tuple[Sum, Sum]:
         while leading := self._rows.keys() & one.keys():
-            key = min(leading)  # its row brings in later terms alone
+            key = min(leading)  # its row adds later terms only
             row, of = self._rows[key]
             factor = -one[key] / row[key]
             one, made = added(one, row, factor), added(made, of, factor)
@@ -112,7 +112,7 @@ class Span:
 
 
 def conserved(moves: Mapping[int, Sum]) -> list[Sum]:
-    """Invariant sums of states; the first state of each occurs in no other sum.
+    """Linear invariants: constant sums of states; the first state of each occurs in no other sum.
 
     Parameters
     ----------

@@ -14,8 +14,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from dmframe.analysis.least_cut import LEAST, SMALL
-from dmframe.certificate import SX
+from dmframe.analysis.minimum_cut import LEAST, SMALL
+from dmframe.block.certificate import SX
 from dmframe.exact.balls import UndecidedError
 from dmframe.program import (
     COMPARISONS,
@@ -40,22 +40,22 @@ APPLY: Final[Mapping[int, Any]] = {
     else (lambda a, code=code: ca.SX.unary(code, a))
     for code, row in OPERATIONS.items()
 }
-"""Each operation, applied to expressions."""
+"""CasADi operation by code, for expressions."""
 
-_FELT: Final = 1e-9
-"""What an output changes by, relative to 1 + its size, when it jumps."""
+_JUMP: Final = 1e-9
+"""Change of an output, relative to 1 + its size, that counts as a jump."""
 
 _TRUTHS: Final = COMPARISONS | by_code({"not": 0, "and": 0, "or": 0}).keys()
 _NAMES: Final = by_code({row.name: row.name for row in OPERATIONS.values()})
 
 
 def unknown(code: int) -> Exception:
-    """What to raise for an operation that is not known."""
-    return UndecidedError(f"CasADi's instruction {code} is not known here")
+    """Exception for an unknown operation."""
+    return UndecidedError(f"CasADi's instruction {code} is not supported")
 
 
 def values_of(program: Program, symbols: Sequence[SX], keep: Callable[[Node, SX], SX] | None = None) -> list[SX]:
-    """The values of all nodes as expressions; `keep` may replace each, before others are made of it."""
+    """Values of all nodes as expressions; `keep` may replace each before others use it."""
     return run(
         program,
         APPLY,
@@ -67,18 +67,18 @@ def values_of(program: Program, symbols: Sequence[SX], keep: Callable[[Node, SX]
 
 
 def numbers_of(program: Program, symbols: Sequence[SX], at: Sequence[Any]) -> Array:
-    """The values of all nodes at a point, in floating point."""
+    """Values of all nodes at a point, in floating point."""
     values = values_of(program, symbols)
     return np.asarray(ca.Function("nodes", list(symbols), [ca.vertcat(*values)])(*at).full()).ravel()
 
 
 def chosen(program: Program, symbols: Sequence[SX], numbers: Array) -> tuple[SX, SX]:
-    """The outputs with every switch that the numbers decide as it turns out; and the guards that keep it so.
+    """Outputs with every decided switch replaced by its active piece; and the guards of these pieces.
 
     Parameters
     ----------
     numbers
-        The values of all nodes at the point, of `numbers_of`.
+        Values of all nodes at the point, from `numbers_of`.
     """
     values, guards = list[SX](), list[SX]()
     for node, number in zip(program.nodes, numbers, strict=True):
@@ -88,15 +88,15 @@ def chosen(program: Program, symbols: Sequence[SX], numbers: Array) -> tuple[SX,
         elif code == CONST:
             value = ca.SX(constant)
         else:
-            value = _as_it_turns_out(node, number, values, numbers, guards)
+            value = _active_piece(node, number, values, numbers, guards)
         values.append(value)
     (found,) = program.stored(values)
     used = [guard for guard in guards if not guard.is_constant()]
     return ca.vertcat(*found), ca.densify(ca.vertcat(ca.SX(0, 1), *used))
 
 
-def _as_it_turns_out(node: Node, number: float, values: Sequence[SX], numbers: Array, guards: list[SX]) -> SX:
-    """An operation's value, a switch's as it turns out at the point; its guards are added."""
+def _active_piece(node: Node, number: float, values: Sequence[SX], numbers: Array, guards: list[SX]) -> SX:
+    """Value of an operation, of a switch its active piece; its guards are appended."""
     code, a, b = node.code, node.a, node.b
     name = _NAMES.get(code)
     if name is None:
@@ -105,20 +105,20 @@ def _as_it_turns_out(node: Node, number: float, values: Sequence[SX], numbers: A
     plain = APPLY[code](x, y) if OPERATIONS[code].arity == 2 else APPLY[code](x)
     if plain.is_constant():
         return plain
-    if code in COMPARISONS and apart(first, last):
+    if code in COMPARISONS and distinct(first, last):
         guards.append(x - y if first > last else y - x)
         return ca.SX(float(number))
-    if name in ("fmin", "fmax") and apart(first, last):
+    if name in ("fmin", "fmax") and distinct(first, last):
         (low, high) = (x, y) if first < last else (y, x)
         guards.append(high - low)
         return low if name == "fmin" else high
     side, other = (1.0 if of > 0 else -1.0 for of in (first, last))
-    if name in ("sign", "fabs") and apart(first, 0.0):
+    if name in ("sign", "fabs") and distinct(first, 0.0):
         guards.append(side * x)
         return ca.SX(side) if name == "sign" else side * x
-    if name == "copysign" and apart(last, 0.0):
+    if name == "copysign" and distinct(last, 0.0):
         guards.append(other * y)
-        if not apart(first, 0.0):
+        if not distinct(first, 0.0):
             return other * APPLY[ca.OP_FABS](x)
         guards.append(side * x)
         return other * side * x
@@ -133,17 +133,17 @@ def _as_it_turns_out(node: Node, number: float, values: Sequence[SX], numbers: A
 
 
 def _step(name: str, x: SX, y: SX, first: float, last: float, guards: list[SX], plain: SX) -> SX:
-    """A rounding, or the rest of a division, within its step; as it is on an edge."""
+    """Rounding or remainder within its step; unchanged on an edge."""
     rest = name in ("fmod", "remainder")
-    if rest and not apart(last, 0.0):
+    if rest and not distinct(last, 0.0):
         return plain
     at, of = (first / last, x / y) if rest else (first, x)
     shift = 0.5 if name == "remainder" else 0.0
     k = float({"floor": np.floor, "ceil": np.ceil, "fmod": np.trunc}.get(name, np.rint)(at))
-    # which numbers have that k: for ceil those up to it, for the quotient 0 those to both sides
+    # numbers with that k: for ceil those up to it, for the quotient 0 those on both sides
     low = k - 1 if name == "ceil" or (name == "fmod" and k <= 0) else k - shift
     high = k if name == "ceil" or (name == "fmod" and k < 0) else k + 1 - shift
-    if not (apart(at, low) and apart(at, high)):
+    if not (distinct(at, low) and distinct(at, high)):
         return plain
     guards.extend((of - low, high - of))
     if rest:
@@ -152,15 +152,15 @@ def _step(name: str, x: SX, y: SX, first: float, last: float, guards: list[SX], 
     return ca.SX(k)
 
 
-def apart(a: float, b: float) -> bool:
-    """True where two numbers differ by more than a point's own error, so that they compare alike nearby."""
+def distinct(a: float, b: float) -> bool:
+    """True if two numbers differ by more than the point's error, so that comparisons have the same result nearby."""
     return abs(a - b) > SMALL * max(abs(a), abs(b)) + LEAST
 
 
 def turning(expression: SX, symbols: Sequence[SX], at: Sequence[Any]) -> tuple[list[str], list[str]]:
-    """The switches of an expression that are on an edge at a point, and that its first argument moves.
+    """Switches of an expression that are on an edge at a point and depend on its first argument.
 
-    First those with which the expression jumps; then those with which its slope alone may jump.
+    First those at which the expression jumps, then those at which only its slope may jump.
     """
     pieces, numbers = read(ca.Function("switches", list(symbols), [ca.cse(ca.densify(ca.vec(expression)))])), None
     if pieces.codes & (JUMPS | KINKS):
@@ -174,14 +174,14 @@ def turning(expression: SX, symbols: Sequence[SX], at: Sequence[Any]) -> tuple[l
         moved.append((node.code == INPUT and node.a == 0) or any(moved[k] for k in node.operands))
         if moved[-1] and node.code in KINKS:
             kinks.add(sign_of(node.code))
-        elif moved[-1] and node.code in JUMPS and (ways := _ways(place, pieces, numbers)):
-            both[place] = ways
+        elif moved[-1] and node.code in JUMPS and (alternatives := _alternatives(place, pieces, numbers)):
+            both[place] = alternatives
     jumps = _jumping(pieces, symbols, at, numbers, both)
     kinks |= {sign_of(pieces.nodes[place].code) for place in both}
     return sorted(jumps), sorted(kinks - jumps)
 
 
-def _ways(place: int, program: Program, numbers: Array) -> list[float]:
+def _alternatives(place: int, program: Program, numbers: Array) -> list[float]:
     """Other values of a switch on its edge near the point; empty if another switch determines it."""
     node, value = program.nodes[place], float(numbers[place])
     name, first, last = _NAMES[node.code], float(numbers[node.a]), float(numbers[node.b])
@@ -197,9 +197,9 @@ def _ways(place: int, program: Program, numbers: Array) -> list[float]:
     if name == "copysign":
         return [-value]
     if name == "atan2":
-        return [-value] if last < 0 and not apart(first, 0.0) else []
+        return [-value] if last < 0 and not distinct(first, 0.0) else []
     if name == "if_else_zero":
-        condition = program.nodes[node.a].code in _TRUTHS or apart(first, 0.0)
+        condition = program.nodes[node.a].code in _TRUTHS or distinct(first, 0.0)
         return [] if condition else [0.0, last]
     return [] if decided else [1.0 - value]
 
@@ -207,7 +207,7 @@ def _ways(place: int, program: Program, numbers: Array) -> list[float]:
 def _jumping(
     program: Program, symbols: Sequence[SX], at: Sequence[Any], numbers: Array, both: Mapping[int, Sequence[float]]
 ) -> set[str]:
-    """Which of some values change the outputs if they are what else they may be."""
+    """Names of switches whose other possible values change the outputs."""
     if not both:
         return set()
     order, places = {place: k for k, place in enumerate(both)}, iter(range(len(program.nodes)))
@@ -221,13 +221,13 @@ def _jumping(
     outputs = ca.Function("outputs", [*symbols, free], [ca.vertcat(*found)])
     own = numbers[list(both)]
     here, jumps = outputs(*at, own).full(), set[str]()
-    for place, ways in both.items():
-        for way in ways:
+    for place, alternatives in both.items():
+        for alternative in alternatives:
             other = own.copy()
-            other[order[place]] = way
-            if np.any(np.abs(outputs(*at, other).full() - here) > _FELT * (1 + np.abs(here))):
+            other[order[place]] = alternative
+            if np.any(np.abs(outputs(*at, other).full() - here) > _JUMP * (1 + np.abs(here))):
                 jumps.add(sign_of(program.nodes[place].code))
     return jumps
 
 
-__all__ = ["APPLY", "apart", "chosen", "numbers_of", "turning", "unknown", "values_of"]
+__all__ = ["APPLY", "chosen", "distinct", "numbers_of", "turning", "unknown", "values_of"]

@@ -10,21 +10,21 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from dmframe.batch.figures import ERROR, TURN, Figures, FigureTable, Measured, Wanted
+from dmframe.batch.figures import ERROR, TURN, Figures, FigureTable, Measured, MeasuredSignals
 from dmframe.batch.groups import SimdRunner, slope_of, speeds_of
 from dmframe.batch.simd import SimdLoop, compiled
 from dmframe.batch.starts import starts_of
 from dmframe.batch.values import columns_of, parameters_of, runs_in, varied
 from dmframe.block.model import SYMBOLIC
+from dmframe.common.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault, raise_all
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.parts import Parts
-from dmframe.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault, raise_all
-from dmframe.results.metrics import TurnError, goal_of, rms_by_eighth, tracking_error, turn_error, turn_of
+from dmframe.results.metrics import TurnError, counted_rows, goal_of, rms_by_eighth, tracking_error, turn_error, turn_of
 from dmframe.simulate import Recording, simulate_many
 from dmframe.simulate.block_starts import once
 from dmframe.simulate.engine import Choice, worth
-from dmframe.simulate.keep import Log, apart_of
+from dmframe.simulate.keep import Log, rotation_distance_of
 from dmframe.simulate.many import cores
 from dmframe.simulate.run import Prepared, prepare
 from dmframe.simulate.step import FIXED, Solver, Step, build_parts
@@ -43,7 +43,7 @@ class Batch:
 
     diagram: Diagram
     duration: float
-    wanted: Wanted
+    wanted: MeasuredSignals
     settings: Mapping[str, Any]
     choice: Choice
     threads: int | None
@@ -55,7 +55,7 @@ class Batch:
         diagram: Diagram,
         duration: float,
         *,
-        wanted: Wanted | None = None,
+        wanted: MeasuredSignals | None = None,
         engine: Choice = "auto",
         threads: int | None = None,
         **settings: Any,
@@ -69,12 +69,12 @@ class Batch:
         """
         if threads is not None and threads < 1:
             raise ValueFault(f"threads: expected at least 1, found {threads}")
-        wanted, loop = wanted or Wanted(), diagram.loop
+        wanted, loop = wanted or MeasuredSignals(), diagram.loop
         known = {*(signal.label for signal in loop.outputs), *(variable.label for variable in loop.variables)}
         raise_all(
             [UnknownNameError("signals", "signal", label, known) for label in wanted.signals if label not in known]
         )
-        measured = {*wanted.signals, ERROR, *([] if apart_of(loop) is None else [TURN])}
+        measured = {*wanted.signals, ERROR, *([] if rotation_distance_of(loop) is None else [TURN])}
         unknown = [label for label in wanted.limits if label not in measured]
         raise_all([UnknownNameError("limits", "measured signal", label, measured) for label in unknown])
         given = {key: value for key, value in settings.items() if value is not None}
@@ -94,7 +94,7 @@ class Batch:
         Raises
         ------
         UnknownNameError, NeedsDiagramError, ValueFault
-            A parameter that does not exist or that shapes the diagram; columns of different lengths. (Faults of single
+            A parameter is unknown or determines the diagram's structure; columns differ in length. (Faults of single
             runs are in `Measured.faults`.)
         """
         columns = columns_of(values)
@@ -125,8 +125,9 @@ class Batch:
         items |= {variable.label: (variable.unit, ca.vec(variable.symbol)) for variable in loop.variables}
         goal, found = goal_of(loop), dict[str, tuple[str, Any]]()
         if goal is not None:
-            unit, actual = items[goal.actual]
-            found[ERROR] = (unit, ca.norm_2(actual - items[goal.desired][1]))
+            shape = next(signal.shape for signal in loop.outputs if signal.label == goal.actual)
+            rows, unit, _ = counted_rows(self.diagram, shape, items[goal.actual][0])
+            found[ERROR] = (unit, ca.norm_2((items[goal.actual][1] - items[goal.desired][1])[rows]))
         if (turn := turn_of(loop)) is not None:
             found[TURN] = (TurnError.unit, turn)
         return found | {label: items[label] for label in self.wanted.signals}
@@ -157,7 +158,7 @@ class Batch:
     @cached_property
     def _slope(self) -> Any:
         loop, step = self.diagram.loop, self.prepared.step
-        timed = ca.depends_on(stack(loop.rates_of(loop.flowing)), loop.period)  # then it is another one on each clock
+        timed = ca.depends_on(stack(loop.rates_of(loop.flowing)), loop.period)  # then it depends on the period
         return once(loop.derived, ("slope", step.period if timed else None), lambda: slope_of(step.rate))
 
     def _in_simd(self, runs: int) -> bool:
@@ -205,7 +206,7 @@ class Batch:
                 table.put(np.array([run]), result)
 
 
-def figures_of_run(run: Recording, wanted: Wanted) -> Measured:
+def figures_of_run(run: Recording, wanted: MeasuredSignals) -> Measured:
     """Reduce one recording to its figures, without units."""
     error, turn = tracking_error(run), turn_error(run)
     values = {} if error is None else {ERROR: error.norm[:, None]}

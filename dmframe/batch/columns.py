@@ -9,13 +9,13 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.batch.batch import figures_of_run
-from dmframe.batch.figures import ERROR, TURN, Figures, Measured, Wanted
+from dmframe.batch.figures import ERROR, TURN, Figures, Measured, MeasuredSignals
+from dmframe.common.errors import DmframeError
+from dmframe.common.units import to_unit
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError
-from dmframe.results.metrics import EIGHTHS, TurnError, goal_of
+from dmframe.results.metrics import EIGHTHS, TurnError, counted_rows, goal_of
 from dmframe.simulate import Recording
-from dmframe.simulate.keep import apart_of
-from dmframe.units import to_unit
+from dmframe.simulate.keep import rotation_distance_of
 
 FIGURES: Final = ("least", "most", "last", "rms_final")
 """Figures of a signal."""
@@ -36,7 +36,7 @@ class Column:
     kind
         ``grid``, ``sampled`` or ``measured``.
     how
-        Of a varied quantity: its ``value``, a ``scale`` of the graph's own value or a ``shift`` from it.
+        How a varied quantity is set: by its ``value``, a ``scale`` of the graph's value or a ``shift`` from it.
     """
 
     name: str
@@ -46,21 +46,23 @@ class Column:
 
 
 def units_of(diagram: Diagram) -> dict[str, str]:
-    """Units of everything that can be measured of a loop, by label."""
+    """Units by label of all measurable quantities of a loop."""
     loop = diagram.loop
     units = {signal.label: signal.unit for signal in loop.outputs}
     units |= {variable.label: variable.unit for variable in loop.variables}
     goal = goal_of(loop)
-    units |= {} if goal is None else {ERROR: units[goal.actual]}
-    return units if apart_of(loop) is None else units | {TURN: TurnError.unit}
+    if goal is not None:
+        shape = next(signal.shape for signal in loop.outputs if signal.label == goal.actual)
+        units[ERROR] = counted_rows(diagram, shape, units[goal.actual])[1]
+    return units if rotation_distance_of(loop) is None else units | {TURN: TurnError.unit}
 
 
 def limits_in(
     units: Mapping[str, str], limits: Mapping[str, Any], where: str
 ) -> tuple[dict[str, float], list[DmframeError]]:
-    """Limits as numbers in the units of their signals, and the faults of those that do not fit; `where` is their key.
+    """Limits as numbers in the units of their signals, and the faults of limits that do not fit; `where` is their key.
 
-    Limits of other labels are left out.
+    Limits of unknown labels are omitted.
     """
     found, faults = dict[str, float](), list[DmframeError]()
     for label, value in limits.items():
@@ -80,8 +82,8 @@ def error_figures(label: str, figures: Figures) -> dict[str, tuple[np.ndarray, s
     return found | {f"{label}_crossed": (figures.crossed[:, 0], "s")}
 
 
-def columns_of(diagram: Diagram, wanted: Wanted) -> list[Column]:
-    """The columns of a loop's figures."""
+def columns_of(diagram: Diagram, wanted: MeasuredSignals) -> list[Column]:
+    """Columns of a loop's figures."""
     found, units = [Column("diverged", ""), Column("diverged_at", "s")], units_of(diagram)
     for label in (ERROR, TURN):
         if label in units:
@@ -106,7 +108,7 @@ def element_names(label: str, size: int) -> list[str]:
 
 
 def rows_of(found: Measured, columns: Sequence[Column]) -> Columns:
-    """The measured columns of some runs, and their faults; nan where a loop has no such figure."""
+    """Measured columns of runs, and their faults; NaN if a loop has no such figure."""
     rows: Columns = {column.name: np.full(found.runs, np.nan) for column in columns}
     rows["diverged"], rows["diverged_at"] = np.isfinite(found.diverged), found.diverged
     for label, figures in found.signals.items():
@@ -121,14 +123,14 @@ def rows_of(found: Measured, columns: Sequence[Column]) -> Columns:
     return rows
 
 
-def row_of(run: Recording, wanted: Wanted, columns: Sequence[Column]) -> dict[str, Any]:
-    """The measured columns of one whole run."""
+def row_of(run: Recording, wanted: MeasuredSignals, columns: Sequence[Column]) -> dict[str, Any]:
+    """Measured columns of one run."""
     rows = rows_of(figures_of_run(run, wanted), columns)
     return {column.name: rows[column.name][0].item() for column in columns}
 
 
 def joined(parts: Sequence[Columns]) -> Columns:
-    """Tables of runs, one after another."""
+    """Concatenate tables of runs."""
     return {
         name: np.concatenate([part[name] for part in parts])
         if isinstance(column, np.ndarray)

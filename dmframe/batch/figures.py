@@ -9,9 +9,9 @@ from typing import Final, final
 
 import numpy as np
 
-from dmframe.errors import DmframeError, ValueFault
+from dmframe.common.errors import DmframeError, ValueFault
+from dmframe.common.units import plain
 from dmframe.results.metrics import EIGHTHS
-from dmframe.units import plain
 
 ERROR: Final = "error"
 """Label of the Euclidean norm of the tracking error."""
@@ -24,7 +24,7 @@ LEAST, MOST, LAST, CROSSED = range(EIGHTHS, PER_OUTPUT)
 
 @final
 @dataclass(frozen=True)
-class Wanted:
+class MeasuredSignals:
     """What to measure in each run, in addition to the tracking error.
 
     Parameters
@@ -46,12 +46,12 @@ class Wanted:
 @final
 @dataclass(frozen=True, repr=False)
 class Figures:
-    """Figures of one signal in N runs, over the recorded instants; nan where a run diverged before.
+    """Figures of one signal in N runs, over the recorded instants; NaN after a divergence.
 
     Parameters
     ----------
     unit
-        Of all figures except `crossed`, which is in seconds.
+        Unit of all figures except `crossed`, which is in seconds.
     data
         (N, rows, `PER_OUTPUT`).
     """
@@ -106,7 +106,7 @@ class Measured:
     notices
         Warnings about the runs as a whole.
     engine
-        What ran them: ``SIMD batch of 8``, ``compiled``, ``interpreted``, or several of these.
+        Engines used: ``SIMD batch of 8``, ``compiled``, ``interpreted``, or several of these.
     """
 
     signals: Mapping[str, Figures]
@@ -117,7 +117,7 @@ class Measured:
 
     @property
     def runs(self) -> int:
-        """N."""
+        """Number of runs."""
         return len(self.diverged)
 
     @property
@@ -131,7 +131,7 @@ class Measured:
         return {label: (figures.unit, figures.data.shape[1]) for label, figures in self.signals.items()}
 
     def part(self, first: int, stop: int) -> Measured:
-        """The runs [first, stop) alone."""
+        """Results of the runs [first, stop)."""
         signals = {label: Figures(item.unit, item.data[first:stop]) for label, item in self.signals.items()}
         faults = {run - first: fault for run, fault in self.faults.items() if first <= run < stop}
         return Measured(signals, self.diverged[first:stop], faults, self.notices, self.engine)
@@ -143,7 +143,7 @@ class Measured:
 
 @final
 class FigureTable:
-    """Figures of N runs, filled in as the runs end.
+    """Figures of N runs, filled as runs finish.
 
     Parameters
     ----------
@@ -155,9 +155,9 @@ class FigureTable:
     data
         (N, outputs, `PER_OUTPUT`), the rows of all signals in the order of the layout.
     steps
-        By method, the integrator steps chosen for stiff plants [s], with the number of runs that took them.
+        By method, the integrator steps chosen for stiff plants [s], with the number of runs.
     repeated
-        How many runs were repeated with shorter steps.
+        Number of runs repeated with shorter steps.
     """
 
     def __init__(self, layout: Mapping[str, tuple[str, int]], runs: int) -> None:
@@ -181,7 +181,7 @@ class FigureTable:
         self.notices.update(dict.fromkeys(notices))
 
     def measured(self) -> Measured:
-        """All runs."""
+        """Results of all runs."""
         signals, first = dict[str, Figures](), 0
         for label, (unit, rows) in self.layout.items():
             signals[label] = Figures(unit, self.data[:, first : first + rows])
@@ -190,7 +190,7 @@ class FigureTable:
         return Measured(signals, self.diverged, self.faults, (*self.notices, *self._step_notices()), engine)
 
     def _step_notices(self) -> Iterator[str]:
-        """Which integrator steps the stiff runs took."""
+        """Notices on the integrator steps of stiff runs."""
         runs = len(self.diverged)
         for method, steps in self.steps.items():
             least, most = (plain(end(step for step, _ in steps), "s") for end in (min, max))
@@ -198,11 +198,11 @@ class FigureTable:
             many = sum(count for _, count in steps)
             yield f"the plant is stiff in {many} of {runs} runs: {method} takes steps of {span}"
         if self.repeated:
-            yield f"at longer steps the integrator itself diverged in {self.repeated} of {runs} runs"
+            yield f"the integrator diverged at longer steps in {self.repeated} of {runs} runs"
 
 
 def merged(parts: Sequence[tuple[np.ndarray, Measured]], runs: int) -> Measured:
-    """Figures of N runs from those of parts of them. Raises `ValueFault` if these measure different signals."""
+    """Merge results of subsets of N runs; raises `ValueFault` if they measure different signals."""
     layout = parts[0][1].layout
     if any(part.layout != layout for _, part in parts):
         text = "expected runs that measure the same signals, found some with other units or sizes"

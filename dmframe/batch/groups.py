@@ -1,4 +1,4 @@
-"""Which runs go into one SIMD batch, and the figures of each: runs with the same method and similar steps."""
+"""Grouping of runs into SIMD batches by method and number of steps, and their figures."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from dmframe.simulate.step import FIXED, Step
 from dmframe.simulate.stiffness import MOST_SLOPE, RK4_STEPS, fastest, stiffness
 
 TICKS: Final = 16384
-"""Ticks that a thread computes in one call: Ctrl-C takes effect between calls."""
+"""Ticks per call of a thread; Ctrl-C takes effect between calls."""
 
 _STACK: Final = 16 * 2**20
 """Stack of a thread: vector temporaries exceed the default of some systems [bytes]."""
 
 Kinds = Sequence[tuple[Prepared, np.ndarray]]
-"""Method and steps, each with the runs that take them."""
+"""Method and steps, each with the runs that use them."""
 
 
 @final
@@ -42,9 +42,9 @@ class SimdRunner:
     loops
         Machine code for a step's method, if it can be compiled.
     limits
-        Of each output's absolute value.
+        Limit of each output's absolute value.
     threads
-        How many batches are computed at once.
+        Number of concurrent batches.
     """
 
     loops: Callable[[Step], SimdLoop | None]
@@ -57,8 +57,8 @@ class SimdRunner:
     ) -> np.ndarray:
         """Run the columns of p and states, and write their figures to these runs of the table.
 
-        Runs that diverge are repeated with shorter steps, to separate the loop's divergence from the integrator's;
-        see `Prepared.complete`.
+        Diverged runs are repeated with shorter steps, which separates divergence of the loop from that of the
+        integrator; see `Prepared.complete`.
 
         Parameters
         ----------
@@ -70,7 +70,7 @@ class SimdRunner:
         Returns
         -------
         array
-            Which of the N runs are too stiff for a fixed-step method; the table is unchanged for them.
+            Indices of runs that are too stiff for a fixed-step method; their rows of the table are unchanged.
         """
         kinds = [(own, members) for own, members in self._kinds(p, states, speeds) if self._loop(own) is not None]
         for own, members in kinds:
@@ -97,7 +97,7 @@ class SimdRunner:
             stiff = speed < MOST_SLOPE and h * speed > takes
             key = f"{takes / speed:.2g}" if stiff else ""
             own = chosen.get(key) or self.prepared.stepping(states[:, run], p[:, run], speed)
-            if not key or (own.solver.method == "rk4" and h / float(key) <= RK4_STEPS):  # decided by the speed alone
+            if not key or (own.solver.method == "rk4" and h / float(key) <= RK4_STEPS):  # determined by the speed
                 chosen[key] = own
             kind = (own.solver.method, own.step.substeps)
             kinds[kind].append(run)
@@ -139,9 +139,9 @@ class SimdRunner:
         return figures, ended
 
     def _batches(self, kinds: Kinds) -> Iterator[tuple[SimdLoop, np.ndarray, np.ndarray]]:
-        """Runs of one method that share a register, and the steps of each, sorted by number of steps.
+        """Groups of runs of one method that share a register, with their steps, sorted by number of steps.
 
-        A batch takes the time of the run with most steps, so the incomplete batch at the end has the fewest.
+        A batch takes as long as its run with most steps, so the incomplete batch has the fewest.
         """
         for method in dict.fromkeys(own.solver.method for own, _ in kinds):
             alike = [(own, members) for own, members in kinds if own.solver.method == method]
@@ -163,11 +163,11 @@ class SimdRunner:
         states: np.ndarray,
         pool: ThreadPoolExecutor,
     ) -> int:
-        """Repeat the runs that diverged with shorter steps; replace those that the integrator had blown up."""
+        """Repeat diverged runs with shorter steps; replace those in which only the integrator diverged."""
         finer = [(self.prepared.finer(own), members[ended[members] >= 0]) for own, members in kinds]
-        again = [(own, members) for own, members in finer if own is not None and members.size]
-        new_figures, new_ended = self._march(again, p, states, pool)
-        which = np.concatenate([np.zeros(0, np.int64), *(members for _, members in again)])
+        repeated = [(own, members) for own, members in finer if own is not None and members.size]
+        new_figures, new_ended = self._march(repeated, p, states, pool)
+        which = np.concatenate([np.zeros(0, np.int64), *(members for _, members in repeated)])
         before, after = ended[which], new_ended[which]
         better = which[(after < 0) | (after + 1 >= LATER * (before + 1))]
         figures[..., better], ended[better] = new_figures[..., better], new_ended[better]
@@ -184,7 +184,7 @@ class SimdRunner:
         return np.where(ended < 0, np.nan, (ended + 1) * period), found.transpose(2, 0, 1)
 
     def _counts(self, last: np.ndarray) -> np.ndarray:
-        """(8, N): how many recorded instants up to the tick `last` each eighth has."""
+        """(8, N): number of recorded instants per eighth up to the tick `last`."""
         step, every = self.prepared.step, self.prepared.keeping.every
         kept = np.arange(0, self.prepared.ticks + 1, every)
         part = eighth_of(step.instants.times(kept), self.prepared.ticks * step.period)
@@ -201,7 +201,7 @@ def _advance(
 
 @contextmanager
 def _threads(count: int) -> Iterator[ThreadPoolExecutor]:
-    """A pool of threads with a stack for vectors; at Ctrl-C running calls end, and no other begins."""
+    """A pool of threads with a stack for vectors; on Ctrl-C running calls finish and no more start."""
     before = threading.stack_size(_STACK)
     pool = ThreadPoolExecutor(count)
     try:

@@ -1,4 +1,4 @@
-"""Batch runner: figures of many graphs with many values; graphs that differ in numbers alone share one closed loop."""
+"""Batch runner for many graphs; graphs that differ only in numbers share one closed loop."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.batch.batch import Batch
-from dmframe.batch.figures import FigureTable, Measured, Wanted, merged
+from dmframe.batch.figures import FigureTable, Measured, MeasuredSignals, merged
+from dmframe.block.parameter import PAIRS, specs
+from dmframe.common.errors import DmframeError, NeedsDiagramError
 from dmframe.config import BaseGraph
 from dmframe.config.places import placed
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import changed_numbers
-from dmframe.errors import DmframeError, NeedsDiagramError
-from dmframe.parameter import PAIRS, specs
 from dmframe.simulate.engine import Choice
 
 KEPT: Final = 8
-"""Closed loops, and prepared batches, that a runner keeps."""
+"""Number of closed loops, and of prepared batches, in a runner's cache."""
 
 
 @final
@@ -31,7 +31,7 @@ class Runs:
     Parameters
     ----------
     values
-        By ``block.parameter`` a row per run, in the parameter's own unit; other labels are keys of the graph file.
+        By ``block.parameter`` a row per run, in the parameter's unit; other labels are keys of the graph file.
     """
 
     graph: BaseGraph
@@ -40,7 +40,7 @@ class Runs:
 
     @property
     def batched(self) -> bool:
-        """All values are of parameters that the graph states; other values need a graph per run."""
+        """True if all values are parameters that the graph sets; other values require a graph per run."""
         blocks = self.graph.blocks
         labels = (label.partition(".") for label in self.values)
         return all(block in blocks and getattr(blocks[block], key, None) is not None for block, _, key in labels)
@@ -49,7 +49,7 @@ class Runs:
 @final
 @dataclass(eq=False)
 class _Group:
-    """Items with one closed loop, duration and settings; `numbers` are their differences from the loop."""
+    """Items with one closed loop, duration and settings; `numbers` are their parameters that differ from the loop."""
 
     diagram: Diagram
     members: list[Runs] = field(default_factory=list)
@@ -64,7 +64,7 @@ class _Group:
             own = getattr(self.diagram.blocks[block], key)
             full = self.diagram.models[block].values[key].shape
             if specs(type(self.diagram.blocks[block]))[key].form in PAIRS:
-                full = np.shape(own)  # two bounds, each of which may be one number for all elements
+                full = np.shape(own)  # two bounds; each may be one number for all elements
             parts = list[np.ndarray]()
             for item, numbers in zip(self.members, self.numbers, strict=True):
                 given = item.values.get(label)
@@ -81,12 +81,12 @@ class _Group:
 @final
 @dataclass(eq=False)
 class Runner:
-    """Closed loops and prepared batches of one process, for any number of calls.
+    """Cache of closed loops and prepared batches in one process.
 
     Attributes
     ----------
     engine
-        What ran the last batch, see `Measured.engine`.
+        Engine of the last batch, see `Measured.engine`.
     """
 
     engine: str = ""
@@ -96,20 +96,20 @@ class Runner:
     def measure(
         self,
         several: Sequence[Runs],
-        wanted: Callable[[Diagram], Wanted],
+        wanted: Callable[[Diagram], MeasuredSignals],
         *,
         engine: Choice = "compiled",
         threads: int | None = None,
     ) -> list[Measured]:
-        """The figures of each item, in their order.
+        """Measure the figures of each item, in order.
 
-        Items that differ in numbers alone run in one batch. A run whose values change the equations gets its own
-        closed loop.
+        Items that differ only in numbers run in one batch. A run whose values change the equations gets its own closed
+        loop.
 
         Parameters
         ----------
         wanted
-            What to measure of a closed loop.
+            Selects what to measure of a closed loop.
 
         Raises
         ------
@@ -128,7 +128,7 @@ class Runner:
         return [found.get(id(item)) or self._one(item, wanted, how) for item in several]
 
     def loop_of(self, graph: BaseGraph) -> tuple[Diagram, dict[str, Any]]:
-        """A closed loop, and the parameters in which the graph differs from it.
+        """Cached closed loop, and the parameters in which the graph differs from it.
 
         Raises
         ------
@@ -143,7 +143,7 @@ class Runner:
         return self.own_loop(graph), {}
 
     def own_loop(self, graph: BaseGraph, diagram: Diagram | None = None) -> Diagram:
-        """The graph's own closed loop; `diagram` is it, where it is built already."""
+        """Closed loop of the graph; `diagram` if it is already built."""
         for other, own in self._loops.values():
             if other is graph:
                 return own
@@ -163,8 +163,8 @@ class Runner:
                 group.numbers.append(numbers)
         return list(groups.values())
 
-    def _one(self, item: Runs, wanted: Callable[[Diagram], Wanted], how: Mapping[str, Any]) -> Measured:
-        """An item by itself: on a shared loop, else on its own, else a graph per run."""
+    def _one(self, item: Runs, wanted: Callable[[Diagram], MeasuredSignals], how: Mapping[str, Any]) -> Measured:
+        """Measure one item: on a shared loop, else on its own, else with a graph per run."""
         diagram, numbers = self.loop_of(item.graph)
         found: Measured | None = None
         if item.batched and item.count:
@@ -178,9 +178,9 @@ class Runner:
         return found or self._run_by_run(item, diagram, wanted, how)
 
     def _run_by_run(
-        self, item: Runs, diagram: Diagram, wanted: Callable[[Diagram], Wanted], how: Mapping[str, Any]
+        self, item: Runs, diagram: Diagram, wanted: Callable[[Diagram], MeasuredSignals], how: Mapping[str, Any]
     ) -> Measured:
-        """A graph per run."""
+        """Measure one item with a graph per run."""
         parts, faults = list[tuple[np.ndarray, Measured]](), dict[int, DmframeError]()
         for run in range(item.count):
             try:
@@ -199,12 +199,12 @@ class Runner:
         self,
         diagram: Diagram,
         item: Runs,
-        wanted: Callable[[Diagram], Wanted],
+        wanted: Callable[[Diagram], MeasuredSignals],
         values: Mapping[str, np.ndarray],
         count: int,
         how: Mapping[str, Any],
     ) -> Measured | None:
-        """Run one batch with the settings of an item's graph; None if a value shapes the equations."""
+        """Run one batch with the settings of an item's graph; None if a value changes the equations."""
         graph = item.graph
         settings, measured = {**graph.settings, **how}, wanted(diagram)
         key = repr((id(diagram), graph.file.duration, measured, settings))

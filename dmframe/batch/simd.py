@@ -15,7 +15,7 @@ from dmframe.build import load
 from dmframe.build.library import address
 from dmframe.build.trial import called
 from dmframe.codegen import simd_source
-from dmframe.errors import EngineError
+from dmframe.common.errors import EngineError
 from dmframe.results.metrics import EIGHTHS
 from dmframe.simulate.engine import Trial, alike
 from dmframe.simulate.step import Step
@@ -24,13 +24,12 @@ from dmframe.simulate.step import Step
 @final
 @dataclass(frozen=True)
 class SimdLoop:
-    """A compiled loop for `width` runs at once.
+    """Compiled loop for `width` simultaneous runs.
 
     Parameters
     ----------
     step
-        The tick to compute; its recorded outputs are the measured signals. Its number of integrator steps is not used:
-        each run has its own.
+        Tick to compute; its recorded outputs are the measured signals. Each run has its own number of integrator steps.
     """
 
     step: Step
@@ -43,7 +42,7 @@ class SimdLoop:
         return f"SIMD batch of {self.width}"
 
     def start(self, states: np.ndarray, p: np.ndarray, substeps: np.ndarray) -> Group:
-        """A group of as many runs as there are columns, at most `width`; copies of the last one fill the register.
+        """Group of as many runs as there are columns, at most `width`; copies of the last one fill the register.
 
         Parameters
         ----------
@@ -60,7 +59,7 @@ class SimdLoop:
         return Group(count, begin, begin.copy(), p, np.asarray(substeps, dtype=np.int64)[fill], figures, ended)
 
     def advance(self, group: Group, given: np.ndarray, first: int, parts: np.ndarray, limits: np.ndarray) -> int:
-        """Advance a group by one tick fewer than `given` has rows; returns how many of its runs have not diverged.
+        """Advance a group by one tick fewer than `given` has rows; returns the number of runs that have not diverged.
 
         Parameters
         ----------
@@ -69,7 +68,7 @@ class SimdLoop:
         parts
             The eighth of the duration that each row is in, or -1 if the row is not recorded.
         limits
-            Of each output's absolute value.
+            Limit of each output's absolute value.
         """
         whole = ctypes.c_int64
         return int(
@@ -94,18 +93,18 @@ class SimdLoop:
 @final
 @dataclass(frozen=True)
 class Group:
-    """Some runs side by side; the last axis of each array is the element of the register.
+    """Runs computed in parallel; the last axis of each array is the register element.
 
     Parameters
     ----------
     count
-        Runs; the elements after them repeat the last one.
+        Number of runs; further elements repeat the last one.
     substeps
-        (width,), integrator steps per tick: the group takes the time of the run that has most.
+        (width,), integrator steps per tick; the largest determines the computing time.
     figures
         (outputs, `PER_OUTPUT`, width), with sums of squares in place of RMS values.
     ended
-        (width,), the tick after which a run left its bounds; -1 for a run that did not.
+        (width,), tick after which a run left its bounds; -1 if it did not.
     """
 
     count: int
@@ -118,7 +117,7 @@ class Group:
 
 
 def compiled(step: Step) -> tuple[SimdLoop | None, str | None]:
-    """The compiled loop of a tick, or None; and a warning."""
+    """Compiled loop of a tick, or None; and a warning."""
     try:
         loaded = load(simd_source(step.parts, implicit=step.implicit), lambda library: _works(library, step))
     except EngineError as error:
@@ -132,12 +131,12 @@ def compiled(step: Step) -> tuple[SimdLoop | None, str | None]:
 
 
 def _works(library: Path, step: Step) -> bool:
-    """True if each element of the register gives the interpreter's numbers, over one tick."""
+    """True if each register element reproduces the interpreter's results over one tick."""
     answer = called(library, "dm_width", [{"doubles": [0.0]}])
     if answer is None:
         return False
     width = int(answer[0][0])
-    trial = Trial.of(step, 1 + 0.01 * np.arange(width), after=1)  # all near one state, so that none diverges alone
+    trial = Trial.of(step, 1 + 0.01 * np.arange(width), after=1)  # all near one state: none diverges by itself
     brief, given = trial.step, trial.given
     group = SimdLoop(brief, None, width).start(trial.states, trial.p, np.ones(width))
     found = called(

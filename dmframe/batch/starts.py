@@ -1,4 +1,4 @@
-"""Initial states of many runs: `start_state` of each, evaluated at once if the runs differ in numbers alone."""
+"""Initial states of many runs, vectorised if the runs differ only in numbers."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from dmframe.common.errors import DmframeError
 from dmframe.diagram import Diagram, Variable
-from dmframe.errors import DmframeError
 from dmframe.simulate.block_starts import Made
 from dmframe.simulate.instants import DRAWN, Instants
 from dmframe.simulate.start import (
@@ -24,7 +24,7 @@ from dmframe.simulate.start import (
 from dmframe.simulate.start_expressions import symbolic_start
 
 Varied = Callable[[int], Diagram]
-"""(run) -> its diagram, with its numbers."""
+"""Function from the run's index to its diagram."""
 
 
 def starts_of(
@@ -59,7 +59,7 @@ def starts_of(
     posed = list(on_path(diagram, fixed_starts(diagram, given), made))
     symbols = {parameter.label for parameter in diagram.loop.parameters}
     numbers = {variable.label for variable in diagram.loop.variables} & set(labels) - symbols
-    if numbers or len(posed) > 1:  # initial values outside of p; of two poses, one may depend on the other
+    if numbers or len(posed) > 1:  # initial values are not in p; or one of two poses may depend on the other
         for run in range(runs):
             alone(run)
         return states, faults
@@ -68,7 +68,7 @@ def starts_of(
     if unknown is not None:
         read = _read(diagram, *posed[0], made)
         for members in _alike(p[read]):
-            try:  # the pose alone: other faults of the first run are not those of the others
+            try:  # only the pose: other faults of the first run need not occur in the others
                 pose = pose_on_path(varied(members[0]), given, made, unknown)
                 poses[:, members] = pose.reshape(-1, 1, order="F")
             except DmframeError as fault:
@@ -96,7 +96,7 @@ def _begin(diagram: Diagram, given: Mapping[str, Any], unknown: Variable | None,
 
 
 def _read(diagram: Diagram, followed: Any, unknown: Variable, made: Made) -> np.ndarray:
-    """Indices in p of the numbers on which the pose depends."""
+    """Indices in p of the parameters on which the pose depends."""
     read = np.zeros(diagram.loop.p.numel(), dtype=bool)
     for function in goal_and_place(diagram.loop, followed, unknown, made):
         columns = function.sparsity_jac(1, 0) if hasattr(function, "sparsity_jac") else function.jac_sparsity(0, 1)

@@ -9,11 +9,11 @@ from typing import final
 import numpy as np
 
 from dmframe.block import AbstractBlock
+from dmframe.block.gain import Prior
+from dmframe.block.parameter import Spec, specs
+from dmframe.common.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
-from dmframe.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault
-from dmframe.gain import Prior
-from dmframe.parameter import Spec, specs
 
 
 def columns_of(values: Mapping[str, object]) -> dict[str, np.ndarray]:
@@ -39,7 +39,7 @@ def runs_in(columns: Mapping[str, np.ndarray], alike: int = 1) -> int:
 
 
 def varied(diagram: Diagram, columns: Mapping[str, np.ndarray], run: int) -> Diagram:
-    """The diagram with the numbers of one run. Raises what `with_values` does."""
+    """Diagram with the numbers of one run; raises as `with_values`."""
     return with_values(diagram, {label: column[run].tolist() for label, column in columns.items()})
 
 
@@ -49,7 +49,7 @@ def parameters_of(
     """(P, N): the column `ClosedLoop.p_values` of each run, and the faults of runs with values that are not allowed.
 
     All runs are checked at once if the parameters only require a sign and a size; otherwise, and to report a fault,
-    each run is checked by itself.
+    each run is checked separately.
 
     Raises
     ------
@@ -58,12 +58,12 @@ def parameters_of(
     """
     p = np.repeat(diagram.loop.p_values[:, None], runs, axis=1)
     alone = np.ones(runs, dtype=bool)
-    plain = [_plain(diagram, label, column) for label, column in columns.items()]
+    plain = [_independent(diagram, label, column) for label, column in columns.items()]
     if runs and None not in plain:
         alone[:] = False
         for parameter in filter(None, plain):
             alone |= ~parameter.put(p)
-        alone[[0, -1]] = True  # usually two that differ: they show whether the blocks use them as symbols
+        alone[[0, -1]] = True  # usually two different ones: they show whether blocks use the parameters as symbols
     faults = dict[int, DmframeError]()
     for run in np.flatnonzero(alone).tolist():
         try:
@@ -77,15 +77,15 @@ def parameters_of(
 
 @final
 @dataclass(frozen=True)
-class _Plain:
-    """A parameter whose elements may be any finite numbers of one sign, and its rows in p."""
+class _Independent:
+    """Parameter whose elements may be any finite numbers of one sign, with its rows in p."""
 
     sign: str
     column: np.ndarray
     places: tuple[slice, ...]
 
     def put(self, p: np.ndarray) -> np.ndarray:
-        """Write the values of all runs; returns which runs are allowed."""
+        """Write the values of all runs; returns a mask of valid runs."""
         for place in self.places:
             p[place] = self.column.T
         sound = np.all(np.isfinite(self.column), axis=1)
@@ -95,8 +95,8 @@ class _Plain:
         return np.asarray(sound)
 
 
-def _plain(diagram: Diagram, label: str, column: np.ndarray) -> _Plain | None:
-    """A parameter that can be written to p without its block; None for others, and for values of another size."""
+def _independent(diagram: Diagram, label: str, column: np.ndarray) -> _Independent | None:
+    """Parameter that can be written to p without its block; None for others, and for values of another size."""
     block, _, name = label.partition(".")
     owner = diagram.blocks.get(block)
     spec = None if owner is None else specs(type(owner)).get(name)
@@ -112,7 +112,7 @@ def _plain(diagram: Diagram, label: str, column: np.ndarray) -> _Plain | None:
                 return None
             places.append(slice(first, first + size))
         first += size
-    return _Plain(spec.sign, column.reshape(len(column), -1), tuple(places)) if places else None
+    return _Independent(spec.sign, column.reshape(len(column), -1), tuple(places)) if places else None
 
 
 def _elements(spec: Spec, column: bool) -> bool:

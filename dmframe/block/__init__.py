@@ -5,133 +5,25 @@
     from dmframe.block import AbstractBlock, Equations, Input, Output, Positive, Scalar, State
 """
 
-from dmframe.block.adapting import AdaptingBlock
-from dmframe.block.base import AbstractBlock, Equations, Signals
-from dmframe.block.names import names_of, type_name
-from dmframe.certificate import (
-    MONOTONE,
-    SX,
-    Acted,
-    Assumption,
-    Barrier,
-    Certificate,
-    Clipped,
-    CommonLyapunov,
-    Condition,
-    Consumed,
-    DelayLine,
-    Driven,
-    Gathered,
-    Inequality,
-    LeastSquaresSteps,
-    Lemma,
-    LogDet,
-    NormalisedSteps,
-    NormSquare,
-    PlantIdentity,
-    Potential,
-    Square,
-    Steps,
-    TrueValue,
-    beyond,
-    clip,
-    gathered,
-    norm,
-    soft_between,
-    soft_clip,
-    soft_min,
-)
-from dmframe.linalg import inverse_factors, inverse_spd, ldl, solve_spd
-from dmframe.naming import Expression, derivative, named, operation
-from dmframe.parameter import (
-    Around,
-    Ball,
-    Box,
-    Diagonal,
-    Gain,
-    Interval,
-    NonNegative,
-    Positive,
-    PositiveDefinite,
-    Real,
-    Rows,
-    Scalar,
-    Table,
-    Vector,
-)
-from dmframe.port import ANY, PERIOD, TIME, Access, Adapted, Element, Input, Output, Side, State
-from dmframe.text import Written, sentence
+from __future__ import annotations
 
-__all__ = [
-    "ANY",
-    "MONOTONE",
-    "PERIOD",
-    "SX",
-    "TIME",
-    "AbstractBlock",
-    "Access",
-    "Acted",
-    "Adapted",
-    "AdaptingBlock",
-    "Around",
-    "Assumption",
-    "Ball",
-    "Barrier",
-    "Box",
-    "Certificate",
-    "Clipped",
-    "CommonLyapunov",
-    "Condition",
-    "Consumed",
-    "DelayLine",
-    "Diagonal",
-    "Driven",
-    "Element",
-    "Equations",
-    "Expression",
-    "Gain",
-    "Gathered",
-    "Inequality",
-    "Input",
-    "Interval",
-    "LeastSquaresSteps",
-    "Lemma",
-    "LogDet",
-    "NonNegative",
-    "NormSquare",
-    "NormalisedSteps",
-    "Output",
-    "PlantIdentity",
-    "Positive",
-    "PositiveDefinite",
-    "Potential",
-    "Real",
-    "Rows",
-    "Scalar",
-    "Side",
-    "Signals",
-    "Square",
-    "State",
-    "Steps",
-    "Table",
-    "TrueValue",
-    "Vector",
-    "Written",
-    "beyond",
-    "clip",
-    "derivative",
-    "gathered",
-    "inverse_factors",
-    "inverse_spd",
-    "ldl",
-    "named",
-    "names_of",
-    "norm",
-    "operation",
-    "sentence",
-    "soft_between",
-    "soft_clip",
-    "soft_min",
-    "solve_spd",
-    "type_name",
-]
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from dmframe.block.author import *  # noqa: F403
+
+
+def __getattr__(name: str) -> Any:
+    if not (name == "__all__" or (name[0] != "_" and name in _author().__all__)):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(_author(), name)
+
+
+def __dir__() -> list[str]:
+    return list(_author().__all__)
+
+
+def _author() -> Any:
+    """The module with the names; `from dmframe.block import author` would look for it here first."""
+    return import_module("dmframe.block.author")

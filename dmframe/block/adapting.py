@@ -1,4 +1,4 @@
-"""Base class of adaptive blocks: a block states the gradient law; the options of `dmframe.adaptation` extend it.
+"""Base class of adaptive blocks: a block states the gradient law; the options of `dmframe.block.adaptation` extend it.
 
 A block declares its estimates and the error that drives them, and states the direction in which the error moves each
 estimate. The framework derives the states, the parameters of the options, the rates, the initial values and the terms
@@ -15,18 +15,18 @@ from typing import Any, ClassVar, Final, final
 import casadi as ca
 from pydantic.fields import FieldInfo
 
-from dmframe.adaptation import Estimate, Fit, Terms, adaptation
+from dmframe.block.adaptation import Estimate, Fit, Terms, adaptation
 from dmframe.block.base import AbstractBlock, Equations, Signals, owner_of, with_estimates
+from dmframe.block.certificate import SX, Certificate, TrueValue
+from dmframe.block.linalg import metric, times
 from dmframe.block.names import type_name
+from dmframe.block.naming import named, reading
 from dmframe.block.numberless import without_numbers
-from dmframe.certificate import SX, Certificate, TrueValue
-from dmframe.errors import BlockError, MissingError, ValueFault, nearest, raise_all
-from dmframe.linalg import metric, times
-from dmframe.names import latex_name
-from dmframe.naming import named, reading
-from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Scalar
-from dmframe.port import ANY, Adapted, State
-from dmframe.units import rate_over
+from dmframe.block.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Scalar
+from dmframe.block.port import ANY, Adapted, State
+from dmframe.common.errors import BlockError, MissingError, ValueFault, nearest, raise_all
+from dmframe.common.names import latex_name
+from dmframe.common.units import rate_over
 
 FITTED: Final = ("R", "forgetting")
 """The parameters of a fit. A block with a fit declares them itself, since R has the size of its prediction error."""
@@ -121,14 +121,14 @@ class AdaptingBlock(AbstractBlock):
         return without_numbers(self, owner_of(u))._with_nominal(u, p, truth)
 
     def _with_nominal(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
-        said = self.start(u, p, truth)
+        starts = self.start(u, p, truth)
         for item in self.estimates:
-            if item.name in said:
+            if item.name in starts:
                 raise BlockError(
                     f"{owner_of(u)}: start() sets the initial value of {item.name}, which a leak does not use; "
                     "set it in nominal()"
                 )
-        return {**said, **self._nominal(u, p)}
+        return {**starts, **self._nominal(u, p)}
 
     @final
     def composed_certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
@@ -157,9 +157,9 @@ class AdaptingBlock(AbstractBlock):
 
     def _error(self, u: Signals, x: Signals, p: Signals, stated: Equations) -> SX:
         """The error that drives the adaptation; zero for a block that names none."""
-        said = self.error(u, x, p)
-        if said is not None:
-            return said
+        starts = self.error(u, x, p)
+        if starts is not None:
+            return starts
         if self.driven_by in stated.outputs:
             return named(self.driven_by, stated.outputs[self.driven_by])
         return getattr(u, self.driven_by) if self.driven_by else ca.DM(0)
@@ -237,7 +237,7 @@ def _options(block: type[AdaptingBlock]) -> dict[str, tuple[Any, Any]]:
     }
 
 
-def options_said(block: type[AbstractBlock]) -> dict[str, str]:
+def option_descriptions(block: type[AbstractBlock]) -> dict[str, str]:
     """Description of each of these parameters, as marked text."""
     if not issubclass(block, AdaptingBlock):
         return {}
@@ -248,29 +248,29 @@ def options_said(block: type[AbstractBlock]) -> dict[str, str]:
     error = f"${latex_name(block.driven_by)}$"
     robust = (
         "Robust adaptation laws, each off by default: decay towards the initial value; the same, proportional to "
-        f"{error}; no adaptation while {error} is below this width. See `dmframe.adaptation`."
+        f"{error}; no adaptation while {error} is below this width. See `dmframe.block.adaptation`."
     )
     return {name: sets.get(name.rpartition("_")[2], robust) for name in _options(block)}
 
 
-def _known(method: str, said: Mapping[str, Any], estimates: Iterable[Adapted], owner: str) -> Mapping[str, Any]:
+def _known(method: str, starts: Mapping[str, Any], estimates: Iterable[Adapted], owner: str) -> Mapping[str, Any]:
     """The mapping that a method returned, checked against the estimates that the block declares."""
-    if not isinstance(said, Mapping):
-        raise BlockError(f"{owner}: expected {method} to return values by estimate, found {type(said).__name__}")
+    if not isinstance(starts, Mapping):
+        raise BlockError(f"{owner}: expected {method} to return values by estimate, found {type(starts).__name__}")
     known = [item.name for item in estimates]
-    for name in said:
+    for name in starts:
         if name not in known:
             raise BlockError(
                 f"{owner}: {method} returns {name}, which is none of its estimates; {nearest(name, known)}"
             )
-    return said
+    return starts
 
 
-def _hold(what: str, said: Mapping[str, Any], estimates: Iterable[Adapted], owner: str) -> None:
+def _hold(what: str, starts: Mapping[str, Any], estimates: Iterable[Adapted], owner: str) -> None:
     """Check that a method returns a value for each estimate that the block declares, and for no other name."""
-    known, names = {item.name: item for item in estimates}, list(said) if isinstance(said, Mapping) else None
+    known, names = {item.name: item for item in estimates}, list(starts) if isinstance(starts, Mapping) else None
     if names is None:
-        raise BlockError(f"{owner}: {what} {type(said).__name__}; expected values by estimate")
+        raise BlockError(f"{owner}: {what} {type(starts).__name__}; expected values by estimate")
     for name in names:
         if name not in known:
             raise BlockError(f"{owner}: {what} {name}, which is none of its estimates; {nearest(name, known)}")

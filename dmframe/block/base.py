@@ -16,15 +16,16 @@ from typing import TYPE_CHECKING, Any, ClassVar, final
 import casadi as ca
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
-from dmframe import notebook
+from dmframe.block.certificate import SX, Certificate, Condition, Square
 from dmframe.block.faults import parameter_faults, strictly_typed
+from dmframe.block.fields import check_fields
 from dmframe.block.names import type_name
 from dmframe.block.numberless import unreadable, without_numbers
-from dmframe.certificate import SX, Certificate, Condition, Square
-from dmframe.errors import BlockError, DmframeError, nearest, raise_all
-from dmframe.fields import check_fields
-from dmframe.parameter import read, spec_of, specs, with_stated
-from dmframe.port import PERIOD, TIME, Adapted, Element, Input, Output, Port, Side, State
+from dmframe.block.parameter import read, spec_of, specs, with_stated
+from dmframe.block.port import PERIOD, TIME, Adapted, Input, Output, Port, Side, State
+from dmframe.common import notebook
+from dmframe.common.errors import BlockError, DmframeError, nearest, raise_all
+from dmframe.common.names import Element
 
 if TYPE_CHECKING:
     from dmframe.block.evaluate import Values
@@ -123,7 +124,7 @@ def _split_ports(cls: type[AbstractBlock]) -> None:
 class AbstractBlock(BaseModel):
     """The base class of every block. A block is a final subclass in its own file.
 
-    Parameters are pydantic fields declared through `dmframe.parameter`; ports and states are class constants. In
+    Parameters are pydantic fields declared through `dmframe.block.parameter`; ports and states are class constants. In
     the methods below `u` contains the inputs, `x` the states, `p` the parameters as symbols, and `truth` the signals
     that only the analysis may read, each by its name. With `uses_robot`, ``p.robot`` is the symbolic model of the
     robot. If a parameter sets the initial value of a state w, ``p.w_0`` is that value.

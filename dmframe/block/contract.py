@@ -13,11 +13,11 @@ from pydantic import PydanticUndefinedAnnotation
 
 from dmframe.block.base import AbstractBlock
 from dmframe.block.names import names_of
-from dmframe.errors import DmframeError, UnitError, nearest
-from dmframe.names import distinct, look_alikes, unicode_name
-from dmframe.parameter import read, specs
-from dmframe.port import DISTRIBUTIONS, TIME, Access, Adapted, Input, Output, Side, Signal, State
-from dmframe.units import compatible, shorten
+from dmframe.block.parameter import read, specs
+from dmframe.block.port import DISTRIBUTIONS, TIME, Access, Adapted, Input, Output, Side, Signal, State
+from dmframe.common.errors import DmframeError, UnitError, nearest
+from dmframe.common.names import distinct, look_alikes, unicode_name
+from dmframe.common.units import compatible, shorten
 
 _LISTS: Final[Mapping[str, type[Signal | State | Adapted]]] = {
     "inputs": Input,
@@ -141,8 +141,8 @@ def breaches(block: type[AbstractBlock]) -> Iterator[str]:
             near = nearest(reader.drawn, DISTRIBUTIONS)
             yield f"the input {reader.name} is drawn from {reader.drawn}, unknown; {near}"
     for output in block.outputs:
-        for word, said, side in (("steps", output.steps, Side.SOURCE), ("is shown", output.shown, Side.CONTROLLER)):
-            if said and block.side is not side:
+        for word, declared, side in (("steps", output.steps, Side.SOURCE), ("is shown", output.shown, Side.CONTROLLER)):
+            if declared and block.side is not side:
                 yield f"declares that {output.name} {word}, but it is no output of a {side.value}; remove that"
     yield from _ahead_breaches(block)
     yield from _replacing_breaches(block)
@@ -224,7 +224,7 @@ def _source_breaches(block: type[AbstractBlock]) -> Iterator[str]:
     why = "a source is a function of time alone"
     yield from (f"has the state {state.name}; {why}, so state it as a controller or a plant" for state in block.states)
     yield from (
-        f"has the input {port.name}; {why}, and its one input is t, as dmframe.port.TIME"
+        f"has the input {port.name}; {why}, and its one input is t, as dmframe.block.port.TIME"
         for port in block.inputs
         if port != TIME
     )

@@ -12,14 +12,14 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.base import AbstractBlock
+from dmframe.block.certificate import SX
 from dmframe.block.model import model_block
 from dmframe.block.names import type_name
+from dmframe.block.parameter import specs
+from dmframe.block.port import Signal, State
 from dmframe.block.sizes import Sizes, bind_sizes, parameter_arrays
 from dmframe.block.symmetric import unique
-from dmframe.certificate import SX
-from dmframe.errors import DmframeError, MissingError, ShapeError, UnknownNameError, ValueFault, raise_all
-from dmframe.parameter import specs
-from dmframe.port import Signal, State
+from dmframe.common.errors import DmframeError, MissingError, ShapeError, UnknownNameError, ValueFault, raise_all
 
 
 @final

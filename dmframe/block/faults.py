@@ -14,9 +14,9 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from dmframe.block.names import type_name
-from dmframe.errors import BlockError, DmframeError, MissingError, UnknownNameError, ValueFault
-from dmframe.parameter import specs
-from dmframe.units import shorten
+from dmframe.block.parameter import specs
+from dmframe.common.errors import BlockError, DmframeError, MissingError, UnknownNameError, ValueFault
+from dmframe.common.units import shorten
 
 if TYPE_CHECKING:
     from dmframe.block.base import AbstractBlock
@@ -59,16 +59,18 @@ def _fault(block: type[AbstractBlock], detail: ErrorDetails, where: str) -> Dmfr
         case "greater_than_equal" | "less_than_equal":
             (sign, bound), *_ = detail.get("ctx", {}).items()
             words = {"ge": "at least", "le": "at most"}
-            return ValueFault(f"{at}: expected a whole number, {words[sign]} {bound}, found {_said(detail)}", path=path)
+            return ValueFault(
+                f"{at}: expected a whole number, {words[sign]} {bound}, found {_found(detail)}", path=path
+            )
         case "int_type" | "int_parsing" | "int_from_float" | "int_parsing_size":
-            return ValueFault(f"{at}: expected a whole number, found {_said(detail)}", path=path)
+            return ValueFault(f"{at}: expected a whole number, found {_found(detail)}", path=path)
         case "bool_type" | "bool_parsing":
-            return ValueFault(f"{at}: expected true or false, found {_said(detail)}", path=path)
+            return ValueFault(f"{at}: expected true or false, found {_found(detail)}", path=path)
         case _:
             return ValueFault(f"{at}: {detail['msg'][0].lower()}{detail['msg'][1:]}", path=path)
 
 
-def _said(detail: ErrorDetails) -> str:
+def _found(detail: ErrorDetails) -> str:
     """The value that was found, as YAML writes it."""
     found = detail["input"]
     return {True: "true", False: "false"}[found] if isinstance(found, bool) else shorten(repr(found), 40)

@@ -12,16 +12,16 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.base import AbstractBlock, Equations, Signals
+from dmframe.block.certificate import SX
 from dmframe.block.faults import fault_context
+from dmframe.block.linalg import Inverted, inverting, nodes
+from dmframe.block.parameter import specs
+from dmframe.block.port import Adapted, Side, Signal, State
 from dmframe.block.sizes import Sizes
 from dmframe.block.steady import hold_steady, same_expression, stated_equations
 from dmframe.block.symmetric import symmetric_symbol
-from dmframe.certificate import SX
-from dmframe.errors import BlockError, nearest
-from dmframe.interrupts import Insistent
-from dmframe.linalg import Inverted, inverting, nodes
-from dmframe.parameter import specs
-from dmframe.port import Adapted, Side, Signal, State
+from dmframe.common.errors import BlockError, nearest
+from dmframe.common.interrupts import Insistent
 
 SYMBOLIC: Final = Insistent()
 """Lock for creating and reading expressions: CasADi's reference counts are not thread-safe."""

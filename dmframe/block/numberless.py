@@ -13,9 +13,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from dmframe.errors import BlockError, DmframeError
-from dmframe.gain import Prior
-from dmframe.parameter import specs
+from dmframe.block.gain import Prior
+from dmframe.block.parameter import specs
+from dmframe.common.errors import BlockError, DmframeError
 
 if TYPE_CHECKING:
     from dmframe.block.base import AbstractBlock

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, final
 
-from dmframe.block.adapting import options_said
+from dmframe.block.adapting import option_descriptions
 from dmframe.block.base import AbstractBlock
 
 _SECTION: Final = re.compile(r"^([A-Z][A-Za-z ]+)\n-{3,}$", re.MULTILINE)
@@ -42,16 +42,16 @@ def about(block: type[AbstractBlock]) -> About:
     sections = dict(zip(pieces[1::2], pieces[2::2], strict=True))
     return About(
         summary=prose(pieces[0].partition("\n\n")[0]),
-        parameters=_ordered(block, options_said(block) | _parameters(sections.get("Parameters", ""))),
+        parameters=_ordered(block, option_descriptions(block) | _parameters(sections.get("Parameters", ""))),
         notes=prose(sections.get("Notes", "")),
         source=prose(sections.get("References", "")),
     )
 
 
-def _ordered(block: type[AbstractBlock], said: Mapping[str, str]) -> dict[str, str]:
+def _ordered(block: type[AbstractBlock], described: Mapping[str, str]) -> dict[str, str]:
     """Descriptions in the order of the block's parameters; those of other names come last."""
-    order = dict.fromkeys((*block.model_fields, *said))
-    return {name: said[name] for name in order if name in said}
+    order = dict.fromkeys((*block.model_fields, *described))
+    return {name: described[name] for name in order if name in described}
 
 
 def prose(text: str) -> str:
@@ -65,7 +65,7 @@ def prose(text: str) -> str:
 def _parameters(text: str) -> dict[str, str]:
     """``{"Gamma": "Adaptation gain. ..."}``; a line may name several."""
     found = dict[str, str]()
-    for names, _, said in re.findall(r"^(\w+(?:, \w+)*) : ([^\n]*)\n((?:[ \t]+\S.*\n?)+)", text, re.MULTILINE):
+    for names, _, described in re.findall(r"^(\w+(?:, \w+)*) : ([^\n]*)\n((?:[ \t]+\S.*\n?)+)", text, re.MULTILINE):
         for name in names.split(", "):
-            found[name] = prose(said)
+            found[name] = prose(described)
     return found

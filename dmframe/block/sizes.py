@@ -10,13 +10,22 @@ import numpy as np
 
 from dmframe.block.base import AbstractBlock
 from dmframe.block.faults import fault_context
+from dmframe.block.gain import Prior, Rows, check_definite
 from dmframe.block.numberless import without_numbers
-from dmframe.errors import BlockError, DmframeError, MissingError, ShapeError, SizeError, UnknownNameError, ValueFault
-from dmframe.gain import Prior, Rows, check_definite
-from dmframe.parameter import PAIRS, array, joint_faults, specs
-from dmframe.port import Element, Signal, State
+from dmframe.block.parameter import PAIRS, array, joint_faults, specs
+from dmframe.block.port import Signal, State
+from dmframe.common.errors import (
+    BlockError,
+    DmframeError,
+    MissingError,
+    ShapeError,
+    SizeError,
+    UnknownNameError,
+    ValueFault,
+)
+from dmframe.common.names import Element
+from dmframe.common.units import shorten
 from dmframe.robot.rational import decimal
-from dmframe.units import shorten
 
 LARGEST: Final = 10_000
 """The largest number that a block may bind a letter to; graphs whose expressions have more elements are not built."""

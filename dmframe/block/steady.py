@@ -18,10 +18,10 @@ from weakref import WeakKeyDictionary
 import casadi as ca
 
 from dmframe.block.base import AbstractBlock, Equations
+from dmframe.block.certificate import SX
 from dmframe.block.numberless import LARGER, SMALLER, given_values, remade, with_other_numbers
-from dmframe.certificate import SX
-from dmframe.errors import BlockError
-from dmframe.parameter import specs
+from dmframe.block.parameter import specs
+from dmframe.common.errors import BlockError
 
 Stating = Callable[[AbstractBlock], Mapping[str, Any]]
 """Evaluates a method of a block: the returned parts, each with its description."""

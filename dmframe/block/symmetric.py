@@ -12,8 +12,8 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.base import AbstractBlock
-from dmframe.certificate import SX
-from dmframe.parameter import Spec, specs
+from dmframe.block.certificate import SX
+from dmframe.block.parameter import Spec, specs
 
 
 def symmetric_symbol(name: str, value: np.ndarray) -> SX:

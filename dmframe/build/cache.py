@@ -22,8 +22,8 @@ from typing import Final
 import platformdirs
 
 from dmframe.build.compiler import FLAGS, SHARED, CompileFailed, Compiler, processor
-from dmframe.errors import ValueFault
-from dmframe.files import encoded
+from dmframe.common.errors import ValueFault
+from dmframe.common.files import encoded
 
 VARIABLE: Final = "DMFRAME_CACHE"
 MOST_BYTES: Final = 512 * 2**20
@@ -54,7 +54,7 @@ def cache_folder() -> Path:
             usual = Path(platformdirs.user_cache_dir("dmframe", appauthor=False))
         except RuntimeError:
             usual = Path()
-        if not usual.is_absolute():  # some versions leave a ~ in it
+        if not usual.is_absolute():  # some versions do not expand ~
             raise OSError("this user has no home")
         return usual
     try:

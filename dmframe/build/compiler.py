@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 
 NAMES: Final = ("cc", "gcc", "clang")
 
@@ -28,7 +28,7 @@ FLAGS: Final = (TUNED, ("-O2", "-march=native", "-fno-math-errno"), ("-O2",))
 """Sets of flags, tried in order. None of them allows sums to be reordered."""
 
 PLAIN: Final = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-tree-vectorize", "-fPIC", "-shared")
-"""Without fused operations; some vectorisers fuse nevertheless."""
+"""Flags without fused operations; some vectorisers fuse nevertheless."""
 
 SHARED: Final = ("-std=gnu11", "-fPIC", "-shared", "-s", "-w")
 LIMIT = 120.0
@@ -49,15 +49,15 @@ class Compiler:
 
     def build(self, source: Path, library: Path) -> None:
         """Compile one file into a shared library in the same folder. Raises `CompileFailed`."""
-        complaint = ""
+        first_error = ""
         for flags in FLAGS:
             words = [*self.command, *SHARED, *flags, source.name, "-o", library.name, "-lm"]
             status, output = _called(words, source.parent)
             if status == 0 and library.is_file():
                 return
             lines = [line for line in output.splitlines() if "error" in line.lower()] or output.splitlines()
-            complaint = complaint or (lines[0].strip() if lines else f"{self.command[0]}: status {status}")
-        raise CompileFailed(complaint)
+            first_error = first_error or (lines[0].strip() if lines else f"{self.command[0]}: status {status}")
+        raise CompileFailed(first_error)
 
     def build_plain(self, sources: Sequence[Path], library: Path, define: str) -> None:
         """Compile files of one folder as C99 without fused operations: the same numbers on every processor."""
@@ -133,5 +133,6 @@ def processor() -> str:
     except OSError:
         lines = []
     kept = [line for line in lines if line.split(":")[0].strip() in ("model name", "flags", "Features", "CPU part")]
-    text = "\n".join((platform.system(), platform.machine(), platform.processor(), *kept))
+    known = kept or [platform.processor()]  # which starts a process
+    text = "\n".join((platform.system(), platform.machine(), *known))
     return hashlib.sha256(text.encode()).hexdigest()

@@ -8,13 +8,13 @@ from typing import Any, final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX, InformationSquare, LogDet, NormSquare, Potential, Square, Steps
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Gathered, LogDet, NormSquare, Potential, Square, Steps
+from dmframe.block.port import Side
 from dmframe.certify.claim import Claim, NotApplicableError, Part
 from dmframe.certify.form import stepping
 from dmframe.certify.symbols import Group, Symbols, symbols_of
 from dmframe.diagram.closed_loop import stack
-from dmframe.port import Side
 from dmframe.program import Pattern, Program, read
 from dmframe.prove import claim as data
 
@@ -22,7 +22,7 @@ RULES = {
     "Square": "square",
     "NormSquare": "norm_square",
     "Lemma": "monotone",
-    "Gathered": "gathered",
+    "InformationSquare": "gathered",
     "Potential": "potential",
     "LogDet": "log_det",
     "Clipped": "clipped",
@@ -122,7 +122,7 @@ class _Assembly:
             parts = {"vector": vector, "weight": weight}
         else:
             parts["value"] = self._out(f"{prefix}.value", term.value)
-            if isinstance(term, NormSquare | Gathered | Potential):
+            if isinstance(term, NormSquare | InformationSquare | Potential):
                 parts["vector"] = self._out(f"{prefix}.vector", term.vector)
         return data.Term(getattr(term, "of", ""), RULES[kind], parts)
 
@@ -137,7 +137,7 @@ class _Assembly:
             weight="" if part.cascade or not self._of.cascaded else "kappa",
             stored=terms("stored", stated.storage),
             dissipation=terms("dissipation", stated.dissipation),
-            residual=terms("residual", stated.excess),
+            residual=terms("residual", stated.residual),
             errors=terms("error", stated.errors),
             supply=self._out(f"{block}.supply", stated.supply),
             consumed=None if stated.consumes is None else self._term(block, "cross term", stated.consumes),
@@ -155,11 +155,11 @@ class _Assembly:
 
     def _memories(self, part: Part) -> Iterator[tuple[str, str, str]]:
         """Information matrices and their stated rates; once for terms that share one."""
-        seen = list[Gathered]()
+        seen = list[InformationSquare]()
         if self._of.over_samples:
             return
         for term in (*part.certificate.storage, *part.certificate.dissipation):
-            if isinstance(term, Gathered) and not any(_same_memory(term, other) for other in seen):
+            if isinstance(term, InformationSquare) and not any(_same_memory(term, other) for other in seen):
                 seen.append(term)
                 name = f"{part.block}: G of |{term.of}|_G^2"
                 self._of.operator.record.add(name, ca.vec(term.memory))
@@ -218,7 +218,7 @@ class _Assembly:
         """The controller's parameters that V, its dissipation, or the steps of an estimate hold."""
         of = self._of
         stated = [part.certificate for part in of.parts]
-        made = [term.value for item in stated for term in (*item.dissipation, *item.excess)]
+        made = [term.value for item in stated for term in (*item.dissipation, *item.residual)]
         made += [ca.SX(x) for item in stated for steps in item.steps for x in steps.named.values()]
         held = symbols_in([of.V, *made])
         controllers = {name for name, block in of.diagram.blocks.items() if block.side is Side.CONTROLLER}
@@ -231,7 +231,7 @@ class _Assembly:
         ]
 
 
-def _same_memory(one: Gathered, other: Gathered) -> bool:
+def _same_memory(one: InformationSquare, other: InformationSquare) -> bool:
     pairs = zip(one.pieces[2:], other.pieces[2:], strict=True)
     return all(a.shape == b.shape and ca.is_equal(a, b, 2) for a, b in pairs)
 

@@ -13,20 +13,20 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX, Assumption, Square
+from dmframe.block.linalg import ldl
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Assumption, Square
 from dmframe.certify.begun import Begun
 from dmframe.certify.checked import Checked, Finding, Numbers
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.definite import is_mass_matrix
 from dmframe.certify.starts import begun_at
+from dmframe.common.errors import ValueFault
+from dmframe.common.text import DV, Formula, Text, V, sentence, square_of
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import ValueFault
 from dmframe.exact.balls import UndecidedError
 from dmframe.exact.rational import as_float
-from dmframe.linalg import ldl
 from dmframe.prove.definite import lower, upper
-from dmframe.text import DV, Formula, Text, V, sentence, square_of
 
 SIGNS: Final = sentence("{V} is positive, {dV/dt} not")
 SAMPLES: Final = 200

@@ -13,15 +13,16 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from dmframe.barrier import Barrier
-from dmframe.certificate import SX, Square
+from dmframe.block.barrier import Barrier
+from dmframe.block.certificate import SX, Square
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.starts import has_start, start_expression
 from dmframe.certify.statements import Statement
 from dmframe.certify.symbols import Symbols
+from dmframe.common.errors import DmframeError, ValueFault
+from dmframe.common.text import Label, Text, around, sentence
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import DmframeError, ValueFault
 from dmframe.exact.balls import UndecidedError
 from dmframe.exact.literal import literal
 from dmframe.exact.ranges import ranges
@@ -29,7 +30,6 @@ from dmframe.exact.rational import as_float
 from dmframe.program import read
 from dmframe.prove.definite import lower, upper
 from dmframe.simulate.start import start_state
-from dmframe.text import Label, Text, around, sentence
 
 _OUT: Final = (Context(prec=6, rounding=ROUND_FLOOR), Context(prec=6, rounding=ROUND_CEILING))
 """In which limits are printed: never tighter than they are."""
@@ -111,7 +111,7 @@ def tubes(claim: Claim, numbers: Numbers, symbols: Symbols, start: Mapping[str, 
     V rises by a residual and at a source's steps; statements there do not hold for all times.
     """
     stated = [(part, barrier) for part in claim.parts for barrier in part.certificate.barriers]
-    if not stated or claim.cascaded or any(part.certificate.excess for part in claim.parts):
+    if not stated or claim.cascaded or any(part.certificate.residual for part in claim.parts):
         return
     resolver = claim.diagram.resolver
     if numbers.starts or any(resolver.steps(block, port) for block, port, _ in resolver.trajectories):
@@ -222,7 +222,7 @@ def _start(claim: Claim, numbers: Numbers, given: Mapping[str, Any]) -> Begin | 
         begin = start_state(claim.diagram, given)
     except DmframeError:
         return None
-    said, found, row = list[tuple[SX, SX]](), list[tuple[SX, SX]](), 0
+    own, found, row = list[tuple[SX, SX]](), list[tuple[SX, SX]](), 0
     symbols, values = list[SX](), list[float]()
 
     def unfolded(element: SX) -> SX:
@@ -241,8 +241,8 @@ def _start(claim: Claim, numbers: Numbers, given: Mapping[str, Any]) -> Begin | 
         if expression is None:
             return None
         elements = ca.vertcat(*map(unfolded, ca.vertsplit(ca.densify(expression))))
-        (said if has_own_start else found).append((ca.vec(variable.symbol), elements))
-    return Begin([*said, *found], stack(symbols), values)
+        (own if has_own_start else found).append((ca.vec(variable.symbol), elements))
+    return Begin([*own, *found], stack(symbols), values)
 
 
 def _range(claim: Claim, numbers: Numbers, begin: Begin, expression: SX) -> tuple[np.ndarray, np.ndarray]:

@@ -8,8 +8,8 @@ from typing import Final, final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
 
 START: Final = "start."
 """Before a state's label, where parameters and starts stand together."""
@@ -26,7 +26,7 @@ class Begun:
         In parameters, and in the symbols of the starts that it reads.
     symbols
         These, by the state's label, of `Claim.starts`.
-    said
+    starts
         Where each of them starts in the graph, in parameters; None where neither graph nor block says it.
     known
         Identities of the parameters' symbols.
@@ -34,13 +34,13 @@ class Begun:
 
     margin: SX
     symbols: Mapping[str, SX]
-    said: Mapping[str, SX | None]
+    starts: Mapping[str, SX | None]
     known: frozenset[int]
 
     def at(self, moved: Container[str] = ()) -> SX | None:
         """The margin in parameters and in the starts of the `moved` states; None where another start is not known."""
         kept = [label for label in self.symbols if label not in moved]
-        values = [self.said[label] for label in kept]
+        values = [self.starts[label] for label in kept]
         found = [value for value in values if value is not None]
         if len(found) < len(values):
             return None

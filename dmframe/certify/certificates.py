@@ -8,15 +8,15 @@ from typing import final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX, Certificate
 from dmframe.block.faults import fault_context
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Certificate
+from dmframe.block.port import Side
 from dmframe.certify.form import NotApplicableError, check_form
+from dmframe.common.errors import BlockError
 from dmframe.diagram import Diagram
 from dmframe.diagram.truths import Stated, conflicts
 from dmframe.diagram.view import owners_of, view
-from dmframe.errors import BlockError
-from dmframe.port import Side
 
 
 @final
@@ -47,7 +47,10 @@ def certificates_of(diagram: Diagram) -> Certificates:
 
     Raises `NotApplicableError` for a missing or ill-formed certificate, and for a true value that is not available.
     """
-    sides, sampled = (Side.PLANT, Side.CONTROLLER), bool(diagram.loop.clocked)  # certificates read the plant's truths
+    sides, sampled = (
+        (Side.PLANT, Side.CONTROLLER),
+        bool(diagram.loop.discrete_time),
+    )  # they read the plant's truths
     everyone = [name for side in sides for name, block in diagram.blocks.items() if block.side is side]
     waiting, rounds, silent = everyone, 0, list[str]()
     found, truths, read = dict[str, Certificate](), dict[str, Mapping[str, SX]](), dict[str, Mapping[str, str]]()

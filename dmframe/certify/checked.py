@@ -10,19 +10,19 @@ from typing import final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX, Assumption
+from dmframe.block.linalg import ldl
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Assumption
 from dmframe.certify.begun import START, Begun
 from dmframe.certify.claim import Claim
 from dmframe.certify.symbols import exact_values
+from dmframe.common.errors import ValueFault
+from dmframe.common.text import Text
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import ValueFault
 from dmframe.exact.ranges import ranges
-from dmframe.exact.rational import Interval, as_float, evaluate
-from dmframe.linalg import ldl
-from dmframe.program import read
+from dmframe.exact.rational import Interval, as_float, evaluate, known_values
+from dmframe.program import TO_READ, read
 from dmframe.prove.definite import Number, lower, pivots
-from dmframe.text import Text
 
 
 @final
@@ -94,11 +94,23 @@ class Numbers:
     def of(self, expression: SX) -> list[Number]:
         """The elements of an expression, dense; raises `ValueFault` where it needs more than parameters."""
         joined = ca.vec(ca.densify(self.claim.loop.joined([ca.SX(expression)])[0]))
-        function = ca.Function("value", self._columns, [joined], {"allow_free": True})
-        if function.has_free():
+        symbols = ca.symvar(joined)
+        try:  # a function of all parameters takes longer to build
+            given = [self._elements[symbol.element_hash()] for symbol in symbols]
+        except KeyError:
+            function = ca.Function("value", self._columns, [joined], {"allow_free": True})
             free = ", ".join(str(symbol) for symbol in function.get_free())
-            raise ValueFault(f"expected an expression in parameters alone, found {free}")
-        return evaluate(function, [self.values[p.label] for p in self._p])[0]
+            raise ValueFault(f"expected an expression in parameters alone, found {free}") from None
+        return evaluate(ca.Function("value", [stack(symbols)], [joined], TO_READ), [given])[0]
+
+    @cached_property
+    def _elements(self) -> Mapping[int, Number]:
+        """The parameters' numbers by the identities of their symbols."""
+        return {
+            symbol.element_hash(): value
+            for p, column in zip(self._p, self._columns, strict=True)
+            for symbol, value in zip(ca.vertsplit(column), self.values[p.label], strict=True)
+        }
 
     @cached_property
     def open(self) -> set[int]:
@@ -143,6 +155,18 @@ class Numbers:
         if not values:
             raise ValueFault("expected an expression with elements, found an empty one, of which nothing is decided")
         return min(map(lower, values))
+
+    def leasts(self, expressions: Sequence[SX]) -> list[Fraction | None]:
+        """The least element of each expression, in one pass over what they share; None where `least` raises."""
+        if not expressions:
+            return []
+        joined = [ca.vec(ca.densify(item)) for item in self.claim.loop.joined(list(map(ca.SX, expressions)))]
+        function = ca.Function("values", self._columns, [stack(joined)], {"allow_free": True, **TO_READ})
+        values = iter(known_values(read(function), [self.values[p.label] for p in self._p]))
+        found = [[next(values) for _ in range(item.numel())] for item in joined]
+        decided = [[value for value in each if value is not None] for each in found]
+        pairs = zip(decided, found, strict=True)
+        return [min(map(lower, least)) if least and len(least) == len(each) else None for least, each in pairs]
 
     def least_pivot(self, matrix: SX) -> Fraction:
         """The least diagonal element of LDL', up to one that is not positive, of a symmetric matrix."""

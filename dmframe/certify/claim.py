@@ -20,9 +20,7 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from dmframe.block.faults import fault_context
-from dmframe.block.model import symbols_in
-from dmframe.certificate import (
+from dmframe.block.certificate import (
     SX,
     Certificate,
     Dissipated,
@@ -31,23 +29,25 @@ from dmframe.certificate import (
     Potential,
     Stored,
 )
+from dmframe.block.faults import fault_context
+from dmframe.block.linalg import times
+from dmframe.block.model import symbols_in
+from dmframe.block.port import Side
 from dmframe.certify.certificates import Certificates, certificates_of, is_over_samples
 from dmframe.certify.form import NotApplicableError, unfit
 from dmframe.certify.labels import labelled
 from dmframe.certify.laws import printed_laws
 from dmframe.certify.operators import Flow, Sample
-from dmframe.certify.risky import risky
+from dmframe.certify.partial_functions import domains_of
 from dmframe.certify.steady import hold_claims
+from dmframe.common.errors import BlockError, nearest
+from dmframe.common.text import Text
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.projection import Projection
 from dmframe.diagram.truths import Stated
 from dmframe.diagram.wiring import Wire
-from dmframe.errors import BlockError, nearest
 from dmframe.formula.law import PrintedLaw
-from dmframe.linalg import times
-from dmframe.port import Side
-from dmframe.text import Text
 
 
 @final
@@ -104,9 +104,9 @@ class Part:
         return ca.SX(0) if self.certificate.consumes is None else self.certificate.consumes.value
 
     @property
-    def excess(self) -> SX:
+    def residual(self) -> SX:
         """The residual: bounded terms that are not dissipated, and what the rows of steps do not explain."""
-        own = [term.value for term in self.certificate.excess]
+        own = [term.value for term in self.certificate.residual]
         return total([*own, *(item.residual / 2 for item in self.certificate.steps)])
 
 
@@ -175,7 +175,7 @@ class Claim:
     def left(self) -> str:
         """What V may gain over samples, in words; empty where it gains nothing."""
         unexplained = any(part.certificate.steps for part in self.parts)
-        unbounded = any(part.certificate.excess for part in self.parts)
+        unbounded = any(part.certificate.residual for part in self.parts)
         kinds = ["what its data leave unexplained"] * unexplained + ["a residual that nothing bounds"] * unbounded
         return " and ".join(kinds)
 
@@ -207,7 +207,7 @@ class Claim:
     def risks(self) -> Mapping[str, tuple[tuple[int, SX], ...]]:
         """What each block's equations divide by, or need to be defined, with the instruction that does."""
         return {
-            name: tuple(risky([*of.outputs.values(), *of.rates.values(), *of.next.values()]))
+            name: tuple(domains_of([*of.outputs.values(), *of.rates.values(), *of.next.values()]))
             for name, of in ((name, model.equations) for name, model in self.diagram.models.items())
         }
 
@@ -230,11 +230,12 @@ class Claim:
         return able[int(np.nanargmin(sizes))]
 
 
-def claim_of(diagram: Diagram, *, held: bool = True) -> Claim:
+def claim_of(diagram: Diagram, *, held: bool = True, named: bool = True) -> Claim:
     """Assemble the blocks' certificates. The printed laws are compared with the code at a few points only.
 
     `dmframe.certify.laws.check_laws` compares them fully, and the docstrings too. If not `held`, it is left to
-    `unsteady` whether certificates hold numbers.
+    `unsteady` whether certificates hold numbers. If not `named`, for a claim that was assembled before from the same
+    blocks, no printed law is read, and terms have no names.
 
     Raises `NotApplicableError` where a block has no certificate or an ill-formed one, or needs a true value that the
     diagram does not have.
@@ -242,7 +243,7 @@ def claim_of(diagram: Diagram, *, held: bool = True) -> Claim:
     found = certificates_of(diagram)
     if held:
         hold_claims(diagram, found.truths)
-    return _over_samples(diagram, found) if diagram.loop.clocked else _in_continuous_time(diagram, found)
+    return _over_samples(diagram, found) if diagram.loop.discrete_time else _in_continuous_time(diagram, found, named)
 
 
 def unsteady(diagram: Diagram) -> str:
@@ -254,14 +255,15 @@ def unsteady(diagram: Diagram) -> str:
     return ""
 
 
-def _in_continuous_time(diagram: Diagram, found: Certificates) -> Claim:
+def _in_continuous_time(diagram: Diagram, found: Certificates, named: bool) -> Claim:
     stated, truths = dict(found.stated), found.truths
-    laws = printed_laws(diagram, stated, truths)
+    laws = printed_laws(diagram, stated, truths) if named else {}
     unfollowed = _unfollowed(diagram, stated)
     stated |= {name: Certificate(truth=stated[name].truth) for name in unfollowed}
     laws = {name: law.silent if name in unfollowed else law for name, law in laws.items()}
     along = Flow(diagram)
-    parts = tuple(flow_part(along, name, item) for name, item in labelled(stated, laws).items())
+    labelled_ones = labelled(stated, laws) if named else stated
+    parts = tuple(flow_part(along, name, item) for name, item in labelled_ones.items())
     if not any(part.certificate.storage for part in parts):
         raise NotApplicableError("no block of this graph stores anything; there is no V")
     cascades = [part for part in parts if part.certificate.consumes is not None]
@@ -331,7 +333,7 @@ def _over_samples(diagram: Diagram, found: Certificates) -> Claim:
         and (diagram.blocks[name].side is Side.CONTROLLER or is_over_samples(diagram, name, item))
     }
     if not any(item.storage or item.steps for item in claiming.values()):
-        reason = f"{diagram.loop.clocked}; a proof in continuous time does not reach it"
+        reason = f"{diagram.loop.discrete_time}; a proof in continuous time does not reach it"
         raise NotApplicableError(f"{reason}, and no block of this graph claims anything over samples")
     step = Sample(diagram)
     parts = tuple(_sample_part(step, name, item) for name, item in claiming.items())

@@ -6,8 +6,8 @@ open direction only through sines, cosines and other bounded functions is bounde
 1. a vector v of V, weighed by a positive constant, is bounded. Where :math:`\partial v/\partial u` (bounded functions
    held) is constant, that combination of states is bounded, and u is open no more;
 2. a combination of states whose rate is zero keeps its value;
-3. what a stable linear equation drives (`Driven`) is bounded, if its remainder does not move with any open direction;
-4. and so on, until nothing more follows. Then what is driven by an input of which nothing is known (`Driven.inputs`) is
+3. the states of a stable linear subsystem (`StableLinear`) are bounded if its remainder moves with no open direction;
+4. and so on, until nothing more follows. Then what an unknown input (`StableLinear.inputs`) drives is
    bounded too, by what its block assumes of that input, if its remainder without it does not move; so is that input. So
    is what a linear equation drives whose stability is not decided and assumed. A signal that does not move with what is
    still open is bounded; `needs` gives the assumptions that a signal uses.
@@ -27,18 +27,18 @@ from typing import final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX, Assumption, Condition, StableLinear
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Assumption, Condition, Driven
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.linear import is_stable
 from dmframe.certify.movement import Movement
 from dmframe.certify.symbols import Group
+from dmframe.common.text import Label, Text, joined, listed_text, text_of
 from dmframe.diagram.closed_loop import Variable
 from dmframe.diagram.pieces import rows_of
 from dmframe.exact import Tape
 from dmframe.exact.linear import Echelon
-from dmframe.text import Label, Text, joined, listed_text, text_of
 
 SIGNED = (1, -1)
 
@@ -49,7 +49,7 @@ class Bases:
     """What is bounded to begin with: columns; what is driven may follow, and stands with the block that says so."""
 
     vectors: tuple[SX, ...]
-    driven: tuple[tuple[str, Driven], ...] = ()
+    linear: tuple[tuple[str, StableLinear], ...] = ()
 
 
 @final
@@ -83,11 +83,11 @@ class Closure:
         self._movement = Movement(claim, numbers, seed, anywhere=anywhere, zeros=zeros)
         self._shift = self._movement.shift
         self._known = Echelon(self._shift.prime, self._columns)
-        self.driving: list[tuple[str, Driven]] = []
-        self.given: list[tuple[str, Driven]] = []
+        self.driving: list[tuple[str, StableLinear]] = []
+        self.given: list[tuple[str, StableLinear]] = []
         self._sure: Echelon | None = None  # what is bounded if nothing is assumed of what is driven
-        self.assumed: list[tuple[str, Driven]] = []
-        self.missed: list[tuple[str, Driven]] = []
+        self.assumed: list[tuple[str, StableLinear]] = []
+        self.missed: list[tuple[str, StableLinear]] = []
         self._follow(bases)
 
     @property
@@ -116,7 +116,7 @@ class Closure:
         return self._variables
 
     @property
-    def driven(self) -> list[Driven]:
+    def linear(self) -> list[StableLinear]:
         """What followed from stable linear equations."""
         return [item for _, item in self.driving]
 
@@ -149,7 +149,7 @@ class Closure:
         ]
 
     def needs(self, expressions: Sequence[SX]) -> tuple[Text, ...]:
-        """What is assumed of what is driven, if these bounded expressions are not bounded without it."""
+        """What is assumed of what is subsystem, if these bounded expressions are not bounded without it."""
         if self._sure is None:
             return ()
         known, self._known = self._known, self._sure
@@ -211,7 +211,7 @@ class Closure:
 
     def _follow(self, bases: Bases) -> None:
         """Add what follows until nothing more does."""
-        vectors, waiting = list(bases.vectors), list(bases.driven)
+        vectors, waiting = list(bases.vectors), list(bases.linear)
         self._keep_constants()
         while True:
             if self._grow(vectors):
@@ -232,13 +232,13 @@ class Closure:
         directions = self._open()
         if not vectors or not directions:
             return False
-        tape = self._movement.tape([ca.vec(ca.densify(vector)) for vector in vectors])
+        columns = [ca.vec(ca.densify(vector)) for vector in vectors]
         along = self._anywhere()
-        here, there = (self._movement.differences(tape, place, [along])[0] for place in (0, 1))
+        here, there = (self._movement.differences(columns, place, [along])[0] for place in (0, 1))
         steady = [row for row, (a, b) in enumerate(zip(here, there, strict=True)) if a == b and a]
         if not steady:
             return False
-        moved = self._movement.differences(tape, 0, directions)
+        moved = self._movement.differences(columns, 0, directions)
         free = [next(k for k in range(self._columns) if u[k] == 1 and _alone(k, u, directions)) for u in directions]
         grown = False
         for row in steady:
@@ -250,8 +250,8 @@ class Closure:
 
     def _keep_constants(self) -> None:
         """Sums and differences of up to three states whose rates cancel keep the value with which they start."""
-        tape = self._movement.tape([ca.vec(ca.densify(self._rate(variable))) for variable in self._variables])
-        flat = [self._movement.values(tape, place) for place in (0, 1)]
+        columns = [ca.vec(ca.densify(self._rate(variable))) for variable in self._variables]
+        flat = [self._movement.values(columns, place) for place in (0, 1)]
         starts = [rows.start for _, rows in rows_of(self._variables)]
         for count in (1, 2, 3):
             for places in combinations(range(len(self._variables)), count):
@@ -279,20 +279,19 @@ class Closure:
             found.add(row)
         return found
 
-    def _follows(self, block: str, item: Driven) -> bool:
+    def _follows(self, block: str, item: StableLinear) -> bool:
         """True where the remainder is bounded by now, and the linear part stable."""
         return all(self.bounds(list(self.remainders(block, item)))) and bool(is_stable(item, self._numbers))
 
-    def _stays_bounded(self, item: Driven) -> Text:
+    def _stays_bounded(self, item: StableLinear) -> Text:
         """What is assumed of inputs, in words that are not their block's."""
         used = symbols_in(item.inputs)
         of = [v.label for v in self._variables if used & v.identities]
         of += [leaf.name for leaf in self._claim.diagram.resolver.trajectories.values() if used & leaf.identities]
         made = Text(", which is made of ", listed_text(list(map(Label, of))), ",") if of else ""
-        driven = listed_text(item.of)
-        return Text("the input of the linear equation that drives ", driven, made, " stays bounded")
+        return Text("the input of the linear equation that drives ", listed_text(item.of), made, " stays bounded")
 
-    def _follows_if(self, block: str, item: Driven) -> bool:
+    def _follows_if(self, block: str, item: StableLinear) -> bool:
         """True where what its block assumes is all that lacks: stability, or that the inputs are bounded.
 
         An input that is made of what is driven would assume what follows from it.
@@ -309,7 +308,7 @@ class Closure:
         self.given.append((block, item))
         return True
 
-    def _contained(self, item: Driven) -> bool:
+    def _contained(self, item: StableLinear) -> bool:
         """True if bounded states in the inputs would bound what is driven; tested if both have symbols in common."""
         read = symbols_in(item.inputs)
         if not read & symbols_in(item.vectors):
@@ -323,13 +322,13 @@ class Closure:
         self._known = known
         return not all(map(all, moves))
 
-    def remainders(self, block: str, driven: Driven) -> Iterator[SX]:
+    def remainders(self, block: str, subsystem: StableLinear) -> Iterator[SX]:
         """What is left of each equation of a block next to its stable linear part."""
-        field, of = self._claim.flow, Text(f"{block}: what drives ", joined(driven.of))
-        for vector in driven.bounded:
+        field, of = self._claim.flow, Text(f"{block}: what drives ", joined(subsystem.of))
+        for vector in subsystem.bounded:
             field.record.add(of, vector)
-        for vector, row in zip(driven.vectors, driven.rates, strict=True):
-            linear = sum((rate * other for rate, other in zip(row, driven.vectors, strict=True)), ca.SX(0))
+        for vector, row in zip(subsystem.vectors, subsystem.rates, strict=True):
+            linear = sum((rate * other for rate, other in zip(row, subsystem.vectors, strict=True)), ca.SX(0))
             yield field.D(vector, of) - linear
 
 
@@ -338,5 +337,5 @@ def _alone(column: int, own: Sequence[int], directions: Sequence[Sequence[int]])
     return all(u is own or not u[column] for u in directions)
 
 
-def _stays_stable(driven: Driven) -> Text:
-    return Text("the linear equation that drives ", joined(driven.of), " is exponentially stable")
+def _stays_stable(subsystem: StableLinear) -> Text:
+    return Text("the linear equation that drives ", joined(subsystem.of), " is exponentially stable")

@@ -11,16 +11,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from dmframe.block.faults import fault_context
-from dmframe.block.model import symbols_in
-from dmframe.certificate import (
+from dmframe.block.certificate import (
     SX,
     Assumption,
     CommonLyapunov,
     Condition,
     Dissipated,
-    Gathered,
     Inequality,
+    InformationSquare,
     Lemma,
     LogDet,
     NormSquare,
@@ -28,6 +26,9 @@ from dmframe.certificate import (
     Square,
     Stored,
 )
+from dmframe.block.faults import fault_context
+from dmframe.block.fields import fault_of
+from dmframe.block.model import symbols_in
 from dmframe.certify.assumed import SIGNS, assumed_weights, decidable, is_assumed
 from dmframe.certify.checked import Checked, Finding, Numbers, sorted_out
 from dmframe.certify.claim import Claim, NotApplicableError, Part
@@ -37,15 +38,14 @@ from dmframe.certify.projections import projection_conditions
 from dmframe.certify.sampler import over_horizon
 from dmframe.certify.small_gain import small_gain_conditions
 from dmframe.certify.wording import worded
+from dmframe.common.errors import BlockError
+from dmframe.common.text import DV, Formula, Label, Text, V, Written, sentence, square_of
 from dmframe.diagram.view import view
-from dmframe.errors import BlockError
 from dmframe.exact.rational import as_float
-from dmframe.fields import fault_of
 from dmframe.formula.reading import place_of
 from dmframe.prove.definite import Number, lower, pivots, upper
 from dmframe.prove.stability import common_margin
 from dmframe.robot.pseudo_inertia import pseudo_inertia
-from dmframe.text import DV, Formula, Label, Text, V, Written, sentence, square_of
 
 ROUNDING = 1e-9
 """Of a load's least eigenvalue, as a share of the largest: a point mass has none above zero."""
@@ -63,7 +63,7 @@ def conditions_of(
     Raises `NotApplicableError` for a claim over samples, whose conditions are others (`dmframe.certify.discrete`).
     """
     if claim.over_samples:
-        raise NotApplicableError(f"{claim.loop.clocked}; a proof in continuous time does not reach it")
+        raise NotApplicableError(f"{claim.loop.discrete_time}; a proof in continuous time does not reach it")
     return sorted_out(_needed(claim, numbers, start or {}))
 
 
@@ -156,7 +156,7 @@ def _weights(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
                 yield _least(part, Text("weight of ", term.of, " in ", role), numbers, weight, strict=False)
                 text = Text(f"width of {term.phi} in the term of ", term.of, " in ", role)
                 yield _least(part, text, numbers, term.scale)
-        elif isinstance(term, Gathered):
+        elif isinstance(term, InformationSquare):
             square = Text(square_of(term.of, "G"), " in ", role)
             yield _least(part, Text("weight of ", square), numbers, weight, strict=False)
             gathered = sentence("weight of what {G} gathers for {square}", square=square)
@@ -176,14 +176,14 @@ def _weights(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
 
 def _memories(claim: Claim) -> Iterator[Assumption]:
     for part, _, term in _terms(claim):
-        if isinstance(term, Gathered):
+        if isinstance(term, InformationSquare):
             text = "{block}: {G} of {square} starts at zero, or positive semidefinite"
             yield Assumption(sentence(text, block=part.block, square=square_of(term.of, "G")), SIGNS)
 
 
 def _inside(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> Iterator[Finding]:
     """What a divergence is taken of starts positive definite; V, which does not grow, keeps it so."""
-    rising = any(part.certificate.excess for part in claim.parts)
+    rising = any(part.certificate.residual for part in claim.parts)
     for part, _, term in _terms(claim):
         if not isinstance(term, LogDet):
             continue

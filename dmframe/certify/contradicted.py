@@ -18,16 +18,16 @@ from typing import Any, Final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
 from dmframe.certify.assumed import SIGNS, assumed_positive
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.limits import Vanishing
 from dmframe.certify.smoothness import slope
 from dmframe.certify.starts import has_start, start_expression
+from dmframe.common.text import Text
 from dmframe.diagram.closed_loop import Variable, stack
-from dmframe.text import Text
 
 FEW: Final = 12
 """Numbers in the states up to which a motion is integrated."""
@@ -199,10 +199,10 @@ def _begin(claim: Claim, states: Sequence[Variable], numbers: Numbers, start: Ma
     columns = list[np.ndarray]()
     for variable in states:
         label = variable.label
-        said = start_expression(label, numbers, start) if has_start(label, numbers, start) else None
-        if said is None or not symbols_in([said]) <= numbers.known:
+        starts = start_expression(label, numbers, start) if has_start(label, numbers, start) else None
+        if starts is None or not symbols_in([starts]) <= numbers.known:
             return None
-        value = ca.Function("start", [claim.loop.p], [ca.densify(said)])(claim.loop.p_values)
+        value = ca.Function("start", [claim.loop.p], [ca.densify(starts)])(claim.loop.p_values)
         columns.append(np.broadcast_to(value.full().ravel(), (variable.symbol.numel(),)))
     return np.concatenate(columns) if columns else np.zeros(0)
 

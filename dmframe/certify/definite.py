@@ -9,14 +9,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX, LogDet
+from dmframe.block.linalg import ldl, nodes
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, LogDet
+from dmframe.block.parameter import specs
 from dmframe.certify.claim import Claim
 from dmframe.certify.symbols import symbols_of
 from dmframe.diagram import Diagram
 from dmframe.diagram.projection import Bodies
-from dmframe.linalg import ldl, nodes
-from dmframe.parameter import specs
 from dmframe.prove.definite import pivots
 from dmframe.robot.parameters import INERTIAL
 from dmframe.robot.pseudo_inertia import parameters_of, pseudo_inertia
@@ -112,7 +112,7 @@ def _kept_bodies(claim: Claim) -> Iterator[SX]:
     for projection in claim.loop.projections:
         if isinstance(projection.set, Bodies):
             yield projection.state[: projection.set.nominal.numel()]
-    if any(part.certificate.excess for part in claim.parts):
+    if any(part.certificate.residual for part in claim.parts):
         return
     for part in claim.parts:
         found = [term.matrix for term in part.certificate.storage if isinstance(term, LogDet)]

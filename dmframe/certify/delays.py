@@ -14,15 +14,15 @@ from typing import Final, final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
+from dmframe.block.sampled import Acted
 from dmframe.certify.checked import Checked
 from dmframe.certify.claim import Claim, Part
+from dmframe.common.errors import listed
+from dmframe.common.text import Text
 from dmframe.diagram.closed_loop import ClosedLoop, Variable, stack
 from dmframe.diagram.pieces import rows_of
-from dmframe.errors import listed
-from dmframe.sampled import Acted
-from dmframe.text import Text
 
 MOST: Final = 10
 """Samples up to which a memory is followed; one that holds a value for ever has no end."""

@@ -8,7 +8,7 @@ from typing import Final, final
 
 import casadi as ca
 
-from dmframe.certificate import SX
+from dmframe.block.certificate import SX
 
 DEEP: Final = 20
 """How deep two expressions are compared, to keep what is differentiated twice only once."""

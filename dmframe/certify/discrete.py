@@ -7,8 +7,8 @@ from typing import Any, Final, final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX, Assumption, LeastSquaresSteps, NormalisedSteps, Square, Steps
 from dmframe.block.model import depending, symbols_in
-from dmframe.certificate import SX, Assumption, LeastSquaresSteps, NormalisedSteps, Square, Steps
 from dmframe.certify.checked import Checked, Finding, Numbers
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.conditions import conditions_stated, decide
@@ -16,14 +16,14 @@ from dmframe.certify.delays import decided_delays, delay_conditions
 from dmframe.certify.form import stepping
 from dmframe.certify.hypotheses import BETWEEN, of_the_plant, undefined
 from dmframe.certify.memories import triangle_starts
+from dmframe.certify.partial_functions import domains_of
 from dmframe.certify.points import in_random_field, outputs_at
 from dmframe.certify.projections import outside
-from dmframe.certify.risky import risky
 from dmframe.certify.statements import Statement
 from dmframe.certify.symbols import Symbols
+from dmframe.common.text import Label, Text, Written, joined, listed_text, name_of, sentence
 from dmframe.diagram.closed_loop import stack
 from dmframe.exact import Tape, Trial
-from dmframe.text import Label, Text, Written, joined, listed_text, name_of, sentence
 
 SIGNS = sentence("{V} is positive, what it loses and gains not negative")
 LEMMAS: Final[Mapping[type, Text]] = {
@@ -78,7 +78,7 @@ def _weights(part: Part, numbers: Numbers) -> Iterator[Checked]:
     for role, terms in (
         (sentence("{V}"), part.certificate.storage),
         (sentence("what {V} loses"), part.certificate.dissipation),
-        (Text("the residual"), part.certificate.excess),
+        (Text("the residual"), part.certificate.residual),
     ):
         for place, term in enumerate((term for term in terms if isinstance(term, Square)), start=1):
             name, strict = Text(f"{part.block}: weight of term {place} of ", role), role == "V"
@@ -132,13 +132,13 @@ def discrete_assumptions(claim: Claim, symbols: Symbols, seed: int) -> Iterator[
     yield Assumption(held, "the means over a sample")
     for part in claim.parts:
         for item in part.certificate.steps:
-            said = sentence(
+            unexplained = sentence(
                 "{block}: {eta}, what the rows of {of} leave unexplained of the means over a sample, is small: it is "
                 "not bounded here, and can be looked at along a run",
                 block=part.block,
                 of=name_of(item.estimate),
             )
-            yield Assumption(said, EACH[type(item)])
+            yield Assumption(unexplained, EACH[type(item)])
         if part.certificate.plant and not decided_delays(claim, part):
             acted = "the command that a row holds is what acted in its sample: a delay is as configured, or echoed"
             text = f"{part.block}: {acted}"
@@ -146,8 +146,8 @@ def discrete_assumptions(claim: Claim, symbols: Symbols, seed: int) -> Iterator[
         if part.certificate.steps and not part.certificate.plant:
             text = f"{part.block}: the plant's motion obeys what its rows say; the block states no relation that does"
             yield Assumption(text, "the means over a sample")
-        if part.certificate.excess:
-            within = symbols_in(map(ca.SX, (piece for term in part.certificate.excess for piece in term.pieces)))
+        if part.certificate.residual:
+            within = symbols_in(map(ca.SX, (piece for term in part.certificate.residual for piece in term.pieces)))
             made = [g.label for g in symbols.groups if within & symbols_in([g.symbol]) and g.kind != "parameter"]
             of = listed_text(list(map(Label, made))) or "parameters"
             text = Text(f"{part.block}: the residual besides the steps, made of ", of, ", is small: nothing bounds it")
@@ -182,7 +182,7 @@ def discrete_statements(claim: Claim) -> Iterator[Statement]:
                 sentence("summed over the samples, with {V} >= 0: {each}", each=EACH[type(item)]),
             )
         if part.certificate.storage:
-            says = "does not rise but by its residual" if part.certificate.excess else "does not rise"
+            says = "does not rise but by its residual" if part.certificate.residual else "does not rise"
             yield Statement(sentence("{V} of {block}", block=part.block), says, Text("the identity above"))
 
 
@@ -239,7 +239,7 @@ def _needed(claim: Claim, of: Part, symbols: Symbols) -> Iterator[SX]:
         claim.sample.next[label] for label, x in claim.sample.symbols.items() if label in kept or own & symbols_in([x])
     ]
     still = symbols_in(group.symbol for group in symbols.groups if group.kind == "parameter")
-    period, needed = claim.loop.period.element_hash(), [part for _, part in risky(becomes)]
+    period, needed = claim.loop.period.element_hash(), [part for _, part in domains_of(becomes)]
     for part, moves in zip(needed, depending(needed, symbols_in(needed) - still), strict=True):
         if moves and part.element_hash() != period:
             yield part

@@ -7,20 +7,21 @@ from typing import Final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import depending, symbols_in
-from dmframe.certificate import SX
+from dmframe.block.port import Side
 from dmframe.certify.checked import Checked
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
 from dmframe.certify.points import in_random_field
 from dmframe.certify.sign import Sign, sign_after
 from dmframe.certify.symbols import Group, symbols_of
+from dmframe.common.text import Label, Text, joined, name_of, sentence, square_of
 from dmframe.exact import Tape, Trial
-from dmframe.port import Side
 from dmframe.program import CONST, DIVISIONS, INPUT, OPERATIONS
-from dmframe.text import Label, Text, joined, name_of, sentence, square_of
 
 AWAY: Final = "{of} stays away from zero"
+_PARTIAL: Final = frozenset(code for code, operation in OPERATIONS.items() if operation.domain is not None)
 SHOWN = 60
 """Letters of a divisor that are written out."""
 
@@ -106,7 +107,13 @@ def _of_equations(claim: Claim) -> Iterator[SX]:
 
 
 def _unlisted(tape: Tape, groups: Sequence[Group], values: Sequence[int], listed: set[int]) -> Iterator[Text]:
-    needed = [(k, text) for place in range(len(tape)) for k, text in _needs(tape, place) if values[k] not in listed]
+    needed = [
+        (k, text)
+        for place, node in enumerate(tape.nodes)
+        if node.code in _PARTIAL
+        for k, text in _needs(tape, place)
+        if values[k] not in listed
+    ]
     if not needed:
         return
     fixed = {group.label for group in groups if group.kind in ("parameter", "weight")}

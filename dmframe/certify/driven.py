@@ -13,8 +13,8 @@ from typing import NamedTuple, final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Variable, stack
 

@@ -15,12 +15,12 @@ from typing import Final
 
 import numpy as np
 
-from dmframe.certificate import Assumption, Steps
+from dmframe.block.certificate import Assumption, Steps
 from dmframe.certify.checked import Checked, Finding
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.motions import Left, Moved, UnmovedError
-from dmframe.errors import DmframeError
-from dmframe.text import Text, name_of
+from dmframe.common.errors import DmframeError
+from dmframe.common.text import Text, name_of
 
 PERIODS: Final = (0.005, 0.0025, 0.00125)
 """T [s], each half of the one before; where eta has not fallen by then, the next halves are looked at, too."""
@@ -81,7 +81,7 @@ def _share(lefts: Sequence[Left]) -> np.ndarray:
 def _fitted(left: Left) -> list[np.ndarray]:
     """eta, y and h' theta_true of a motion, each less what the unknown constants can explain of it."""
     slope = left.slope.reshape(left.left.size, left.slope.shape[2])
-    columns = [np.ravel(each) for each in (left.left, left.y, left.said)]
+    columns = [np.ravel(each) for each in (left.left, left.y, left.predicted)]
     if slope.shape[1]:
         constants, *_ = np.linalg.lstsq(slope, np.column_stack(columns), rcond=None)
         columns = list((np.column_stack(columns) - slope @ constants).T)

@@ -7,25 +7,25 @@ from typing import TYPE_CHECKING, final
 
 import casadi as ca
 
-from dmframe.block.model import symbols_in
-from dmframe.certificate import (
+from dmframe.block.certificate import (
     MONOTONE,
     SX,
     Assumption,
     Certificate,
-    Driven,
-    Gathered,
+    InformationSquare,
     LeastSquaresSteps,
     Lemma,
     LogDet,
     NormSquare,
     Square,
+    StableLinear,
 )
-from dmframe.errors import DmframeError, nearest
-from dmframe.fields import pieces_of
+from dmframe.block.fields import pieces_of
+from dmframe.block.model import symbols_in
+from dmframe.block.steps import packed_size
+from dmframe.common.errors import DmframeError, nearest
 from dmframe.formula.law import ROLES
 from dmframe.program import EDGES, JUMPS, KINKS, codes
-from dmframe.steps import packed_size
 
 if TYPE_CHECKING:
     from dmframe.certify.claim import Claim, Part
@@ -45,12 +45,12 @@ def check_form(name: str, certificate: Certificate) -> None:
 
 def _ill_formed(certificate: Certificate) -> Iterator[str]:
     terms = certificate.dissipation
-    if any(isinstance(term, Square) and term.positive for term in certificate.excess):
-        yield "expected no weight of the excess to be positive by assumption: a residual needs a bound"
+    if any(isinstance(term, Square) and term.positive for term in certificate.residual):
+        yield "expected no weight of the residual to be positive by assumption: a residual needs a bound"
     for what, pieces in _stated(certificate):
         if any(isinstance(piece, ca.MX) for piece in pieces):
             yield f"{what}: expected expressions of its u, x, p and truth, found an MX; write constants as ca.DM"
-    for term in (*certificate.storage, *terms, *certificate.excess, *certificate.errors):
+    for term in (*certificate.storage, *terms, *certificate.residual, *certificate.errors):
         pieces, where = [ca.SX(piece) for piece in term.pieces], term.of or f"a {type(term).__name__}"
         if isinstance(term, Lemma) and term.phi not in MONOTONE:
             yield f"{where}: {term.phi} is not known to be monotone; {nearest(term.phi, MONOTONE)}"
@@ -64,7 +64,7 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
     if not ca.SX(certificate.supply).is_scalar():
         rows, columns = ca.SX(certificate.supply).shape
         yield f"expected a scalar supply, found {rows} x {columns}"
-    yield from _ill_driven(certificate.driven)
+    yield from _ill_driven(certificate.linear)
     for barrier in certificate.barriers:
         if not _columns([ca.SX(piece) for piece in barrier.pieces]):
             yield "expected what a barrier is made of to be columns of one length or scalars, found other shapes"
@@ -84,7 +84,7 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
 
 def _stated(certificate: Certificate) -> Iterator[tuple[str, Sequence[SX]]]:
     """All expressions of a certificate, by its fields."""
-    for role in (*ROLES, "driven", "barriers"):
+    for role in (*ROLES, "linear", "barriers"):
         yield role, list(pieces_of(getattr(certificate, role)))
     yield "consumes", list(pieces_of(certificate.consumes))
     yield "supply and dominates", [certificate.supply, *certificate.dominates]
@@ -101,8 +101,8 @@ def _ill_paid(certificate: Certificate) -> Iterator[str]:
         yield f"expected the squares that pay, and their shares, to be of one length, found {found}"
 
 
-def _ill_driven(driven: Sequence[Driven]) -> Iterator[str]:
-    for item in driven:
+def _ill_driven(subsystem: Sequence[StableLinear]) -> Iterator[str]:
+    for item in subsystem:
         count = len(item.vectors)
         if not count or len(item.rates) != count or any(len(row) != count for row in item.rates):
             yield f"expected {count} rows of {count} rates for the {count} vectors that are driven, found other sizes"
@@ -114,12 +114,12 @@ def _ill_driven(driven: Sequence[Driven]) -> Iterator[str]:
                 "conditions"
             )
         elif not _columns([ca.SX(piece) for piece in item.pieces]):
-            yield "expected what is driven, and its rates, to be columns of one length or scalars"
+            yield "expected what is subsystem, and its rates, to be columns of one length or scalars"
 
 
 def _fits(term: object, pieces: Sequence[SX]) -> bool:
     """Columns of one length or scalars; some terms have a matrix of weights, or a vector of another length."""
-    if isinstance(term, Gathered):
+    if isinstance(term, InformationSquare):
         vector, weight, memory, regressor, by, forgetting = pieces
         rows, scalars = vector.shape[0], weight.is_scalar() and forgetting.is_scalar()
         fits = memory.shape == (rows, rows) and regressor.shape == (by.shape[0], rows) and by.is_column()
@@ -164,7 +164,7 @@ def unfit(claim: Claim, part: Part) -> Iterator[str]:
     if symbols_in([ca.SX(term.weight) for term in part.certificate.storage]) - constant:
         yield "V weighs with what moves; expected weights made of parameters"
     weighed = symbols_in([part.storage]) - constant
-    for gained in part.certificate.excess:
+    for gained in part.certificate.residual:
         for symbol in symbols_in(map(ca.SX, gained.pieces)) & weighed:
             yield (
                 f"what V gains holds {moving[symbol]}, which V holds too, so that V could do anything; expected a "
@@ -194,12 +194,14 @@ def unfit(claim: Claim, part: Part) -> Iterator[str]:
 
 def _inapplicable(certificate: Certificate) -> Iterator[str]:
     """Fields that a claim over samples does not have."""
-    for name in ("driven", "errors", "barriers", "filters", "dominates", "consumes", "task"):
+    for name in ("linear", "errors", "barriers", "filters", "dominates", "consumes", "task"):
         if getattr(certificate, name):
             yield f"expected no {name} of a block whose stored states are sampled"
     if not ca.SX(certificate.supply).is_zero():
         yield "expected no supply of a block whose stored states are sampled"
-    if not all(type(term) is Square for term in (*certificate.storage, *certificate.dissipation, *certificate.excess)):
+    if not all(
+        type(term) is Square for term in (*certificate.storage, *certificate.dissipation, *certificate.residual)
+    ):
         yield "expected each term over samples to be a Square"
 
 
@@ -243,7 +245,7 @@ def _misshapen(part: Part, own: Mapping[str, SX]) -> Iterator[str]:
         if not memory.fits(own[memory.state]):
             shape, one = own[memory.state].shape, memory.newest.shape
             yield f"{memory.state} is {_size(shape)}, which is no whole number of {_size(one)}"
-    for term in (*part.certificate.storage, *part.certificate.dissipation, *part.certificate.excess):
+    for term in (*part.certificate.storage, *part.certificate.dissipation, *part.certificate.residual):
         vector, weight = map(ca.SX, term.pieces)
         if not vector.is_column() or weight.shape not in (vector.shape, (1, 1)):
             yield "expected columns with a diagonal weight, found other shapes"

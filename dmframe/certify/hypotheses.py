@@ -7,21 +7,21 @@ from typing import Final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX, Assumption
+from dmframe.block.linalg import Inverted
 from dmframe.block.model import BlockModel, depending, symbols_in
-from dmframe.certificate import SX, Assumption
+from dmframe.block.port import Access, Side
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
 from dmframe.certify.definite import is_mass_matrix, is_mass_matrix_of_bodies
 from dmframe.certify.divisors import brought_in, domains, written
+from dmframe.common.errors import listed
+from dmframe.common.text import Label, Text, joined, listed_text, name_of, sentence
 from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import known_truths
 from dmframe.diagram.wiring import Wire
-from dmframe.errors import ValueFault, listed
-from dmframe.linalg import Inverted
-from dmframe.port import Access, Side
 from dmframe.program import DIVISIONS, OPERATIONS
-from dmframe.text import Label, Text, joined, listed_text, name_of, sentence
 
 BETWEEN: Final = "is constant between its steps; the proof holds between two steps, each of which starts a new {V}"
 """The assumption on a source that steps."""
@@ -93,12 +93,10 @@ def _divisors(claim: Claim, name: str) -> Iterator[Assumption]:
 def undefined(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
     """Divisors and arguments made of parameters alone that are not what they have to be at the graph's numbers."""
     for name, model in claim.diagram.models.items():
-        for item in domains(name, claim.risks[name], model.moving):
-            try:
-                least = numbers.least(item.margin)
-            except (ValueFault, ZeroDivisionError):
-                continue  # it holds more than parameters, or another divisor is reported
-            if not (least > 0 if item.strict else least >= 0):
+        items = list(domains(name, claim.risks[name], model.moving))
+        for item, least in zip(items, numbers.leasts([item.margin for item in items]), strict=True):
+            # None where it holds more than parameters, or another divisor is reported
+            if least is not None and not (least > 0 if item.strict else least >= 0):
                 yield Checked(item.name, "defined and finite", None, False, "its equations need it", "undecided")
 
 
@@ -186,7 +184,7 @@ def _measured(diagram: Diagram) -> Iterator[Assumption]:
             port = next(p for p in diagram.models[source.block].block.outputs if p.name == source.port)
             if port.access is Access.MEASURED:
                 found[f"{source.block}.{source.port}"] = None
-    for leaf in diagram.loop.crossings:  # what a derived rate needs is wired to nothing
+    for leaf in diagram.loop.sampled_signals:  # what a derived rate needs is wired to nothing
         if leaf.side is Side.PLANT:
             found[leaf.name] = None
     if found:

@@ -9,13 +9,13 @@ from typing import Any, Final, final
 
 import casadi as ca
 
-from dmframe.certificate import SX, Certificate, Clipped, Lemma, NormSquare
-from dmframe.errors import DmframeError
+from dmframe.block.certificate import SX, Certificate, Clipped, Lemma, NormSquare
+from dmframe.common.errors import DmframeError
+from dmframe.common.text import Text, joined, name_of
 from dmframe.exact import zero_test
 from dmframe.formula.formula import Formula
 from dmframe.formula.law import ROLES, PrintedLaw, PrintedTerm
 from dmframe.formula.tree import Unprinted
-from dmframe.text import Text, joined, name_of
 
 _DEEP: Final = 1000
 
@@ -57,7 +57,7 @@ def _written(certificate: Certificate, law: PrintedLaw) -> Iterator[tuple[str, S
             yield line.vector.text, _vector(term)
             if isinstance(term, NormSquare) and line.by is not None:
                 yield line.by.text, ca.SX(term.by)
-    for item, formulas in zip(certificate.driven, law.driven, strict=True):
+    for item, formulas in zip(certificate.linear, law.linear, strict=True):
         yield from ((formula.text, ca.SX(z)) for z, formula in zip(item.bounded, formulas, strict=True))
 
 
@@ -81,15 +81,15 @@ def _named(name: str, certificate: Certificate, law: PrintedLaw, alike: Mapping[
 
     driven = tuple(
         replace(item, of=tuple(full(f, ca.SX(z)) for f, z in zip(formulas, item.bounded, strict=True)))
-        for item, formulas in zip(certificate.driven, law.driven, strict=True)
+        for item, formulas in zip(certificate.linear, law.linear, strict=True)
     )
     return replace(
         certificate,
         storage=named(certificate.storage, law.storage),
         dissipation=named(certificate.dissipation, law.dissipation),
-        excess=named(certificate.excess, law.excess),
+        residual=named(certificate.residual, law.residual),
         errors=named(certificate.errors, law.errors),
-        driven=driven,
+        linear=driven,
     )
 
 

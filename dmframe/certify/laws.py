@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from dmframe.certificate import Certificate
+from dmframe.block.certificate import Certificate
 from dmframe.certify.certificates import certificates_of
 from dmframe.certify.form import NotApplicableError
+from dmframe.common.errors import DmframeError
 from dmframe.diagram import Diagram
 from dmframe.diagram.truths import Stated
 from dmframe.diagram.view import view
-from dmframe.errors import DmframeError
 from dmframe.formula.docstring import check_docstrings
 from dmframe.formula.law import PrintedLaw
 from dmframe.formula.laws import read_blocks
@@ -41,7 +41,7 @@ def check_laws(diagram: Diagram) -> tuple[str, ...]:
     """
     blocks = read_blocks(diagram)
     notices = check_docstrings(blocks)
-    if diagram.loop.clocked:
+    if diagram.loop.discrete_time:
         return tuple(notices)
     try:
         found = certificates_of(diagram)

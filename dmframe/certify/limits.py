@@ -19,15 +19,15 @@ from typing import Any, final
 
 import casadi as ca
 
-from dmframe.certificate import SX, Potential, Square, soft_clip
+from dmframe.block.certificate import SX, Potential, Square, soft_clip
+from dmframe.block.linalg import nodes, solve_spd
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
 from dmframe.certify.symbols import Group, Symbols, exact_values, symbols_of
+from dmframe.common.text import Text, around, listed_text, name_of, sentence
 from dmframe.exact import Tape
 from dmframe.exact.linear import rank
 from dmframe.exact.trial import Trial, ZeroDivision
-from dmframe.linalg import nodes, solve_spd
-from dmframe.text import Text, around, listed_text, name_of, sentence
 
 MORE = 3
 """Points beyond the number of constants, each a further test."""
@@ -74,7 +74,7 @@ def goals(claim: Claim, closure: Closure) -> list[Goal]:
         for term in (*part.certificate.storage, *part.certificate.errors)
         if isinstance(term, Square | Potential)
     }
-    for item in closure.driven:
+    for item in closure.linear:
         for name, vector in zip(item.of, item.bounded, strict=True):
             found.setdefault(name, Goal(name, vector))
     return list(found.values())

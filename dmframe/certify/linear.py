@@ -6,22 +6,22 @@ from contextlib import suppress
 
 import casadi as ca
 
+from dmframe.block.certificate import SX, StableLinear
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Driven
 from dmframe.certify.checked import Numbers
+from dmframe.common.errors import ValueFault
 from dmframe.diagram.projection import Box
-from dmframe.errors import ValueFault
 from dmframe.exact.rational import Interval
 from dmframe.prove.definite import Number, lower, upper
 from dmframe.prove.stability import is_stable_matrix
 
 
-def is_stable(driven: Driven, numbers: Numbers) -> bool | None:
+def is_stable(subsystem: StableLinear, numbers: Numbers) -> bool | None:
     r"""Is :math:`\dot z = A z` stable for each joint, at the graph's numbers, or while A's states move in their boxes?
 
     None where A holds something else, so that nothing decides it.
     """
-    A = [[_values(rate, numbers) for rate in row] for row in driven.rates]
+    A = [[_values(rate, numbers) for rate in row] for row in subsystem.rates]
     if any(entry is None for row in A for entry in row):
         return None
     rows = [[entry for entry in row if entry is not None] for row in A]
@@ -29,11 +29,11 @@ def is_stable(driven: Driven, numbers: Numbers) -> bool | None:
     return all(is_stable_matrix([[entry[j % len(entry)] for entry in row] for row in rows]) for j in range(joints))
 
 
-def stability_margin(driven: Driven) -> SX:
+def stability_margin(subsystem: StableLinear) -> SX:
     """Above zero where A, made of parameters alone, is stable."""
-    if len(driven.rates) == 1:
-        return -ca.SX(driven.rates[0][0])
-    (a, b), (c, d) = [[ca.SX(rate) for rate in row] for row in driven.rates]
+    if len(subsystem.rates) == 1:
+        return -ca.SX(subsystem.rates[0][0])
+    (a, b), (c, d) = [[ca.SX(rate) for rate in row] for row in subsystem.rates]
     return ca.vertcat(ca.vec(-(a + d)), ca.vec(a * d - b * c))
 
 

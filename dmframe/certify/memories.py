@@ -8,17 +8,17 @@ from typing import Any
 
 import casadi as ca
 
+from dmframe.block.certificate import SX, InformationSquare, LeastSquaresSteps
+from dmframe.block.linalg import ldl
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Gathered, LeastSquaresSteps
 from dmframe.certify.begun import Begun
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.starts import ZERO, begun_at, start_of
+from dmframe.common.text import Text, name_of, sentence, square_of
 from dmframe.diagram.closed_loop import stack
 from dmframe.exact.rational import Interval, evaluate
-from dmframe.linalg import ldl
 from dmframe.prove.definite import Number, is_semidefinite
-from dmframe.text import Text, name_of, sentence, square_of
 
 POSITIVE = sentence("{V} is positive")
 
@@ -32,7 +32,7 @@ def memory_starts(claim: Claim, numbers: Numbers, given: Mapping[str, Any]) -> l
     found = dict[Text, Checked]()
     for part in claim.parts:
         for term in (*part.certificate.storage, *part.certificate.dissipation):
-            if isinstance(term, Gathered):
+            if isinstance(term, InformationSquare):
                 start = matrix_start(claim, numbers, given, term.memory)
                 if start is not None and any(value != ZERO for row in start for value in row):
                     name = gathered_from_start(part, term)
@@ -42,7 +42,7 @@ def memory_starts(claim: Claim, numbers: Numbers, given: Mapping[str, Any]) -> l
     return list(found.values())
 
 
-def gathered_from_start(part: Part, term: Gathered) -> Text:
+def gathered_from_start(part: Part, term: InformationSquare) -> Text:
     """Name of the condition on the start of an information matrix."""
     text = "{block}: start of what {G} gathers for {square} >= 0"
     return sentence(text, block=part.block, square=square_of(term.of, "G"))
@@ -59,7 +59,7 @@ def _gathers(start: Sequence[Sequence[Number]]) -> bool | None:
 def reads_of(numbers: Numbers, given: Mapping[str, Any], states: SX) -> SX:
     """All starts and parameters on which the start of these states depends."""
     begun = begun_at(ca.vec(ca.densify(states)), numbers, given, zero=True)
-    found = [*begun.symbols.values(), *(said for said in begun.said.values() if said is not None)]
+    found = [*begun.symbols.values(), *(starts for starts in begun.starts.values() if starts is not None)]
     return ca.vertcat(ca.SX(0, 1), *ca.symvar(stack(found)))
 
 

@@ -8,29 +8,30 @@ is taken away, and nothing is drawn.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Final, NamedTuple, final
 
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX, Steps
 from dmframe.block.faults import fault_context
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Steps
+from dmframe.block.sampled import DelayLine
+from dmframe.block.steps import summed
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.driven import DrivenLoop
+from dmframe.common.errors import DmframeError
 from dmframe.diagram import Diagram, Parameter, Variable
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.pieces import rows_of
 from dmframe.diagram.view import view
-from dmframe.errors import DmframeError
-from dmframe.sampled import DelayLine
 from dmframe.simulate.block_starts import has_start
 from dmframe.simulate.instants import Instants
 from dmframe.simulate.start import start_state
 from dmframe.simulate.stiffness import fastest
-from dmframe.steps import summed
 
 ROUNDED: Final = 1e-12
 """The step of a quantiser whose rounding is taken away."""
@@ -71,13 +72,13 @@ class Lesson(NamedTuple):
 class Left(NamedTuple):
     """What rows leave at the samples of one motion, eta = left + slope @ unknown constants, and what they are made of.
 
-    `left`, `y` and `said`, y and h' theta_true: (samples, outputs); `slope`: (samples, outputs, constants).
+    `left`, `y` and `predicted`, y and h' theta_true: (samples, outputs); `slope`: (samples, outputs, constants).
     """
 
     left: np.ndarray
     slope: np.ndarray
     y: np.ndarray
-    said: np.ndarray
+    predicted: np.ndarray
 
 
 @final
@@ -175,7 +176,7 @@ class Moved:
         made = [still.on_path(item) for item in made]
         if drawn.numel():
             made = ca.substitute(made, [drawn], [ca.SX.zeros(drawn.numel())])
-        function = ca.Function(name, list(seen), ca.cse(list(made)), {"allow_free": True})
+        function = ca.Function(name, list(seen), list(made), {"allow_free": True})
         if function.has_free():
             raise UnmovedError(f"its rows, or what moves the plant, hold {function.get_free()[0]}")
         return function
@@ -215,9 +216,7 @@ class Moved:
         x, z, p = self._start(motion, T)
         count, substeps = round(duration / T), math.ceil(T / self._step(motion, x, z, p, T))
         t = T * np.arange(count)
-        ticks = self._ticks(T, substeps, count)
-        _, left, slope, y, said = ticks(np.concatenate([x, z]), motion.commands(t), t[None], np.tile(p[:, None], count))
-        found = [np.asarray(item.full().T) for item in (left, slope, y, said)]
+        found = self._ticks(T, substeps)(np.concatenate([x, z]), motion.commands(t), t, p)
         if not all(np.all(np.isfinite(item)) for item in found):
             raise UnmovedError("a motion leaves all bounds")
         found[1] = found[1].reshape(count, -1 if found[1].size else 0, found[0].shape[1]).swapaxes(1, 2)
@@ -244,8 +243,8 @@ class Moved:
             raise UnmovedError("the plant's rates are too steep")
         return min(T, SPAN / max(speed, 1e-9))
 
-    def _ticks(self, T: float, substeps: int, count: int) -> Any:
-        """(x, z, commands, instants, p) -> (x, z, what the rows leave, ...) of that many samples, a column each."""
+    def _ticks(self, T: float, substeps: int) -> Callable[..., list[np.ndarray]]:
+        """(x and z, commands, instants, p) -> what the rows leave, its slope, y, h' theta_true: a row each sample."""
         sizes = self._x.numel(), self._z.numel(), self._commands, 1, self._loop.p.numel()
         x, z, c, t, p = (ca.MX.sym(name, size) for name, size in zip("xzctp", sizes, strict=True))
         becomes, held, *rows = self._sample(x, z, c, t, T, p)
@@ -256,8 +255,8 @@ class Moved:
         tick = ca.Function("tick", [x, z, c, t, p], [becomes, end, *(ca.vec(row) for row in rows)])
         both = ca.MX.sym("state", x.numel() + z.numel())
         parts = tick(both[: x.numel()], both[x.numel() :], c, t, p)
-        one = ca.Function("one", [both, c, t, p], [ca.vertcat(*parts[:2]), *parts[2:]])
-        return one.mapaccum("ticks", count)
+        one = ca.Function("one", [both, c, t, p], [ca.densify(part) for part in (ca.vertcat(*parts[:2]), *parts[2:])])
+        return partial(_repeated, one)
 
     def _runge_kutta(self, h: float) -> Any:
         z, held, t, p = (ca.MX.sym(name, self._flow.numel_in(k)) for k, name in enumerate(("z", "held", "t", "p")))
@@ -266,6 +265,25 @@ class Moved:
         c = self._flow(z + h / 2 * b, held, t + h / 2, p)
         d = self._flow(z + h * c, held, t + h, p)
         return ca.Function("step", [z, held, t, p], [z + h / 6 * (a + 2 * b + 2 * c + d)])
+
+
+def _repeated(one: Any, state: np.ndarray, commands: np.ndarray, times: np.ndarray, p: np.ndarray) -> list[np.ndarray]:
+    """The outputs of a step of a state but the next state, a row each step; a `mapaccum` takes longer to build."""
+    buffer, evaluate = one.buffer()
+    now, command, time, given = state.copy(), np.zeros(len(commands)), np.zeros(1), np.array(p, dtype=float)
+    then = [np.zeros(one.nnz_out(place)) for place in range(one.n_out())]
+    for place, array in enumerate((now, command, time, given)):
+        buffer.set_arg(place, array.data)
+    for place, array in enumerate(then):
+        buffer.set_res(place, array.data)
+    found = [np.zeros((len(times), array.size)) for array in then[1:]]
+    for k, t in enumerate(times):
+        command[:], time[:] = commands[:, k], t
+        evaluate()
+        now[:] = then[0]
+        for rows, array in zip(found, then[1:], strict=True):
+            rows[k] = array
+    return found
 
 
 def _zeros(parameter: Parameter) -> Iterator[SX]:
@@ -279,15 +297,17 @@ def _zeros(parameter: Parameter) -> Iterator[SX]:
 def _rows(part: Part, item: Steps, rows: Sequence[Lesson]) -> list[SX]:
     """What all rows leave where the unknown constants are zero, its slope in them, y and h' theta_true."""
     true, unknown = ca.vec(ca.densify(ca.SX(item.true))), stack(part.certificate.unknown.values())
-    said = ca.vertcat(*(summed(item.parts, row.h * true) for row in rows))
+    predicted = ca.vertcat(*(summed(item.parts, row.h * true) for row in rows))
     y = ca.vertcat(*(row.y for row in rows))
     if unknown.numel() > len(item.parts):
         raise UnmovedError("there are more unknown constants than outputs, and they could explain any rows")
-    slope = ca.jacobian(y - said, unknown)
+    slope = ca.jacobian(y - predicted, unknown)
     if ca.depends_on(ca.vec(slope), unknown):
         raise UnmovedError("what its rows leave is not affine in its unknown constants")
-    (said,) = ca.substitute([said], [unknown], [ca.SX.zeros(unknown.numel())]) if unknown.numel() else [said]
-    return [ca.densify(part) for part in (y - said, slope, y, said)]
+    (predicted,) = (
+        ca.substitute([predicted], [unknown], [ca.SX.zeros(unknown.numel())]) if unknown.numel() else [predicted]
+    )
+    return [ca.densify(part) for part in (y - predicted, slope, y, predicted)]
 
 
 def _stated_starts(diagram: Diagram) -> Iterator[tuple[tuple[str, ...], Any]]:
@@ -295,7 +315,7 @@ def _stated_starts(diagram: Diagram) -> Iterator[tuple[tuple[str, ...], Any]]:
     for name in diagram.blocks:
         seen = view(diagram, name)
         with fault_context(name, "start()"):
-            yield ("said", name), dict(diagram.blocks[name].composed_start(seen.u, seen.p, seen.truth))
+            yield ("stated", name), dict(diagram.blocks[name].composed_start(seen.u, seen.p, seen.truth))
 
 
 def _posed(diagram: Diagram, part: Part, made: dict[tuple[str, ...], Any]) -> Iterator[Variable]:

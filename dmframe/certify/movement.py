@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, final
 
-from dmframe.certificate import SX
+from dmframe.block.certificate import SX
+from dmframe.block.linalg import nodes
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.symbols import Group, exact_values, symbols_of
+from dmframe.common.errors import ValueFault
+from dmframe.common.slices import slices
 from dmframe.diagram.pieces import rows_of
-from dmframe.errors import ValueFault
 from dmframe.exact import Tape, random_prime
 from dmframe.exact.shift import Shift, ZeroDivision
-from dmframe.linalg import nodes
-from dmframe.slices import slices
 
 ATTEMPTS: Final = 20
 BITS: Final = 149
@@ -40,7 +40,7 @@ class Movement:
         self.shift: Final = Shift(random_prime(rng, BITS), rng)
         self._points: list[dict[str, list[int]]] = [{}, {}]
         self.tapes = list[tuple[Sequence[Group], Tape]]()
-        self.read, self._tapes = list[SX](), dict[tuple[Any, ...], Tape]()
+        self.read, self._places = list[SX](), dict[tuple[Any, ...], tuple[int, int]]()
         self._extend()
 
     def _extend(self) -> None:
@@ -65,49 +65,71 @@ class Movement:
             return True
         return self._free and group.values is None
 
-    def _moved(self, point: Mapping[str, Sequence[int]], u: Sequence[int]) -> list[list[int]]:
+    def _moved(self, groups: Sequence[Group], point: Mapping[str, Sequence[int]], u: Sequence[int]) -> list[list[int]]:
         """A point with its states and its time moved along u."""
         steps = {"t": u[-1:]} | {v.label: u[rows] for v, rows in rows_of(self._claim.loop.variables)}
         return [
             [(a + b) % self.shift.prime for a, b in zip(point[group.label], steps[group.label], strict=True)]
             if group.kind in ("state", "time")
             else list(point[group.label])
-            for group in self._symbols.groups
+            for group in groups
         ]
 
-    def _at(self, place: int) -> list[list[int]]:
-        return [self._points[place][group.label] for group in self._symbols.groups]
+    def _found(self, expressions: Sequence[SX]) -> list[tuple[int, int]]:
+        """The tape and the output of each expression; what no tape has is read, together, into a new one."""
+        keys = list(map(nodes, expressions))
+        new = {key: item for key, item in zip(keys, expressions, strict=True) if key not in self._places}
+        if new:
+            known = sum(group.kind == "trajectory" for group in self._symbols.groups)
+            if known < len(self._claim.diagram.resolver.trajectories):
+                self._symbols = symbols_of(self._claim, self._numbers.uncertain)
+                self._extend()
+            self.read += new.values()  # which keeps the nodes, by whose identity they are found
+            self._places |= {key: (len(self.tapes), output) for output, key in enumerate(new)}
+            tape = Tape.from_function(self._symbols.function("closure", list(new.values())))
+            self.tapes.append((self._symbols.groups, tape))
+        return [self._places[key] for key in keys]
 
-    def tape(self, expressions: Sequence[SX]) -> Tape:
-        """The expressions as operations of the field."""
-        if sum(group.kind == "trajectory" for group in self._symbols.groups) < len(
-            self._claim.diagram.resolver.trajectories
-        ):
-            self._symbols = symbols_of(self._claim, self._numbers.uncertain)
-            self._extend()
-            self._tapes.clear()
-        key = tuple(map(nodes, expressions))
-        if key not in self._tapes:
-            self.read += expressions  # which keeps the nodes, by whose identity they are found
-            self._tapes[key] = Tape.from_function(self._symbols.function("closure", expressions))
-            self.tapes.append((self._symbols.groups, self._tapes[key]))
-        return self._tapes[key]
-
-    def values(self, tape: Tape, place: int) -> list[int]:
-        """At one of the two points."""
-        return self.shift.values(tape, self._at(place))
+    def values(self, expressions: Sequence[SX], place: int) -> list[int]:
+        """The elements of columns at one of the two points."""
+        (found,) = self._evaluated(expressions, place, lambda tape, at: [self.shift.values(tape, at)])
+        return found
 
     def along(self, expressions: Sequence[SX], direction: Sequence[int]) -> list[list[int]]:
-        """By how much each element moves along a direction, at the first point."""
-        (flat,) = self.differences(self.tape(expressions), 0, [direction])
+        """By how much each element of columns moves along a direction, at the first point."""
+        (flat,) = self.differences(expressions, 0, [direction])
         return [flat[part] for part in slices(expression.numel() for expression in expressions)]
 
-    def differences(self, tape: Tape, place: int, directions: Sequence[Sequence[int]]) -> list[list[int]]:
-        """By how much each element moves along each direction, at one of the two points."""
-        point = self._points[place]
+    def differences(
+        self, expressions: Sequence[SX], place: int, directions: Sequence[Sequence[int]]
+    ) -> list[list[int]]:
+        """By how much each element of columns moves along each direction, at one of the two points."""
         for _ in range(ATTEMPTS):
             try:
-                return self.shift.difference(tape, self._at(place), [self._moved(point, u) for u in directions])
+                return self._evaluated(expressions, place, self.shift.difference, directions)
             except ZeroDivision:
                 directions = [[2 * x % self.shift.prime for x in u] for u in directions]
         raise ValueFault("a denominator vanishes at every random point")
+
+    def _evaluated(
+        self,
+        expressions: Sequence[SX],
+        place: int,
+        evaluate: Callable[..., list[list[int]]],
+        directions: Sequence[Sequence[int]] | None = None,
+    ) -> list[list[int]]:
+        """Rows of all elements, of what is evaluated tape by tape: at a point, or there and moved along directions."""
+        point, places = self._points[place], self._found(expressions)
+        rows = dict[int, list[list[int]]]()
+        for number in dict.fromkeys(number for number, _ in places):
+            groups, tape = self.tapes[number]
+            given: list[Any] = [[point[group.label] for group in groups]]
+            if directions is not None:
+                given.append([self._moved(groups, point, u) for u in directions])
+            rows[number] = evaluate(tape, *given)
+        parts = [
+            (number, list(slices(item.size for item in self.tapes[number][1].outputs))[output])
+            for number, output in places
+        ]
+        count = 1 if directions is None else len(directions)
+        return [[x for number, part in parts for x in rows[number][row][part]] for row in range(count)]

@@ -15,8 +15,8 @@ from typing import final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
 from dmframe.certify.differentiated import Record
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack

@@ -13,16 +13,16 @@ from typing import Final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.tacit import at_one_point
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
+from dmframe.common.text import UNNAMED, Text, joined
 from dmframe.exact.balls import UndecidedError
 from dmframe.exact.rational import as_float
 from dmframe.prove.definite import lower, upper
-from dmframe.text import UNNAMED, Text, joined
 
 POINTS: Final = 64
 """Points of the box at which a condition is looked at that is not decided over all of it."""

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from dmframe.certify.symbols import Group, Symbols
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact import Tape, Trial, ZeroDivision, random_prime
 from dmframe.prove.identity import ATTEMPTS, BITS
 

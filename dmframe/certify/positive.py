@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import final
 
-from dmframe.certificate import Lemma, LogDet, Potential, Square
+from dmframe.block.certificate import Lemma, LogDet, Potential, Square
 from dmframe.certify.assumed import decidable, is_assumed
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim

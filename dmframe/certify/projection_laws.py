@@ -27,16 +27,16 @@ from typing import Final
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX
+from dmframe.block.certificate import SX
 from dmframe.certify.checked import Checked
-from dmframe.certify.risky import instructions
+from dmframe.certify.partial_functions import instructions
+from dmframe.common.text import Label, Text
 from dmframe.diagram.bodies import RIM
 from dmframe.diagram.closed_loop import ClosedLoop
 from dmframe.diagram.projection import Ball, Bodies, Box, Projection
 from dmframe.program import COMPARISONS
 from dmframe.robot.parameters import INERTIAL
 from dmframe.robot.pseudo_inertia import parameters_of, pseudo_inertia
-from dmframe.text import Label, Text
 
 POINTS = 48
 """Random points, besides those with equal elements."""

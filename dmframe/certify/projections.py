@@ -22,8 +22,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX, Assumption, TrueValue
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Assumption, TrueValue
 from dmframe.certify.begun import Begun
 from dmframe.certify.checked import Checked, Finding, Numbers, sorted_out
 from dmframe.certify.claim import Claim
@@ -31,14 +31,14 @@ from dmframe.certify.projection_laws import check_law
 from dmframe.certify.sampler import over_horizon
 from dmframe.certify.starts import ZERO, begun_at, start_expression, start_of
 from dmframe.certify.symbols import symbols_of
+from dmframe.common.errors import ValueFault
+from dmframe.common.text import Label, Text, sentence
 from dmframe.diagram.closed_loop import ClosedLoop, stack
 from dmframe.diagram.projection import Projection
-from dmframe.errors import ValueFault
 from dmframe.exact import ZeroDivision
 from dmframe.exact.rational import Interval, evaluate
 from dmframe.prove.definite import Number, lower
 from dmframe.simulate.start import ROUNDING
-from dmframe.text import Label, Text, sentence
 
 ROUNDED = ROUNDING
 """What rounding may take of the room that a source leaves."""
@@ -148,22 +148,22 @@ def _still(name: str, truth: SX, numbers: Numbers) -> Iterator[Checked]:
     if symbols_in([truth]) <= numbers.known:
         return
     rate = claim.flow.D(truth, f"{name}: the true value")
-    said = Text(Label(name), ": true value stands still")
+    name_of_check = Text(Label(name), ": true value stands still")
     text = "d(true value)/dt is identically zero along the closed loop"
     uncertain = [label for label, values in numbers.values.items() if any(isinstance(v, Interval) for v in values)]
     symbols = symbols_of(claim, uncertain)
     try:
         still = symbols.vanishes("rate", rate)
     except (ValueFault, ZeroDivision) as error:
-        yield Checked(said, f"{text}; undecided: {error}", None, False, LEMMA, "undecided")
+        yield Checked(name_of_check, f"{text}; undecided: {error}", None, False, LEMMA, "undecided")
         return
-    yield Checked(said, text, None, still, LEMMA, margin=ca.SX(0, 1))
+    yield Checked(name_of_check, text, None, still, LEMMA, margin=ca.SX(0, 1))
 
 
 def _normal(name: str, askew: SX, numbers: Numbers) -> Checked:
     text = sentence("weight in {V} times adaptation gain is one number for all elements")
-    said = sentence("{name}: projected in the metric of {V}", name=Label(name))
-    return numbers.decide(said, text, LEMMA, ca.vertcat(askew, -askew), strict=False)
+    name_of_check = sentence("{name}: projected in the metric of {V}", name=Label(name))
+    return numbers.decide(name_of_check, text, LEMMA, ca.vertcat(askew, -askew), strict=False)
 
 
 def _starts(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) -> Iterator[Finding]:

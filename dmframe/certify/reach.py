@@ -14,18 +14,18 @@ from typing import Any, Final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
 from dmframe.certify.checked import Checked
 from dmframe.certify.claim import Claim
 from dmframe.certify.sampler import HORIZON, SAMPLES, Sampler
 from dmframe.certify.shell import shell_of
+from dmframe.common.errors import ValueFault
+from dmframe.common.text import Label, Text
+from dmframe.common.units import plain
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import ClosedLoop, stack
-from dmframe.errors import ValueFault
 from dmframe.exact.ends import enclosing
-from dmframe.text import Label, Text
-from dmframe.units import plain
 
 POSES: Final = 12
 FLAT: Final = 1e-9

@@ -7,7 +7,7 @@ from typing import Final, final
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX
+from dmframe.block.certificate import SX
 from dmframe.diagram import ClosedLoop
 
 HORIZON: Final = 100.0
@@ -17,40 +17,52 @@ SAMPLES: Final = 20001
 """Instants at which it is looked at."""
 
 
+BLOCK: Final = 128
+"""Instants that one call evaluates: a map of 20 001 takes a second to build."""
+
+
 @final
 class Sampler:
     """The elements of a dense column at any time; each call overwrites what the last one returned.
 
-    A buffer of CasADi takes a microsecond, where a call takes thirty, and building a map of 20 001 takes a second. It
-    points into these arrays, which have to live as long as it does.
+    A buffer of CasADi takes a microsecond, where a call takes thirty. It points into these arrays, which have to live
+    as long as it does.
 
     Parameters
     ----------
     function
         Of the time and of a column of parameters.
+    count
+        Number of instants that a call evaluates.
     """
 
-    def __init__(self, function: ca.Function, p: np.ndarray) -> None:
-        self._buffer, self._evaluate = function.buffer()
-        self._time, self._p = np.zeros(1), np.array(p, dtype=float)
-        self._values = np.zeros(function.nnz_out(0))
+    def __init__(self, function: ca.Function, p: np.ndarray, count: int = 1) -> None:
+        self._function, self._given = function, np.array(p, dtype=float).ravel()
+        self._buffer, self._evaluate = (function.map(count) if count > 1 else function).buffer()
+        self._time, self._p = np.zeros(count), np.tile(self._given, count)
+        self._values = np.zeros(count * function.nnz_out(0))
         for place, given in enumerate((self._time, self._p)):
             self._buffer.set_arg(place, given.data)
         self._buffer.set_res(0, self._values.data)
 
-    def __call__(self, t: float) -> np.ndarray:
-        """The elements at one time."""
-        self._time[0] = t
+    def __call__(self, t: float | np.ndarray) -> np.ndarray:
+        """The elements at one time; of several, as many as the sampler counts, one after the other."""
+        self._time[:] = t
         self._evaluate()
         return self._values
 
     def over(self, times: np.ndarray) -> np.ndarray:
         """The elements at all times, a row each."""
-        return np.array([self(t).copy() for t in times.tolist()]).reshape(len(times), -1).T
+        many = Sampler(self._function, self._given, BLOCK)
+        found = np.zeros((len(times), self._function.nnz_out(0)))
+        for first in range(0, len(times), BLOCK):
+            part = np.resize(times[first : first + BLOCK], BLOCK)  # the last block begins anew where it is short
+            found[first : first + BLOCK] = many(part).reshape(BLOCK, -1)[: len(times) - first]
+        return found.T
 
 
 def over_horizon(loop: ClosedLoop, column: SX) -> tuple[np.ndarray, np.ndarray]:
     """The instants at which a function of time and parameters is looked at, and its elements there, a row each."""
     times = np.linspace(0.0, HORIZON, SAMPLES)
-    function = ca.Function("path", [loop.time, loop.p], [column])
-    return times, np.asarray(function(times[None, :], loop.p_values).full())
+    function = ca.Function("path", [loop.time, loop.p], [ca.densify(column)])
+    return times, Sampler(function, loop.p_values).over(times)

@@ -20,13 +20,13 @@ from typing import final
 
 import casadi as ca
 
-from dmframe.certificate import SX
+from dmframe.block.certificate import SX
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim, Part, total
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
+from dmframe.common.text import Text, Written, sentence, square_of
 from dmframe.exact.rational import as_float
 from dmframe.prove.definite import upper
-from dmframe.text import Text, Written, sentence, square_of
 
 SOURCE = "composition of storage functions"
 NEED = sentence(

@@ -17,13 +17,14 @@ from typing import Final, final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX, Assumption
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Assumption
 from dmframe.certify.claim import Claim
 from dmframe.certify.differentiated import Differentiated
 from dmframe.certify.sampler import HORIZON, SAMPLES, Sampler
 from dmframe.certify.sign import Sign, sign_after
 from dmframe.certify.symbols import exact_values
+from dmframe.common.text import Label, Text, sentence
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.pieces import Leaf
@@ -32,7 +33,6 @@ from dmframe.exact import Tape
 from dmframe.exact.balls import UndecidedError
 from dmframe.exact.pieces import Course, NotFollowed, follow, moving_operations
 from dmframe.program import CONST, DIVISIONS, EDGES, JUMPS, KINKS, TO_READ, codes, sign_of
-from dmframe.text import Label, Text, sentence
 
 SMOOTH_ABOVE: Final = frozenset((ca.OP_SQRT, ca.OP_LOG, ca.OP_LOG1P, ca.OP_POW, ca.OP_CONSTPOW, ca.OP_HYPOT))
 """Those with an edge that are smooth wherever their operands are above zero; others, such as asin, have edges there."""

@@ -9,13 +9,13 @@ from typing import Any, Final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX
 from dmframe.block.faults import fault_context
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
 from dmframe.certify.begun import Begun
 from dmframe.certify.checked import Numbers
+from dmframe.common.errors import BlockError, ValueFault
 from dmframe.diagram.view import view
-from dmframe.errors import BlockError, ValueFault
 from dmframe.prove.definite import Number
 from dmframe.robot.rational import decimal
 
@@ -39,10 +39,10 @@ def start_of(label: str, numbers: Numbers, given: Mapping[str, Any]) -> list[Num
         return [decimal(float(value)) for value in number]
     size = _size(label, numbers)
     try:
-        said = _said(label, numbers)
+        starts = _start_of(label, numbers)
     except BlockError:  # a start that no run could take; the run says so
         return [None] * size
-    return [ZERO] * size if said is None else [_value(said[row], numbers) for row in range(size)]
+    return [ZERO] * size if starts is None else [_value(starts[row], numbers) for row in range(size)]
 
 
 def has_start(label: str, numbers: Numbers, given: Mapping[str, Any]) -> bool:
@@ -54,7 +54,7 @@ def has_start(label: str, numbers: Numbers, given: Mapping[str, Any]) -> bool:
     if not (loop.followed and any(variable.label == label for variable in loop.plant)):
         return True
     try:
-        return _number(label, numbers, given) is not None or _said(label, numbers) is not None
+        return _number(label, numbers, given) is not None or _start_of(label, numbers) is not None
     except BlockError:
         return True
 
@@ -69,10 +69,10 @@ def start_expression(label: str, numbers: Numbers, given: Mapping[str, Any]) -> 
     if number is not None:
         return ca.SX(ca.DM(number))
     try:
-        said = _said(label, numbers)
+        starts = _start_of(label, numbers)
     except BlockError:
         return None
-    return ca.SX.zeros(_size(label, numbers)) if said is None else said
+    return ca.SX.zeros(_size(label, numbers)) if starts is None else starts
 
 
 def _size(label: str, numbers: Numbers) -> int:
@@ -92,13 +92,13 @@ def _number(label: str, numbers: Numbers, given: Mapping[str, Any]) -> np.ndarra
     return None
 
 
-def _said(label: str, numbers: Numbers) -> SX | None:
+def _start_of(label: str, numbers: Numbers) -> SX | None:
     """What the block says, in the leaves of the closed loop; raises `BlockError`."""
     claim, (block, _, state) = numbers.claim, label.partition(".")
     seen = view(claim.diagram, block, claim.truths)
     with fault_context(block, "start()"):
-        said = claim.diagram.models[block].block.composed_start(seen.u, seen.p, seen.truth).get(state)
-    return None if said is None else claim.loop.joined([ca.vec(ca.densify(ca.SX(said)))])[0]
+        starts = claim.diagram.models[block].block.composed_start(seen.u, seen.p, seen.truth).get(state)
+    return None if starts is None else claim.loop.joined([ca.vec(ca.densify(ca.SX(starts)))])[0]
 
 
 def begun_at(
@@ -114,16 +114,16 @@ def begun_at(
         A state whose start neither graph nor block says starts at zero.
     """
     claim = numbers.claim
-    used, symbols, said = symbols_in([margin]), dict[str, SX](), dict[str, SX | None]()
+    used, symbols, starts = symbols_in([margin]), dict[str, SX](), dict[str, SX | None]()
     for variable in claim.loop.variables:
         label = variable.label
         if used & variable.identities and (labels is None or label in labels):
             symbols[label] = claim.starts[label]
             given_start = zero or has_start(label, numbers, given)
             value = start_expression(label, numbers, given) if given_start else None
-            said[label] = None if value is None else ca.densify(value)
+            starts[label] = None if value is None else ca.densify(value)
             (margin,) = ca.substitute([margin], [ca.vec(variable.symbol)], [symbols[label]])
-    return Begun(margin, symbols, said, frozenset(numbers.known))
+    return Begun(margin, symbols, starts, frozenset(numbers.known))
 
 
 def _given(label: str, numbers: Numbers, given: Mapping[str, Any]) -> Any:

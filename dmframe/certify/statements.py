@@ -9,18 +9,18 @@ from typing import TypeVar, final
 import casadi as ca
 
 from dmframe.block import names_of
+from dmframe.block.certificate import SX, Clipped, InformationSquare, Lemma, LogDet, NormSquare, Square, StableLinear
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Clipped, Driven, Gathered, Lemma, LogDet, NormSquare, Square
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.closure import Bases, Closure
 from dmframe.certify.limits import Combinations, Vanishing, assumed, combined, goals
 from dmframe.certify.positive import Positive, Signs
 from dmframe.certify.smoothness import slope
 from dmframe.certify.symbols import Symbols
+from dmframe.common.names import symbol
+from dmframe.common.text import Label, Text, Written, around, name_of, sentence, square_of
 from dmframe.diagram.closed_loop import Variable
 from dmframe.diagram.projection import Bodies
-from dmframe.names import symbol
-from dmframe.text import Label, Text, Written, around, name_of, sentence, square_of
 
 T = TypeVar("T", bound=Positive)
 
@@ -69,24 +69,24 @@ def states_of(claim: Claim, closure: Closure) -> States:
 
 def bases_of(claim: Claim, symbols: Symbols, signs: Signs) -> Bases:
     """What is bounded to begin with: what V holds, and what a projection keeps; and what may follow."""
-    driven = [(part.block, item) for part in claim.parts for item in part.certificate.driven]
+    driven = [(part.block, item) for part in claim.parts for item in part.certificate.linear]
     driven += [
         (part.block, _memory(term))
         for part in claim.parts
         for term in part.certificate.storage
-        if isinstance(term, Gathered)
+        if isinstance(term, InformationSquare)
     ]
     vectors = [item.state for item in claim.loop.projections if item.set.bounds]
-    rising = any(part.certificate.excess for part in claim.parts)
+    rising = any(part.certificate.residual for part in claim.parts)
     if not rising or ultimate(claim, symbols, signs):
         vectors += [term.vector for _, term in _stored(claim) if signs.positive(term)]
     return Bases(tuple(vectors), tuple(driven))
 
 
-def _memory(term: Gathered) -> Driven:
+def _memory(term: InformationSquare) -> StableLinear:
     """What is gathered is forgotten: it obeys a stable equation."""
     memory = ca.vec(ca.densify(term.memory))
-    return Driven(
+    return StableLinear(
         (memory,), ((-term.forgetting,),), (memory,), of=(Text(name_of("G"), " of ", square_of(term.of, "G")),)
     )
 
@@ -111,7 +111,7 @@ PROJECTED = Text("a projection keeps the estimate in its set")
 
 def statements_of(claim: Claim, symbols: Symbols, signs: Signs, closure: Closure) -> list[Statement]:
     """Read off V and its dissipation, term by term; they hold if the claim is proved."""
-    if any(part.certificate.excess for part in claim.parts):
+    if any(part.certificate.residual for part in claim.parts):
         return list(_up_to_a_residual(claim, symbols, signs))
     stored = [term for _, term in _stored(claim) if signs.positive(term)]
     spent = _distinct([square for square in _spent_squares(claim) if signs.positive(square)])
@@ -125,7 +125,7 @@ def statements_of(claim: Claim, symbols: Symbols, signs: Signs, closure: Closure
     held = {term.of for term in stored}
     found += [
         Statement(name, "is bounded", DRIVEN, closure.needs([vector]))
-        for item in closure.driven
+        for item in closure.linear
         for name, vector, shown in zip(item.of, item.bounded, closure.bounds(item.bounded), strict=True)
         if shown and name not in held
     ]
@@ -145,7 +145,7 @@ def _smooth(of: Text) -> Text:
 
 def _stored(claim: Claim) -> Iterator[tuple[Part, Positive]]:
     for part in claim.parts:
-        yield from ((part, term) for term in part.certificate.storage if not isinstance(term, Gathered))
+        yield from ((part, term) for term in part.certificate.storage if not isinstance(term, InformationSquare))
 
 
 def _stored_squares(claim: Claim) -> list[Square]:
@@ -166,14 +166,14 @@ def _vectors(claim: Claim) -> dict[Text, SX]:
     found = dict[Text, SX]()
     for part in claim.parts:
         certificate = part.certificate
-        for term in (*certificate.storage, *certificate.dissipation, *certificate.excess, *certificate.errors):
+        for term in (*certificate.storage, *certificate.dissipation, *certificate.residual, *certificate.errors):
             if isinstance(term, Lemma):
                 found[term.of] = term.first - term.second
             else:
                 found[term.of] = term.other if isinstance(term, Clipped) else term.vector
             if isinstance(term, NormSquare):
                 found[term.by_of] = term.by
-        for item in certificate.driven:
+        for item in certificate.linear:
             found |= dict(zip(item.of, item.bounded, strict=True))
     return found
 
@@ -218,7 +218,7 @@ def _vanishing(claim: Claim, closure: Closure, spent: Sequence[Square]) -> list[
 
 def vanishing_of(claim: Claim, closure: Closure, signs: Signs) -> list[Vanishing]:
     """What converges to zero because it is dissipated; nothing for a claim with a residual."""
-    if any(part.certificate.excess for part in claim.parts):
+    if any(part.certificate.residual for part in claim.parts):
         return []
     spent = _distinct([square for square in _spent_squares(claim) if signs.positive(square)])
     return [item for item in _vanishing(claim, closure, spent) if item.proved]
@@ -247,7 +247,7 @@ def _wanted(claim: Claim, closure: Closure) -> set[Text]:
     """Errors for whose sake the loop is built: of the task level or driven by it, and about the robot."""
     task = {term.of: term.vector for part, term in _stored(claim) if part.cascade}
     task |= {term.of: term.vector for part in claim.parts for term in part.certificate.errors}
-    pairs = [pair for item in closure.driven for pair in zip(item.of, item.bounded, strict=True)]
+    pairs = [pair for item in closure.linear for pair in zip(item.of, item.bounded, strict=True)]
     plant = symbols_in(variable.symbol for variable in claim.loop.plant)
     desired = symbols_in(leaf.symbol for leaf in claim.loop.trajectories)
     driven = {of for of, vector in pairs if symbols_in([vector]) & desired}
@@ -346,7 +346,7 @@ def ultimate(claim: Claim, symbols: Symbols, signs: Signs) -> bool:
 
 def _assumed(claim: Claim) -> Iterator[Text]:
     for part in claim.parts:
-        for term in part.certificate.excess:
+        for term in part.certificate.residual:
             if isinstance(term, NormSquare):
                 yield sentence("the dissipation of {a} outgrows {size}", a=term.by_of, size=around(term.by_of, "|{}|"))
             elif isinstance(term, Clipped):

@@ -1,28 +1,26 @@
 """Which states a proof over samples bounds: what V, a box or the map of a sample itself keeps; the others are named.
 
 A state follows from the map where its next value is its own, or is defined everywhere and made of bounded states and
-parameters alone. Nothing is known of what moves between samples, of a source, or of what is drawn. The cost is that of
-one search for symbols a state and round.
+parameters alone. Nothing is known of what moves between samples, of a source, or of what is drawn.
 """
 
 from __future__ import annotations
 
 import random
 from collections.abc import Iterator
-from collections.abc import Set as AbstractSet
 
 import casadi as ca
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim
-from dmframe.certify.risky import risky
+from dmframe.certify.partial_functions import domains_of
 from dmframe.certify.smoothness import jumps
 from dmframe.certify.statements import States
+from dmframe.common.errors import ValueFault
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.pieces import rows_of
-from dmframe.errors import ValueFault
 from dmframe.exact import Trial, ZeroDivision, random_prime
 from dmframe.exact.linear import Echelon
 from dmframe.exact.rational import Interval
@@ -31,12 +29,13 @@ from dmframe.exact.rational import Interval
 def sampled_states(claim: Claim, numbers: Numbers, seed: int) -> States:
     """Sort all states of the loop, the plant's too."""
     known = _boxed(claim) | _in_v(claim, numbers, seed)
-    becomes = dict(_becomes(claim))
+    becomes = {label: pair for label, pair in _becomes(claim) if label not in known}
+    needed = {label: _needed(*pair) for label, pair in becomes.items()}
+    still = claim.loop.constants | symbols_in([claim.loop.period])
     while True:
-        still = claim.loop.constants
-        still |= symbols_in([claim.loop.period])
-        still |= symbols_in(v.symbol for v in claim.loop.variables if v.label in known)
-        found = {label for label, value in becomes.items() if label not in known and _kept(value, still)}
+        bounded = still | symbols_in(v.symbol for v in claim.loop.variables if v.label in known)
+        ready = [label for label, symbols in needed.items() if symbols <= bounded]
+        found = {label for label in ready if not needed.pop(label) or _is_defined(becomes[label][1])}
         if not found:
             break
         known |= found
@@ -68,7 +67,7 @@ def _in_v(claim: Claim, numbers: Numbers, seed: int) -> set[str]:
     trial = Trial(random_prime(rng), rng)
     rows = Echelon(trial.prime, states.numel())
     for part in claim.parts:
-        if part.certificate.excess or part.certificate.steps:
+        if part.certificate.residual or part.certificate.steps:
             continue  # V rises by what is gained, of which nothing is known
         for term in part.certificate.storage:
             if jumps(ca.SX(term.vector), numbers.known):
@@ -101,9 +100,12 @@ def _becomes(claim: Claim) -> Iterator[tuple[str, tuple[SX, SX]]]:
             yield variable.label, (ca.vec(variable.symbol), ca.vec(variable.symbol))
 
 
-def _kept(pair: tuple[SX, SX], known: AbstractSet[int]) -> bool:
-    """True for a state that stays, or that bounded states and parameters make by operations defined everywhere."""
-    state, then = pair
-    if ca.is_equal(ca.densify(then), ca.densify(state), 2):
-        return True
-    return symbols_in([then]) <= known and not any(symbols_in([part]) for _, part in risky([then]))
+def _needed(state: SX, then: SX) -> set[int]:
+    """The symbols that must be bounded for a state to be so; one that stays needs none."""
+    stays = ca.is_equal(ca.densify(then), ca.densify(state), 2)
+    return set() if stays else symbols_in([then])
+
+
+def _is_defined(then: SX) -> bool:
+    """True where operations that are defined everywhere make a next value."""
+    return not any(symbols_in([part]) for _, part in domains_of([then]))

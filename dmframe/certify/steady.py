@@ -8,15 +8,15 @@ from typing import Any
 import casadi as ca
 
 from dmframe.block import AbstractBlock
+from dmframe.block.certificate import SX, Certificate
 from dmframe.block.faults import fault_context
+from dmframe.block.parameter import specs
 from dmframe.block.steady import Stating, collected, hold_steady
-from dmframe.certificate import SX, Certificate
 from dmframe.certify.form import NotApplicableError
+from dmframe.common.errors import BlockError, DmframeError
 from dmframe.diagram import Diagram
 from dmframe.diagram.truths import Stated
 from dmframe.diagram.view import View, recalling, stated_start, view
-from dmframe.errors import BlockError, DmframeError
-from dmframe.parameter import specs
 
 
 def hold_claims(diagram: Diagram, truths: Stated) -> None:

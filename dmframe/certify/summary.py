@@ -6,7 +6,7 @@ import math
 from fractions import Fraction
 from typing import Any
 
-from dmframe.certificate import Clipped, Gathered, Lemma, LogDet, NormSquare, Potential, Square
+from dmframe.block.certificate import Clipped, InformationSquare, Lemma, LogDet, NormSquare, Potential, Square
 from dmframe.certify.claim import Claim
 from dmframe.certify.verdict import Verdict
 from dmframe.exact.rational import as_float
@@ -16,7 +16,7 @@ KINDS = {
     NormSquare: "norm_square",
     Lemma: "lemma",
     Clipped: "clipped",
-    Gathered: "gathered",
+    InformationSquare: "gathered",
     Potential: "potential",
     LogDet: "log_det",
 }

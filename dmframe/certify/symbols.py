@@ -10,13 +10,13 @@ from typing import Any, final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
+from dmframe.block.port import Side
 from dmframe.certify.claim import Claim, NotApplicableError
 from dmframe.diagram import ClosedLoop, Diagram, Parameter
 from dmframe.diagram.closed_loop import stack
 from dmframe.exact import zero_test
-from dmframe.port import Side
 from dmframe.program import TO_READ
 from dmframe.robot.rational import decimal
 
@@ -109,7 +109,9 @@ def _no_constants(claim: Claim, known: Sequence[Group], unknown: Sequence[Group]
     """Unknown constants that are a signal, a parameter, or no symbol of their own."""
     labels, loop = {group.label for group in known}, claim.loop
     sources = claim.diagram.resolver.trajectories.values()
-    taken = symbols_in([*(group.symbol for group in known), *(leaf.symbol for leaf in (*loop.crossings, *sources))])
+    taken = symbols_in(
+        [*(group.symbol for group in known), *(leaf.symbol for leaf in (*loop.sampled_signals, *sources))]
+    )
     taken |= loop.constants
     for group in unknown:
         block, _, name = group.label.partition(".")

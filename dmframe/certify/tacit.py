@@ -14,8 +14,9 @@ from typing import Any, Final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX, Assumption, Clipped, InformationSquare, LogDet, StableLinear
+from dmframe.block.linalg import ldl, square
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Assumption, Clipped, Driven, Gathered, LogDet
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Bases, Closure
@@ -24,24 +25,23 @@ from dmframe.certify.contradicted import kept_above
 from dmframe.certify.divisors import domains
 from dmframe.certify.linear import stability_margin
 from dmframe.certify.memories import gathered_from_start, pivots_at_start, reads_of
+from dmframe.certify.partial_functions import domains_of, instructions
 from dmframe.certify.positive import Signs
 from dmframe.certify.projections import ROUNDED, begun_in, rooms_on_path
 from dmframe.certify.reach import kept_within
-from dmframe.certify.risky import instructions, risky
 from dmframe.certify.sampler import over_horizon
 from dmframe.certify.smoothness import followed_by_numbers
 from dmframe.certify.statements import bases_of
 from dmframe.certify.symbols import symbols_of
+from dmframe.common.errors import ValueFault
+from dmframe.common.text import Label, Text, joined, name_of, sentence
 from dmframe.diagram.closed_loop import Parameter, stack
 from dmframe.diagram.projection import Ball, Bodies, Box, Projection
-from dmframe.errors import ValueFault
 from dmframe.exact import ZeroDivision
-from dmframe.linalg import ldl, square
 from dmframe.program import JUMPS
 from dmframe.prove.definite import Number, lower, upper
 from dmframe.robot.parameters import INERTIAL
 from dmframe.robot.pseudo_inertia import pseudo_inertia
-from dmframe.text import Label, Text, joined, name_of, sentence
 
 ROUNDING: Final = 1e-9 / 4
 """Of a load's trace: less than the share of its largest eigenvalue that `verify` takes for rounding."""
@@ -87,19 +87,19 @@ def _domains(claim: Claim) -> Iterator[Checked]:
         yield from domains(name, claim.risks[name], model.moving)
     moving = symbols_in([claim.loop.state, claim.loop.time, *(leaf.symbol for leaf in claim.loop.trajectories)])
     for part in claim.parts:
-        terms = [ca.SX(term.value) for term in part.certificate.excess]
-        yield from domains(f"{part.block}, what bounds its residual", list(risky(terms)), moving)
+        terms = [ca.SX(term.value) for term in part.certificate.residual]
+        yield from domains(f"{part.block}, what bounds its residual", list(domains_of(terms)), moving)
 
 
 def _widths(claim: Claim) -> Iterator[Checked]:
     """As `bounds_of` looks at clipped terms."""
     for part in claim.parts:
-        for term in part.certificate.excess:
+        for term in part.certificate.residual:
             if isinstance(term, Clipped):
                 yield _held(Text(f"{part.block}: width of the clipped ", term.of, " > 0"), ca.SX(term.width))
 
 
-def _replaced(item: Driven) -> bool:
+def _replaced(item: StableLinear) -> bool:
     """True where its block states conditions that replace it where it does not follow."""
     return not all(isinstance(condition, Assumption) for condition in item.otherwise)
 
@@ -107,7 +107,7 @@ def _replaced(item: Driven) -> bool:
 def _stable(claim: Claim) -> Iterator[Checked]:
     """Stability of linear subsystems with a replacement, as the closure checks it."""
     for part in claim.parts:
-        for item in part.certificate.driven:
+        for item in part.certificate.linear:
             if _replaced(item):
                 text = Text(f"{part.block}: the linear equation of ", joined(item.of), " is stable")
                 yield _held(text, stability_margin(item), sufficient=True)
@@ -115,7 +115,7 @@ def _stable(claim: Claim) -> Iterator[Checked]:
 
 def _follows(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
     """What follows at the graph's numbers follows at almost all others, or depends on them; in an interval, at zero."""
-    if not any(_replaced(item) for part in claim.parts for item in part.certificate.driven):
+    if not any(_replaced(item) for part in claim.parts for item in part.certificate.linear):
         return
     symbols = symbols_of(claim, numbers.uncertain)
     bases = bases_of(claim, symbols, Signs(claim, numbers))
@@ -241,7 +241,7 @@ def _starts(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
         yield _started(projection, numbers)
     for part in claim.parts:
         for term in (*part.certificate.storage, *part.certificate.dissipation):
-            if isinstance(term, Gathered):
+            if isinstance(term, InformationSquare):
                 yield _gathers(gathered_from_start(part, term), term.memory, numbers)
             if isinstance(term, LogDet):
                 begun = pivots_at_start(claim, numbers, {}, term.matrix)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX, Certificate
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Certificate
 from dmframe.certify.certificates import certificates_of
 from dmframe.certify.form import NotApplicableError
 from dmframe.diagram import Diagram

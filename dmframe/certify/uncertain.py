@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from dmframe.block.parameter import Spec, array, read, specs
+from dmframe.block.port import Side
+from dmframe.common.errors import DmframeError, UnknownNameError, ValueFault, raise_all
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError, UnknownNameError, ValueFault, raise_all
 from dmframe.exact.rational import Interval
-from dmframe.parameter import Spec, array, read, specs
-from dmframe.port import Side
 from dmframe.robot.rational import decimal
 
 

@@ -6,21 +6,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, final
 
-from dmframe.certificate import Assumption
+from dmframe.block.certificate import Assumption
 from dmframe.certify.checked import Checked
 from dmframe.certify.claim import Claim
-from dmframe.certify.excess import Bound, total_bound
 from dmframe.certify.explained import UNCHECKED
+from dmframe.certify.residual import Bound, total_bound
 from dmframe.certify.small_gain import Kappa
 from dmframe.certify.statements import Statement, States
 from dmframe.certify.states import held_in_v
-from dmframe.errors import listed
+from dmframe.common.errors import listed
+from dmframe.common.text import Text
 from dmframe.exact import ZeroTest
 from dmframe.exact.rational import as_float
 from dmframe.prove import claim as data
 from dmframe.prove.faults import Control
 from dmframe.prove.refute import Refutation
-from dmframe.text import Text
 
 Outcome = Literal["proved", "refuted", "not_applicable"]
 

@@ -8,9 +8,11 @@ from typing import Final
 
 import casadi as ca
 
-from dmframe.certificate import SX
+from dmframe.block.certificate import SX
+from dmframe.block.condition import Inequality
+from dmframe.block.naming import Naming, reading
 from dmframe.certify.claim import Claim
-from dmframe.condition import Inequality
+from dmframe.common.text import Text, text_of
 from dmframe.diagram import Diagram
 from dmframe.diagram.truths import Stated
 from dmframe.diagram.view import view
@@ -18,8 +20,6 @@ from dmframe.formula import Formula, tree
 from dmframe.formula.elements import Elements
 from dmframe.formula.read import UnreadableError
 from dmframe.formula.tree import SCALAR, Node, Number, Relation, Sum
-from dmframe.naming import Naming, reading
-from dmframe.text import Text, text_of
 
 SHORT: Final = 40
 """Length up to which an expression is printed after a name."""

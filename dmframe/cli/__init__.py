@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from dmframe.cli.signals import stoppable
 from dmframe.cli.streams import OutputGone, drop_output, listeners, prepare, tell
-from dmframe.files import FULL
+from dmframe.common.files import FULL
 
 if TYPE_CHECKING:
     from dmframe.remembered.front import Call
@@ -48,24 +48,28 @@ def _status() -> int:
     """Run the command of the arguments and report its faults; returns the exit status."""
     from dmframe.remembered.front import call_of, found, page_of
 
-    begun = "dmframe.catalogue" in sys.modules  # earlier reads of this process were not recorded
-    call = None if begun or COMPLETING in os.environ else call_of(sys.argv[1:])
-    if call is not None:
-        entry = found(call)
-        if entry is not None:
+    loaded = "dmframe.catalogue" in sys.modules  # earlier reads of this process were not recorded
+    call = None if loaded or COMPLETING in os.environ else call_of(sys.argv[1:])
+    if call is not None and (entry := found(call)) is None:
+        _record(call)
+    elif call is not None and entry is not None:
+        if call.command == "run":
+            from dmframe.remembered.conclusions import recall
+
+            recall(entry)
+        else:
             sys.stderr.write("".join(entry["aside"]))
             tell(page_of(entry, as_json=call.as_json))
             return int(entry["status"])
-        _record(call)
     return _commanded()
 
 
 def _record(call: Call) -> None:
-    """Record the inputs of the proof, so that its verdict can be remembered."""
+    """Record the inputs of the proof or the run, so that its verdict or its conclusions can be remembered."""
     from dmframe.remembered.recorder import begin
 
     recorder = begin(call)
-    if recorder is not None:
+    if recorder is not None and call.command == "verify":
         listeners.append(recorder.aside)
 
 
@@ -74,7 +78,7 @@ def _commanded() -> int:
     import typer
 
     from dmframe.cli.app import app_for
-    from dmframe.errors import DmframeError, visible
+    from dmframe.common.errors import DmframeError, visible
 
     # some versions of typer contain their own click; this is the exception class of both
     bases = typer.BadParameter.__mro__
@@ -115,7 +119,7 @@ _REQUIRED = {
 
 
 def _unexpected(error: BaseException) -> str:
-    """Message for an error outside `dmframe.errors`: an unreadable file, or a defect with its line."""
+    """Message for an error outside `dmframe.common.errors`: an unreadable file, or a defect with its line."""
     if isinstance(error, OSError) and isinstance(
         error.filename, str | bytes
     ):  # `writing` reports errors of output files

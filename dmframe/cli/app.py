@@ -36,8 +36,8 @@ from dmframe.cli.races import race
 from dmframe.cli.robots import drive, export, rehearse, replay, robot
 from dmframe.cli.streams import tell
 from dmframe.cli.studies import study, tune
-from dmframe.errors import DmframeError
-from dmframe.files import check_place
+from dmframe.common.errors import DmframeError
+from dmframe.common.files import check_place
 
 if TYPE_CHECKING:
     from dmframe.simulate.engine import Choice
@@ -57,7 +57,7 @@ RECORD = "3"
 
 def _version(wanted: bool) -> None:
     if wanted:
-        from dmframe.version import version as installed
+        from dmframe.common.version import version as installed
 
         tell(f"dmframe {installed()}")
         raise typer.Exit
@@ -133,6 +133,9 @@ def run(
     no_plots: Annotated[bool, typer.Option("--no-plots", help="Draw no figures.")] = False,
     page: Annotated[bool, typer.Option("--page", help="Write each graph's live page to its results.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Write to --out even if it contains files.")] = False,
+    fresh: Annotated[  # read by `dmframe.remembered.front`, as that of `verify`
+        bool, typer.Option("--fresh", help="Decide again what depends on the graph alone, even if it is remembered.")
+    ] = False,
     as_json: AsJson = False,
     trust: Trust = False,
 ) -> int:
@@ -331,14 +334,14 @@ def regressor(
 ) -> int:
     """Regressor of a robot: parameters, entries, code, proofs, and difference from Pinocchio."""
     from dmframe.cli.options import angles, refuse, words
-    from dmframe.cli.regressor import Wanted, regressor_of
+    from dmframe.cli.regressor import RegressorOptions, regressor_of
     from dmframe.robot.library import load
 
     kinds = words(friction) or ()
     if kinematic and latex is None:  # LaTeX contains both regressors
         refuse({"--base": base, "--friction": friction or None}, "it has no effect with --kinematic; leave one out")
     chain = load(robot, base=Path(), free=words(free), hold=angles("--hold", hold), tool=tool)
-    return regressor_of(chain, kinds, Wanted(base, kinematic, symbolic, prove, c, python, latex))
+    return regressor_of(chain, kinds, RegressorOptions(base, kinematic, symbolic, prove, c, python, latex))
 
 
 def app_for(words: Sequence[str]) -> typer.Typer:

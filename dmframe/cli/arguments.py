@@ -7,7 +7,7 @@ from typing import Annotated, Final
 
 import typer
 
-from dmframe.files import expanded
+from dmframe.common.files import expanded
 
 
 def home(path: Path | None) -> Path | None:

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dmframe.cli.arguments import Listed, graph_names, home, lesson_numbers, robot_names, type_names
+from dmframe.cli.arguments import NOTHING, Listed, graph_names, home, lesson_numbers, robot_names, type_names
 from dmframe.cli.streams import tell
-from dmframe.errors import UnknownNameError
-from dmframe.files import write_text
+from dmframe.common.errors import UnknownNameError
+from dmframe.common.files import write_text
 
 if TYPE_CHECKING:
-    from dmframe.config.named import Named
+    from dmframe.config.registry import Registry
 
 SCHEMA = "dmframe.schema.json"
 """Schema file next to a new graph; the YAML server of an editor finds it by the graph's first line."""
@@ -23,7 +23,7 @@ SCHEMA = "dmframe.schema.json"
 
 def graphs(as_json: Listed = False) -> None:
     """List the packaged graphs with duration, clock and title."""
-    from dmframe.graph.shelf import graphs as registry
+    from dmframe.graph.registries import graphs as registry
 
     _print(registry(), as_json)
 
@@ -35,8 +35,8 @@ def robots(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, a list or the one robot.")] = False,
 ) -> None:
     """List the packaged robots, or print joints, masses, tool and known errors of one."""
+    from dmframe.graph.registries import robots as registry
     from dmframe.graph.robot_page import robot_data, robot_page
-    from dmframe.graph.shelf import robots as registry
 
     if name is None:
         _print(registry(), as_json)
@@ -44,7 +44,7 @@ def robots(
         tell(json.dumps(robot_data(name), indent=2) if as_json else robot_page(name))
 
 
-def _print(registry: Named[Any], as_json: bool) -> None:
+def _print(registry: Registry[Any], as_json: bool) -> None:
     tell(json.dumps(registry.summary, indent=2) if as_json else str(registry))
 
 
@@ -58,11 +58,15 @@ def new(
     ],
     file: Annotated[Path | None, typer.Argument(callback=home, help="The new file; NAME.yaml without it.")] = None,
     tool: Annotated[str | None, typer.Option(metavar="FRAME", help="Tool frame of the robot; default: flange.")] = None,
+    hold: Annotated[
+        list[str],
+        typer.Option(metavar="JOINT=POSITION", help="Hold a joint of the robot at an angle or a length; repeatable."),
+    ] = NOTHING,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
 ) -> None:
     """Copy a packaged graph, or write a first graph for a robot, with the schema for completion in an editor."""
     from dmframe.catalogue import graphs as packaged
-    from dmframe.cli.options import refuse
+    from dmframe.cli.options import angles, refuse
     from dmframe.config.schema import json_schema
     from dmframe.graph.first import first_graph, is_robot
     from dmframe.robot.library import robots as packaged_robots
@@ -70,10 +74,10 @@ def new(
     known, notes = packaged(), tuple[str, ...]()
     target = file or Path(f"{Path(name).name.partition('.')[0]}.yaml")
     if name in known:
-        refuse({"--tool": tool is not None}, "a packaged graph has its own; name a robot")
+        refuse({"--tool": tool is not None, "--hold": bool(hold)}, "a packaged graph has its own; name a robot")
         text = known[name].read_text(encoding="utf-8")
     elif is_robot(name):
-        made = first_graph(name, target.parent, tool)
+        made = first_graph(name, target.parent, tool, angles("--hold", hold))
         text, notes = made.text, made.notes
         for model, content in made.robot.items():
             write_text(target.with_name(model), content, new=not force)
@@ -100,7 +104,7 @@ def blocks(
     from dmframe.catalogue import block_types, find_block
     from dmframe.cli.options import refuse
     from dmframe.graph.pages import block_list, block_page
-    from dmframe.graph.shelf import blocks as registry
+    from dmframe.graph.registries import blocks as registry
 
     if kind is not None:
         refuse({"--json": as_json}, "a block's page is text; leave the type out for a list")

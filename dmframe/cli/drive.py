@@ -11,16 +11,16 @@ from typing import Any
 
 from dmframe.cli import STOPPED
 from dmframe.cli.run import placed_folder, written
-from dmframe.cli.signals import held_off
+from dmframe.cli.signals import deferred_signals
 from dmframe.cli.streams import tell
+from dmframe.common.errors import DmframeError, DriveError, ValueFault
+from dmframe.common.units import seconds as time_of
+from dmframe.common.units import shorten, to_unit
 from dmframe.drive.robots import kind_of
-from dmframe.errors import DmframeError, DriveError, ValueFault
 from dmframe.graph.graph import Graph
 from dmframe.results.folder import drawing
 from dmframe.results.place import SAMPLES, complete
 from dmframe.results.run import table_of
-from dmframe.units import seconds as time_of
-from dmframe.units import shorten, to_unit
 
 NOT_BORNE = 1
 FAILED = 1
@@ -53,7 +53,7 @@ def drive_graph(
         tell(f"{robot}: notice: its driver is untested on hardware, and the gate is not a safety function", aside=True)
     with ExitStack() as stack:
         place = stack.enter_context(placed_folder(out, [graph], force=force))
-        with held_off() as came:
+        with deferred_signals() as came:
             try:
                 run = graph.drive(
                     robot,
@@ -114,12 +114,12 @@ def rehearse_graph(
     as_json: bool,
 ) -> int:
     """Rehearse a graph and print the result; a passed rehearsal with full runs is kept for `drive`."""
-    from dmframe.drive.kept import keep
+    from dmframe.drive.records import store
 
     _ = graph.diagram
     until = None if seconds is None else time_of("--seconds", seconds)
     found = graph.rehearse(until, limits=limits, **_options(ramp, patience, payload))
-    kept = keep(found)
+    kept = store(found)
     if as_json:
         tell(json.dumps({**found.summary, "kept": kept}, indent=2))
     else:

@@ -39,9 +39,9 @@ def experiment(
     Nothing was tried on hardware, and the surroundings of the robot are unknown except for --floor.
     """
     from dmframe.cli.options import quantity, whole, words
+    from dmframe.common.units import joint_place
     from dmframe.graph.progress import progress_line
     from dmframe.identification.experiment import experiment as proposed
-    from dmframe.units import joint_place
 
     posture = None if start is None else [joint_place(word) for word in words(start) or ()]
     with progress_line(robot) as say:

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from dmframe.catalogue import find_graph
-from dmframe.errors import DmframeError, UnknownNameError, ValueFault
+from dmframe.common.errors import DmframeError, UnknownNameError, ValueFault
+from dmframe.common.trust import remember
 from dmframe.graph.graph import Graph
-from dmframe.trust import remember
 
 _FREE = ("title",)
 """Keys whose text may contain commas."""

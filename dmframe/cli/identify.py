@@ -11,7 +11,7 @@ import typer
 
 from dmframe.cli.arguments import NOTHING, home, robot_names
 from dmframe.cli.streams import tell
-from dmframe.errors import OutputError
+from dmframe.common.errors import OutputError
 
 UNKNOWN = 1
 

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from dmframe.cli.options import whole
 from dmframe.cli.streams import tell
-from dmframe.columns import columns, page_width
-from dmframe.errors import MissingError, OutputError, ValueFault
-from dmframe.files import write_text
+from dmframe.common.columns import columns, page_width
+from dmframe.common.errors import MissingError, OutputError, ValueFault
+from dmframe.common.files import write_text
 from dmframe.lessons import Lesson, lessons, notebook, readable
 
 

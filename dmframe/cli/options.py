@@ -6,8 +6,8 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from dmframe.errors import DmframeError, ValueFault
-from dmframe.units import joint_place, shorten, to_unit
+from dmframe.common.errors import DmframeError, ValueFault
+from dmframe.common.units import joint_place, shorten, to_unit
 
 _WHOLE: Final = re.compile(r"\s*[-+]?[0-9]+\s*")
 
@@ -34,7 +34,7 @@ def words(text: str | None) -> tuple[str, ...] | None:
 
 def formats_of(text: str) -> tuple[str, ...]:
     """Parse comma-separated figure formats; raises `UnknownNameError`."""
-    from dmframe.plotting import checked_formats
+    from dmframe.common.plotting import checked_formats
 
     return checked_formats("--figures", words(text) or ("",))
 

@@ -9,7 +9,7 @@ from typing import Annotated, Final
 import typer
 
 from dmframe.cli.arguments import Trust, home
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 
 PACKAGED: Final = "packaged"
 EVERY: Final = 10.0
@@ -40,13 +40,13 @@ def race(
     from dmframe.cli import STOPPED
     from dmframe.cli.options import whole
     from dmframe.cli.streams import tell
+    from dmframe.common.trust import remember
     from dmframe.graph.progress import progress_line
     from dmframe.race.page import lead
     from dmframe.race.read import load_race
     from dmframe.race.run import PAGE, run_race
     from dmframe.results.folder import safe_name
     from dmframe.study.execute import State
-    from dmframe.trust import remember
 
     count = None if workers is None else whole("--workers", workers)
     if count is not None and count < 1:

@@ -10,10 +10,10 @@ from typing import Any
 from dmframe.analysis.rank_region import RankRegion, rank_region
 from dmframe.analysis.rank_report import option_value, proved, rank_summary
 from dmframe.cli.streams import tell
-from dmframe.columns import columns
+from dmframe.common.columns import columns
+from dmframe.common.units import plain
 from dmframe.graph.graph import Graph
 from dmframe.graph.progress import progress_line
-from dmframe.units import plain
 
 NO_REGION = 1
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from dmframe.cli.options import whole
 from dmframe.cli.streams import tell
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 
 if TYPE_CHECKING:
     from dmframe.graph.graph import Graph
@@ -39,7 +39,7 @@ def serve(
         tell(f"{graph.name}: a virtual {robot.arm.name} at {host}, {1 / robot.dt:g} cycles a second; {listed}")
         tell("no hardware: its documentation lists what is not emulated; Ctrl-C stops it")
         printer = _Printer(robot)
-        robot.serve(lambda: printer.goes_on(until), patience)
+        robot.serve(lambda: printer.continues(until), patience)
 
 
 class _Printer:
@@ -48,7 +48,7 @@ class _Printer:
     def __init__(self, robot: VirtualRobot) -> None:
         self._robot, self._seen = robot, 0
 
-    def goes_on(self, until: float | None) -> bool:
+    def continues(self, until: float | None) -> bool:
         """Print new messages; returns False at the end time."""
         robot = self._robot
         fresh = robot.message_count - self._seen

@@ -9,7 +9,7 @@ import typer
 
 from dmframe.cli.arguments import NOTHING, AsJson, FigureFormats, LimitsFile, OneGraph, Overrides, Trust, home
 from dmframe.cli.streams import tell
-from dmframe.errors import MissingError
+from dmframe.common.errors import MissingError
 
 Ramp = Annotated[
     str | None, typer.Option(metavar="S", help="Acceleration time of the first motion; 0 for sim, else 1 s.")
@@ -170,7 +170,7 @@ def robot(
     from dmframe.cli.graphs import one_graph
     from dmframe.cli.options import quantity, whole
     from dmframe.cli.robot import ports_of, serve
-    from dmframe.units import seconds as time_of
+    from dmframe.common.units import seconds as time_of
 
     serve(
         one_graph(graph, overrides, trust=trust),

@@ -15,20 +15,24 @@ from pathlib import Path
 from typing import Any
 
 from dmframe.cli import STOPPED
-from dmframe.cli.signals import held_off
+from dmframe.cli.signals import deferred_signals
 from dmframe.cli.streams import tell
-from dmframe.copies import shared
-from dmframe.errors import OutputError
+from dmframe.common.copies import shared
+from dmframe.common.errors import OutputError
+from dmframe.common.units import seconds
 from dmframe.graph.doubts import doubts
 from dmframe.graph.graph import Graph
 from dmframe.graph.labels import labels_of
 from dmframe.graph.progress import Bars
 from dmframe.graph.runs import labelled
-from dmframe.results.folder import drawing, folders_of, safe_name, write_data
+from dmframe.remembered.conclusions import adopt, keep, recalled, watched
+from dmframe.remembered.recorder import current, end, paused
+from dmframe.results.decided import Decided
+from dmframe.results.drawing_process import drawing
+from dmframe.results.folder import folders_of, named, safe_name, write_data, write_figures
 from dmframe.results.place import PAGE, Place, complete, reserved
 from dmframe.results.run import Run, notes_of, numbers_of
 from dmframe.simulate.engine import Choice
-from dmframe.units import seconds
 
 DIVERGED = 1
 MOST = 100
@@ -61,31 +65,35 @@ def run_graphs(
         if pages:
             _check_page(graph)
     with placed_folder(out, graphs, force=force) as place:
-        found, interrupted = _run_all(graphs, engine, as_json)
-        if not found:
-            return STOPPED
-        lost = list[Exception]()
-        runs: Sequence[Run] = labelled(found)
-        say = partial(_say, lost=lost)
-        with drawing(runs if formats else (), formats) as draw:
+        with drawing(graphs, formats) as drawn:
+            found, interrupted = _run_all(graphs, engine, as_json)
+            if not found:
+                return STOPPED
+            lost = list[Exception]()
+            runs: Sequence[Run] = labelled(found)
+            say = partial(_say, lost=lost)
+            drawn.begin(named(runs))
             if not as_json:
                 say(numbers_of(runs))
-            with held_off() as signals:
-                runs = _judged(runs, graphs)  # takes longer than the run
-                if not as_json and (said := notes_of(runs)):
-                    say("\n".join(said))
+            with deferred_signals() as signals:
+                runs, conclusions = _judged(runs, graphs)  # takes longer than the run
+                watching = end()
+                if not as_json and (notes := notes_of(runs)):
+                    say("\n".join(notes))
                 summaries = written(place, runs)
             data = json.dumps(summaries[0] if len(graphs) == 1 else summaries, indent=2)
             say(data if as_json else f"results: {place.path}")
             if formats and not signals:
                 if not as_json and sys.stderr.isatty():
                     tell("drawing the figures", aside=True)
-                draw(place, runs)
+                write_figures(drawn, place, runs)
         for error in lost:
             raise error
         if pages and not signals:
             _write_pages(place, [run.name for run in runs], graphs)
         complete(place)
+    if conclusions:
+        keep(watching, conclusions)
     if interrupted or signals:
         return STOPPED
     return DIVERGED if any(run.divergence for run in runs) else 0
@@ -124,7 +132,9 @@ def placed_folder(out: Path | None, graphs: Sequence[Graph], *, force: bool) -> 
     """Reserve the given folder, or a new one named by the time."""
     if out is not None:
         labels = labels_of([(graph.name, graph) for graph in graphs])
-        with reserved(out, force=force, folders=folders_of(labels)) as place:
+        with ExitStack() as stack:
+            with paused():
+                place = stack.enter_context(reserved(out, force=force, folders=folders_of(labels)))
             yield place
         return
     first, count = _default_folder(graphs), 1
@@ -132,7 +142,8 @@ def placed_folder(out: Path | None, graphs: Sequence[Graph], *, force: bool) -> 
     with ExitStack() as stack:
         while True:
             try:
-                place = stack.enter_context(reserved(path))
+                with paused():
+                    place = stack.enter_context(reserved(path))
                 break
             except OutputError:
                 if not path.is_dir() or count > MOST:
@@ -170,13 +181,31 @@ def _say(text: str, lost: list[Exception]) -> None:
         lost.append(error)
 
 
-def _judged(runs: Sequence[Run], graphs: Sequence[Graph]) -> list[Run]:
-    """The runs with V, and with the notices that a copy of this process decides meanwhile.
+def _judged(runs: Sequence[Run], graphs: Sequence[Graph]) -> tuple[list[Run], Sequence[dict[str, Any]]]:
+    """The runs with V and with the notices on their graphs, and conclusions to keep.
 
-    After Ctrl-C there are fewer runs than graphs.
+    What a graph concludes alone is recalled, if it was kept; else a copy of this process decides the notices while this
+    one evaluates V. After Ctrl-C there are fewer runs than graphs.
     """
-    judging = [partial(doubts, graph, run.recording) for run, graph in zip(runs, graphs, strict=False)]
+    regular = len(runs) == len(graphs) and not any(run.divergence or run.recording.interrupted for run in runs)
+    known = recalled(len(graphs)) if regular else ()
+    if known:
+        for run, kept in zip(runs, known, strict=True):
+            run.decide(Decided.read(kept["V"]))
+        return [run.noticed(*kept["doubts"]) for run, kept in zip(runs, known, strict=True)], ()
+    judging = [
+        partial(watched, partial(doubts, graph, run.recording)) for run, graph in zip(runs, graphs, strict=False)
+    ]
     with shared(judging, busy=True) as finished:
         for run in runs:
             _ = run.notices
-        return [run.noticed(*said) if said else run for run, said in zip(runs, finished(), strict=True)]
+        notes = [adopt(found) for found in finished()]
+    judged = [run.noticed(*texts) if texts else run for run, texts in zip(runs, notes, strict=True)]
+    return judged, _conclusions(runs, notes) if regular and current() is not None else ()
+
+
+def _conclusions(runs: Sequence[Run], notes: Sequence[Sequence[str]]) -> Sequence[dict[str, Any]]:
+    """What the graphs of runs conclude alone, as it is kept; nothing if it is not known of all of them."""
+    decided = [run.decided for run in runs]
+    found = [{"doubts": texts, "V": V.data} for texts, V in zip(notes, decided, strict=True) if V is not None]
+    return found if len(found) == len(runs) else ()

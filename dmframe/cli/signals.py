@@ -23,7 +23,7 @@ def stoppable() -> Iterator[None]:
 
 
 @contextmanager
-def held_off() -> Iterator[list[int]]:
+def deferred_signals() -> Iterator[list[int]]:
     """Store terminating signals instead of raising, so that a second Ctrl-C does not lose results."""
     came = list[int]()
     deferred = [number for number in (signal.SIGINT, *_ENDING) if signal.getsignal(number) is not signal.SIG_IGN]

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from dmframe.cli.arguments import NOTHING, Overrides, Trust, home
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 
 
 def study(
@@ -41,7 +41,7 @@ def study(
     """Run a study: a graph with varied parameters. Results in its folder are not computed again."""
     from dmframe.cli.options import refuse, whole
     from dmframe.cli.study import REPORT, one_file, report, run
-    from dmframe.cli.study import dry_run as said
+    from dmframe.cli.study import dry_run as dry
     from dmframe.cli.study import rerun as repeated
 
     if words[0] == REPORT and len(words) > 1:
@@ -56,7 +56,7 @@ def study(
     if dry_run:
         unused = {"--rerun": rerun, "--force": force, "--no-report": no_report}
         refuse(unused, "it has no effect with --dry-run; leave one out")
-        return said(file, workers=count, out=out, as_json=as_json, trust=trust)
+        return dry(file, workers=count, out=out, as_json=as_json, trust=trust)
     if rerun is not None:
         refuse({"--workers": workers, "--no-report": no_report}, "it has no effect with --rerun; leave one out")
         return repeated(file, whole("--rerun", rerun), out=out, force=force, as_json=as_json, trust=trust)
@@ -92,7 +92,7 @@ def tune(
     """
     from dmframe.cli.options import whole
     from dmframe.cli.tune import tune_study
-    from dmframe.trust import remember
+    from dmframe.common.trust import remember
 
     if trust:
         remember(Path(study).parent)

@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 from dmframe.cli import STOPPED
 from dmframe.cli.streams import tell
-from dmframe.columns import columns
-from dmframe.errors import MissingError, ValueFault, visible
+from dmframe.common.columns import columns
+from dmframe.common.errors import MissingError, ValueFault, visible
+from dmframe.common.trust import remember
 from dmframe.graph.progress import counting, progress_line
-from dmframe.study.again import Again, again
-from dmframe.study.execute import Foreseen, State, foreseen, run_study
+from dmframe.study.execute import Estimate, State, estimate_of, run_study
 from dmframe.study.journal import LOCK
 from dmframe.study.plan import Study
 from dmframe.study.read import load_study
+from dmframe.study.rerun import Rerun, repeat
 from dmframe.study.results import Results, default_folder
 from dmframe.study.store import polars
-from dmframe.trust import remember
 
 if TYPE_CHECKING:
     from dmframe.study.report import Reported
@@ -192,7 +192,7 @@ def dry_run(file: str, *, workers: int | None, out: Path | None, as_json: bool, 
         say("building its closed loops")
         _check(study)
         say("timing some runs")
-        found = foreseen(study, out or place, workers)
+        found = estimate_of(study, out or place, workers)
     if as_json:
         tell(json.dumps(found.summary | {"out": str(out or place)}, indent=2))
     else:
@@ -200,7 +200,7 @@ def dry_run(file: str, *, workers: int | None, out: Path | None, as_json: bool, 
     return 0
 
 
-def _plan_text(study: Study, found: Foreseen, place: Path) -> str:
+def _plan_text(study: Study, found: Estimate, place: Path) -> str:
     rows = [
         ("points", str(found.points), _axes(study)),
         ("samples", str(found.samples), f"a point, {study.file.sample.method}, seed {study.file.sample.seed}"),
@@ -230,12 +230,12 @@ def rerun(file: str, number: int, *, out: Path | None, force: bool, as_json: boo
     place = out or place
     with progress_line(study.name, quiet=as_json) as say:
         say(f"run {number}")
-        found = again(study, number, place, place if place.is_dir() else Path(), force=force)
+        found = repeat(study, number, place, place if place.is_dir() else Path(), force=force)
     tell(json.dumps(found.summary, indent=2) if as_json else _comparison(study, found))
     return 0 if found.alike else INCOMPLETE
 
 
-def _comparison(study: Study, found: Again) -> str:
+def _comparison(study: Study, found: Rerun) -> str:
     values = ", ".join(f"{key} = {value}" for key, value in study.points[found.point].values.items())
     head = f"run {found.run}: sample {found.sample} of point {found.point}" + (f", {values}" if values else "")
     rows = [("", "unit", "rerun", "row"), *((name, found.units[name], *_pair(found, name)) for name in found.rerun)]
@@ -243,7 +243,7 @@ def _comparison(study: Study, found: Again) -> str:
     return "\n".join([head, f"wrote {os.fspath(found.graph)}", columns(rows), kept])
 
 
-def _pair(found: Again, name: str) -> tuple[str, str]:
+def _pair(found: Rerun, name: str) -> tuple[str, str]:
     row: Mapping[str, Any] = found.row or {}
     return _number(found.rerun[name]), _number(row[name]) if name in row else ""
 

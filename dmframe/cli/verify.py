@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dmframe.cli.streams import tell
-from dmframe.errors import ValueFault
-from dmframe.files import check_place as check_file
-from dmframe.files import write_text
+from dmframe.common.errors import ValueFault
+from dmframe.common.files import check_place as check_file
+from dmframe.common.files import write_text
 from dmframe.graph.graph import Graph
 from dmframe.graph.labels import labels_of
 from dmframe.graph.progress import progress_line

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, Final, final
 
-from dmframe.errors import EngineError
+from dmframe.common.errors import EngineError
 from dmframe.program import Node, by_code, read, run
 
 _LIBRARY_ONE: Final = "exp log sqrt tan asin acos atan floor ceil fabs erf sinh cosh asinh acosh atanh log1p expm1"

@@ -47,8 +47,8 @@ from dmframe.codegen.wasm_binary import (
     number,
     whole,
 )
+from dmframe.common.errors import EngineError
 from dmframe.diagram.parts import Parts
-from dmframe.errors import EngineError
 from dmframe.program import CONST, Node, by_code, read, run
 
 _HOST_ONE: Final = "exp log tan asin acos atan erf sinh cosh asinh acosh atanh log1p expm1"
@@ -122,7 +122,7 @@ def loop_module(parts: Parts, more: Sequence[Any] = ()) -> bytes:
     frame = {
         "slope": _slope(places, parts.moved),
         "integrate": _integrate(places, sizes["X"]),
-        "sound": _sound(sizes["Z"] + sizes["X"]),
+        "within_bounds": _within_bounds(sizes["Z"] + sizes["X"]),
         "record": _record(places, sizes["Z"] + sizes["X"]),
         "run": _run(places, sizes),
         "flow": _flow(places, sizes),
@@ -275,7 +275,7 @@ def _integrate(at: Mapping[str, Whole], size: int) -> Function:
     return f
 
 
-def _sound(size: int) -> Function:
+def _within_bounds(size: int) -> Function:
     """(state, bounds): 1 if all states are within their bounds; 0 for NaN."""
     f = Function([I32, I32], [I32])
     state, bounds = map(_integer, (0, 1))
@@ -326,7 +326,7 @@ def _run(at: Mapping[str, Whole], sizes: Mapping[str, int]) -> Function:
         f.write(x, p, at["c"], at["at"], "clip")
         f.write(x, at["at"], whole(8 * sizes["X"]), COPY)
         f.set(local["given"], given + 8 * (2 + sizes["N"]))
-        with f.when(Whole((*state.parts, *bounds.parts, "sound")).empty()):
+        with f.when(Whole((*state.parts, *bounds.parts, "within_bounds")).empty()):
             f.write(n, RETURN)
     f.write(ticks)
     return f

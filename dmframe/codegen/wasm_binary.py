@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Final, final
 
-from dmframe.errors import EngineError
+from dmframe.common.errors import EngineError
 
 Piece = bytes | str | int
 

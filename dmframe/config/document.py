@@ -12,6 +12,7 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, TypeAlias, final
 
@@ -27,9 +28,9 @@ from ruamel.yaml.events import (
     SequenceStartEvent,
 )
 
+from dmframe.common.errors import DmframeError, DocumentError, MissingError, ValueFault, nearest, raise_all, visible
+from dmframe.common.units import shorten
 from dmframe.config.syntax import plain_words
-from dmframe.errors import DmframeError, DocumentError, MissingError, ValueFault, nearest, raise_all, visible
-from dmframe.units import shorten
 
 Plain: TypeAlias = "dict[str, Plain] | list[Plain] | str | int | float | bool | None"
 Scalar: TypeAlias = "str | int | float | bool | None"
@@ -64,18 +65,18 @@ UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U0001000
 class Node:
     """A value with its line and column; line 0 without a text. `size` counts its values, each alias in full.
 
-    `said` is the override that set it instead of the file, ``--set task.gamma=2``.
+    `origin` is the override that set it instead of the file, ``--set task.gamma=2``.
     """
 
     line: int
     column: int
     value: Scalar | list[Node] | dict[str, tuple[Node, Node]]
     size: int = 1
-    said: str = ""
+    origin: str = ""
 
     def place(self, name: str) -> str:
         """Its place in the text of that name, or the override that set it."""
-        return self.said or (f"{name}:{self.line}:{self.column}" if self.line else name)
+        return self.origin or (f"{name}:{self.line}:{self.column}" if self.line else name)
 
 
 @final
@@ -109,11 +110,11 @@ class Document:
     def is_override(self, path: Sequence[str | int], key: bool = False) -> bool:
         """True if an override set the value that `locate` finds."""
         node, named, exact = self._at(path)
-        return bool((named if key or not exact else node).said)
+        return bool((named if key or not exact else node).origin)
 
-    def said_below(self, path: Sequence[str | int]) -> list[str]:
+    def origins_below(self, path: Sequence[str | int]) -> list[str]:
         """The overrides in the value that `locate` finds."""
-        return list(dict.fromkeys(_said_in(self._at(path)[0])))
+        return list(dict.fromkeys(_origins_in(self._at(path)[0])))
 
     def _at(self, path: Sequence[str | int]) -> tuple[Node, Node, bool]:
         """The value at `path` with its key, or those of its nearest ancestor, and true if the value exists."""
@@ -165,7 +166,17 @@ def read_document(text: str, name: str, kind: Kind = GRAPH) -> Document:
 
     Raises `DocumentError` and, for numbers that are not finite, `ValueFault`; several faults are raised as `Faults`.
     """
-    text = text.removeprefix("\ufeff")
+    root = (_root_of if len(text) <= _KEPT else _root_of.__wrapped__)(text.removeprefix("\ufeff"), name, kind)
+    return Document(name, mapping_of(root), root)
+
+
+_KEPT: Final = 20_000
+"""Longest text whose nodes are kept: a race, a study and a session read the same graphs many times."""
+
+
+@lru_cache(maxsize=128)
+def _root_of(text: str, name: str, kind: Kind) -> Node:
+    """The node of the mapping. Raises as `read_document`."""
     _check_size(len(text.encode("utf-8", "surrogatepass")), name, kind)
     if text.count(",") + text.count("\n") > MOST_NODES:  # before the parser, which takes seconds for as many values
         raise DocumentError(f"more than {MOST_NODES} values or lines; shorten the {kind.noun}", location=name)
@@ -189,7 +200,7 @@ def read_document(text: str, name: str, kind: Kind = GRAPH) -> Document:
             f"expected a {kind.noun}, keys with their values, found {_kind(root.value)}; {_begin(kind)}",
             location=f"{name}:{root.line}:{root.column}",
         )
-    return Document(name, mapping_of(root), root)
+    return root
 
 
 def unreadable(letter: str) -> str:
@@ -236,13 +247,13 @@ def mapping_of(node: Node) -> dict[str, Any]:
     return {key: _plain(value) for key, (_, value) in node.value.items()} if isinstance(node.value, dict) else {}
 
 
-def _said_in(node: Node) -> Iterator[str]:
-    if node.said:
-        yield node.said
+def _origins_in(node: Node) -> Iterator[str]:
+    if node.origin:
+        yield node.origin
         return
     below = node.value.values() if isinstance(node.value, dict) else [(item, item) for item in _items(node)]
     for _, value in below:
-        yield from _said_in(value)
+        yield from _origins_in(value)
 
 
 def _items(node: Node) -> list[Node]:

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from dmframe.common.errors import DocumentError, ValueFault
+from dmframe.common.units import shorten
 from dmframe.config.document import (
     DEEPEST,
     MOST_BYTES,
@@ -21,8 +23,6 @@ from dmframe.config.document import (
     mapping_of,
     unreadable,
 )
-from dmframe.errors import DocumentError, ValueFault
-from dmframe.units import shorten
 
 
 def document_of(data: Mapping[Any, Any], name: str) -> Document:
@@ -36,20 +36,20 @@ def document_of(data: Mapping[Any, Any], name: str) -> Document:
     return Document(name, mapping_of(root), root)
 
 
-def node_of(value: Any, path: Steps, said: str = "") -> Node:
+def node_of(value: Any, path: Steps, origin: str = "") -> Node:
     """The node of a value given by a program.
 
     Raises `DocumentError` for a value that no file can contain, and `ValueFault` for a number that is not finite.
     """
     where = ".".join(map(str, path)) or "graph"
     if len(path) > DEEPEST:
-        raise DocumentError(f"nested deeper than {DEEPEST} levels; a graph needs about four", location=said)
+        raise DocumentError(f"nested deeper than {DEEPEST} levels; a graph needs about four", location=origin)
     if isinstance(value, np.ndarray | np.generic | range) or hasattr(value, "__array__"):  # pandas and xarray too
         array = np.asarray(value)
         if array.dtype.kind in "mM":
-            raise DocumentError(f"{where}: expected numbers, found dates or spans of time", location=said)
+            raise DocumentError(f"{where}: expected numbers, found dates or spans of time", location=origin)
         if array.size > MOST_NODES:
-            raise DocumentError(f"{where}: expected at most {MOST_NODES} numbers, found {array.size}", location=said)
+            raise DocumentError(f"{where}: expected at most {MOST_NODES} numbers, found {array.size}", location=origin)
         value = array.tolist()
     if isinstance(value, Number) and not isinstance(value, int | float | complex):  # a Fraction, a Decimal
         value = float(value)  # type: ignore[arg-type]  # Number does not declare __float__
@@ -57,29 +57,29 @@ def node_of(value: Any, path: Steps, said: str = "") -> Node:
         entries = dict[str, tuple[Node, Node]]()
         for key, item in value.items():
             if not isinstance(key, str):
-                raise DocumentError(f"{where}: a key is a text, found {shorten(repr(key), 30)}", location=said)
-            _check_letters(key, where, said)
-            entries[key] = (Node(0, 0, key, said=said), node_of(item, (*path, key), said))
-        return Node(0, 0, entries, 1 + sum(node.size for _, node in entries.values()), said)
+                raise DocumentError(f"{where}: a key is a text, found {shorten(repr(key), 30)}", location=origin)
+            _check_letters(key, where, origin)
+            entries[key] = (Node(0, 0, key, origin=origin), node_of(item, (*path, key), origin))
+        return Node(0, 0, entries, 1 + sum(node.size for _, node in entries.values()), origin)
     if isinstance(value, list | tuple):
         if len(value) > MOST_NODES:
-            raise DocumentError(f"{where}: expected at most {MOST_NODES} values, found {len(value)}", location=said)
-        items = [node_of(item, (*path, place), said) for place, item in enumerate(value)]
-        return Node(0, 0, items, 1 + sum(node.size for node in items), said)
+            raise DocumentError(f"{where}: expected at most {MOST_NODES} values, found {len(value)}", location=origin)
+        items = [node_of(item, (*path, place), origin) for place, item in enumerate(value)]
+        return Node(0, 0, items, 1 + sum(node.size for node in items), origin)
     if isinstance(value, float) and not math.isfinite(value):
-        raise ValueFault(f"{where}: expected a finite number, found {value}", path=path, location=said)
+        raise ValueFault(f"{where}: expected a finite number, found {value}", path=path, location=origin)
     if isinstance(value, os.PathLike):
         value = os.fsdecode(value)
     if isinstance(value, str):
-        _check_letters(value, where, said)
+        _check_letters(value, where, origin)
     if isinstance(value, int) and abs(value) > 10**400:
         raise ValueFault(
-            f"{where}: expected a finite number, found one of hundreds of digits", path=path, location=said
+            f"{where}: expected a finite number, found one of hundreds of digits", path=path, location=origin
         )
     if value is None or isinstance(value, str | int | float):
-        return Node(0, 0, value, said=said)
+        return Node(0, 0, value, origin=origin)
     raise DocumentError(
-        f"{where}: expected a number, a text, a list or keys with values, found {type(value).__name__}", location=said
+        f"{where}: expected a number, a text, a list or keys with values, found {type(value).__name__}", location=origin
     )
 
 
@@ -104,8 +104,8 @@ def listed(values: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
     return tried
 
 
-def _check_letters(text: str, where: str, said: str) -> None:
+def _check_letters(text: str, where: str, origin: str) -> None:
     if len(text) > MOST_BYTES:
-        raise DocumentError(f"{where}: expected a short text, found one of {len(text)} letters", location=said)
+        raise DocumentError(f"{where}: expected a short text, found one of {len(text)} letters", location=origin)
     if strange := UNPRINTABLE.search(text):
-        raise DocumentError(f"{where}: {unreadable(strange.group())}", location=said)
+        raise DocumentError(f"{where}: {unreadable(strange.group())}", location=origin)

@@ -7,10 +7,10 @@ from typing import Annotated, Any, Final, Literal, TypeAlias, final
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainValidator, WithJsonSchema
 
-from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault
+from dmframe.common.errors import DmframeError, MissingError, UnknownNameError, ValueFault
+from dmframe.common.units import joint_place, to_unit
 from dmframe.simulate.instants import seed_fault
 from dmframe.simulate.step import Method
-from dmframe.units import joint_place, to_unit
 
 
 def _reader(unit: str, *, positive: bool) -> BeforeValidator:

@@ -15,26 +15,26 @@ from pydantic import ValidationError
 from dmframe.block import AbstractBlock, type_name
 from dmframe.block.model import SYMBOLIC
 from dmframe.catalogue import find_graph
+from dmframe.common.errors import DmframeError, MissingError, ValueFault, raise_all
+from dmframe.common.files import expanded as expanded_path
+from dmframe.common.files import write_text
+from dmframe.common.seal import faults, folder_of
+from dmframe.common.units import seconds
 from dmframe.config.document import Document, read_file
 from dmframe.config.grammar import KEYS, GraphFile, fault_of
-from dmframe.config.named import Named
 from dmframe.config.overrides import changed, overridden, put, texts_of
 from dmframe.config.places import placed, report
 from dmframe.config.reality import KEY, Stating, Step, after, expanded, names_reality, split
+from dmframe.config.registry import Registry
 from dmframe.config.renamed import with_new_names
 from dmframe.config.resolved import resolved_text
 from dmframe.config.sections import at_name, blocks_of, check_baseline, robot_of, start_of, tolerance_in
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError, MissingError, ValueFault, raise_all
 from dmframe.exact.rational import Interval
-from dmframe.files import expanded as expanded_path
-from dmframe.files import write_text
-from dmframe.seal import faults, folder_of
 from dmframe.simulate import Log, Recording, Solver, simulate
 from dmframe.simulate.engine import Choice
 from dmframe.simulate.march import Progress
 from dmframe.simulate.run import check_run
-from dmframe.units import seconds
 
 if TYPE_CHECKING:
     from dmframe.certify import Verdict
@@ -69,7 +69,7 @@ class BaseGraph:
     file: GraphFile
     data: Mapping[str, Any]
     document: Document
-    blocks: Named[AbstractBlock]
+    blocks: Registry[AbstractBlock]
     robot: Any
     start: Mapping[str, Any]
     overrides: tuple[str, ...] = ()
@@ -140,7 +140,7 @@ class BaseGraph:
             raise placed(error, document) from None
         assert file is not None  # an invalid file has raised its faults
         facts = {name: {"type": type_name(type(block)), "side": block.side.value} for name, block in blocks.items()}
-        named = Named("block", facts, blocks.__getitem__)
+        named = Registry("block", facts, blocks.__getitem__)
         return cls(path.stem, file, data, document, named, robot, start)
 
     @property

@@ -12,10 +12,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
+from dmframe.common.errors import DmframeError, UnknownNameError, ValueFault, visible
+from dmframe.common.units import shorten
 from dmframe.config.document import Document, Node, mapping_of, read_document
 from dmframe.config.given import node_of
-from dmframe.errors import DmframeError, UnknownNameError, ValueFault, visible
-from dmframe.units import shorten
 
 LABELLED: Final = (("start",), ("uncertain",), ("wires",), ("robot", "hold"))
 """Sections whose keys may contain dots, such as ``servo.K_D``: the text after the section's name is one key."""
@@ -29,15 +29,15 @@ _COMMENT = re.compile(r"(?:^|\s)#")
 def overridden(document: Document, overrides: Sequence[str], known: Sequence[str]) -> Document:
     """The document with ``--set`` values; `known` are the keys of a graph."""
     for text in overrides:
-        said = f"--set {shorten(visible(text), 200)}"
-        document = put_at(document, text.partition("=")[0], _value(text, said), said, known, equals="=" in text)
+        origin = f"--set {shorten(visible(text), 200)}"
+        document = put_at(document, text.partition("=")[0], _value(text, origin), origin, known, equals="=" in text)
     return document
 
 
 def changed(document: Document, values: Mapping[str, Any], known: Sequence[str]) -> Document:
     """The document with values given by a program."""
-    for label, node, _, said in _given(values):
-        document = put_at(document, label, node, said, known)
+    for label, node, _, origin in _given(values):
+        document = put_at(document, label, node, origin, known)
     return document
 
 
@@ -53,122 +53,122 @@ def _given(values: Mapping[str, Any]) -> Iterator[tuple[str, Node, str, str]]:
             raise ValueFault(f"set {shorten(visible(label), 60)}: expected a name alone, without an equals sign")
         if not isinstance(label, str):
             raise ValueFault(f"set: expected a text such as 'task.gamma' as the name, found {shorten(repr(label), 30)}")
-        said = f"set {shorten(visible(label), 60)}"
-        node = node_of(value, (label,), said)
+        origin = f"set {shorten(visible(label), 60)}"
+        node = node_of(value, (label,), origin)
         text = f"{label}={json.dumps(mapping_of(Node(0, 0, {'value': (node, node)}))['value'])}"
-        said = f"set {shorten(visible(text), 200)}"
-        yield label, node, text, said
+        origin = f"set {shorten(visible(text), 200)}"
+        yield label, node, text, origin
 
 
 def put_at(
-    document: Document, label: str, value: Node, said: str, known: Sequence[str], *, equals: bool = True
+    document: Document, label: str, value: Node, origin: str, known: Sequence[str], *, equals: bool = True
 ) -> Document:
-    """The document with a value under a label such as ``dynamics.Gamma``; messages call its place `said`.
+    """The document with a value under a label such as ``dynamics.Gamma``; messages call its place `origin`.
 
     The label of a whole block is its name, ``blocks.inverse``; an empty value removes it.
     """
     held = value.value
     whole = held is None or (isinstance(held, dict) and "type" in held)
-    keys = _target(label, said, document.data, known, whole=whole, equals=equals)
+    keys = _target(label, origin, document.data, known, whole=whole, equals=equals)
     if len(keys) == 2 and keys[0] == "blocks" and held is None:
-        root = _without(document.root, keys[1], said)
+        root = _without(document.root, keys[1], origin)
     else:
-        root = _put(document.root, keys, _by(value, said), said)
+        root = _put(document.root, keys, _by(value, origin), origin)
     return document.with_root(root)
 
 
-def put(document: Document, key: str, value: float, said: str) -> Document:
-    """The document with another number under one of its keys; messages call its place `said`."""
-    root = _put(document.root, [key], Node(1, 1, value, said=said), said)
+def put(document: Document, key: str, value: float, origin: str) -> Document:
+    """The document with another number under one of its keys; messages call its place `origin`."""
+    root = _put(document.root, [key], Node(1, 1, value, origin=origin), origin)
     return Document(document.name, {**document.data, key: value}, root)
 
 
 def _target(
-    label: str, said: str, data: Mapping[str, Any], known: Sequence[str], *, whole: bool, equals: bool
+    label: str, origin: str, data: Mapping[str, Any], known: Sequence[str], *, whole: bool, equals: bool
 ) -> list[str]:
     """The keys of the value that an override sets, or of a `whole` block. A block may be preceded by ``blocks.``."""
     keys, blocks = label.strip().split("."), data.get("blocks")
     names = list(blocks) if isinstance(blocks, dict) else []
     if not equals or not all(keys):
-        raise ValueFault(f"{said}: expected block.parameter=value or key=value")
+        raise ValueFault(f"{origin}: expected block.parameter=value or key=value")
     if keys[0] in names:
         keys = ["blocks", *keys]
     if keys[0] not in known:
-        raise UnknownNameError(said, "block or key", keys[0], [*names, *known])
+        raise UnknownNameError(origin, "block or key", keys[0], [*names, *known])
     if keys[0] == "blocks" and len(keys) > 2 and keys[1] not in names:
-        raise UnknownNameError(said, "block", keys[1], names)
+        raise UnknownNameError(origin, "block", keys[1], names)
     if keys[0] == "blocks" and len(keys) == 2 and whole:
         return keys
     if keys[0] == "blocks" and len(keys) < 3:
-        raise ValueFault(f"{said}: expected a parameter of a block, {(*keys, 'block')[1]}.parameter=value")
+        raise ValueFault(f"{origin}: expected a parameter of a block, {(*keys, 'block')[1]}.parameter=value")
     for section in LABELLED:
         if tuple(keys[: len(section)]) == section and len(keys) > len(section):
             return [*section, ".".join(keys[len(section) :])]
     return keys
 
 
-def _without(root: Node, name: str, said: str) -> Node:
+def _without(root: Node, name: str, origin: str) -> Node:
     """The graph's mapping without one of its blocks."""
     entries = dict(root.value) if isinstance(root.value, dict) else {}
     key, blocks = entries["blocks"]
     kept = dict(blocks.value) if isinstance(blocks.value, dict) else {}
     if kept.pop(name, None) is None:
-        raise UnknownNameError(said, "block", name, kept)
+        raise UnknownNameError(origin, "block", name, kept)
     return replace(root, value={**entries, "blocks": (key, replace(blocks, value=kept))})
 
 
-def _value(text: str, said: str) -> Node:
+def _value(text: str, origin: str) -> Node:
     """The value after the equals sign, as in YAML, without a comment."""
     written = text.partition("=")[2].strip()
-    value = _read(written, said)
+    value = _read(written, origin)
     for mark in _COMMENT.finditer(written):
         try:
-            before = _read(written[: mark.start()], said)
+            before = _read(written[: mark.start()], origin)
         except DmframeError:
             continue  # this one is in quotes or in a list
         if mapping_of(before) == mapping_of(value):
-            raise ValueFault(f"{said}: a # begins a comment here; put a text that holds one in double quotes")
-    return _by(_only(value, said), said)
+            raise ValueFault(f"{origin}: a # begins a comment here; put a text that holds one in double quotes")
+    return _by(_only(value, origin), origin)
 
 
-def _read(written: str, said: str) -> Node:
+def _read(written: str, origin: str) -> Node:
     try:
         return read_document(f"value: {written}\n", "").root
     except DmframeError as error:
         reason = error.faults[0].text
         reason = _INNER.sub("", reason.removeprefix("value: ").removeprefix("value."))
-        raise ValueFault(f"{said}: {reason}") from None
+        raise ValueFault(f"{origin}: {reason}") from None
 
 
-def _only(root: Node, said: str) -> Node:
+def _only(root: Node, origin: str) -> Node:
     entries = root.value if isinstance(root.value, dict) else {}
     for name in entries:
         if name != "value":
-            raise ValueFault(f"{said}: expected one value, found {shorten(name)} too; use a separate --set for it")
+            raise ValueFault(f"{origin}: expected one value, found {shorten(name)} too; use a separate --set for it")
     return entries["value"][1]
 
 
-def _by(node: Node, said: str) -> Node:
+def _by(node: Node, origin: str) -> Node:
     """The node and all below it, marked as set by an override."""
     value = node.value
     if isinstance(value, dict):
-        value = {name: (_by(key, said), _by(below, said)) for name, (key, below) in value.items()}
+        value = {name: (_by(key, origin), _by(below, origin)) for name, (key, below) in value.items()}
     elif isinstance(value, list):
-        value = [_by(item, said) for item in value]
-    return replace(node, value=value, said=said)
+        value = [_by(item, origin) for item in value]
+    return replace(node, value=value, origin=origin)
 
 
-def _put(node: Node, keys: Sequence[str], value: Node, said: str) -> Node:
+def _put(node: Node, keys: Sequence[str], value: Node, origin: str) -> Node:
     """The mapping with a value at `keys`; missing mappings in between are created."""
     entries = dict(node.value) if isinstance(node.value, dict) else {}
     first, *rest = keys
-    key, held = entries.get(first, (Node(1, 1, first, said=said), Node(1, 1, None, said=said)))
+    key, held = entries.get(first, (Node(1, 1, first, origin=origin), Node(1, 1, None, origin=origin)))
     if not rest:
-        entries[first] = (replace(key, said=said), value)
+        entries[first] = (replace(key, origin=origin), value)
         return replace(node, value=entries)
     if first in NAMED and isinstance(held.value, str):  # the section is a name alone
         held = replace(held, value={NAMED[first]: (held, held)})
     if held.value is not None and not isinstance(held.value, dict):
-        raise ValueFault(f"{said}: {first} has no keys")
-    entries[first] = (key, _put(held, rest, value, said))
+        raise ValueFault(f"{origin}: {first} has no keys")
+    entries[first] = (key, _put(held, rest, value, origin))
     return replace(node, value=entries)

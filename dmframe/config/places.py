@@ -8,9 +8,9 @@ from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 from dmframe.catalogue import block_types
+from dmframe.common.errors import DmframeError, Faults, MissingError, UnknownNameError, WiringError, visible
 from dmframe.config.document import Document
 from dmframe.config.grammar import KEYS
-from dmframe.errors import DmframeError, Faults, MissingError, UnknownNameError, WiringError, visible
 
 TIMES: Final = (("duration",), ("solver", "output"), ("solver", "step"), ("log", "every"), ("clock",))
 """Keys that together determine the amount of computation: a fault in one may be caused by an override of another."""
@@ -64,7 +64,7 @@ def _location(fault: DmframeError, document: Document, keys: Sequence[str]) -> s
     place = document.locate(path, key=key)
     if document.is_override(path, key) or (isinstance(fault, MissingError) and len(path) == 1):
         return place
-    changed = document.said_below(path)
+    changed = document.origins_below(path)
     return f"{place} with {', '.join(changed)}" if changed else place
 
 

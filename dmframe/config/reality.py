@@ -3,7 +3,7 @@
 The key names a packaged set, or block types with their parameters; `like` takes a set with the given changes. Each type
 becomes a block of the graph before the document is read further, so that ``check``, drawings and the ``graph.yaml``
 next to results contain it. No wires are needed, since these blocks replace the signals that they read
-(`dmframe.port.Output.instead_of`). A type that has all outputs of a block of the plant replaces that block.
+(`dmframe.block.port.Output.instead_of`). A type that has all outputs of a block of the plant replaces that block.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from dmframe.block import AbstractBlock
+from dmframe.block.port import Side
 from dmframe.catalogue import block_modules, find_block, find_reality
+from dmframe.common.errors import DmframeError, MissingError, UnknownNameError, ValueFault, raise_all
 from dmframe.config.document import Document, Kind, Node, mapping_of, read_file
 from dmframe.config.given import node_of
 from dmframe.config.places import placed, report
 from dmframe.config.sections import kinds_of
-from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault, raise_all
-from dmframe.port import Side
 
 KEY: Final = "reality"
 LIKE: Final = "like"
@@ -159,9 +159,9 @@ class _Work:
         own, count = name, 1
         while own in self.blocks:
             own, count = f"{name}_{count + 1}", count + 1
-        said = node_of({"type": name, **fitting}, (), node.said).value
-        assert isinstance(said, dict)  # node_of keeps the type
-        self.blocks[own] = (replace(at, value=own), replace(node, value={**said, **given}))
+        entry = node_of({"type": name, **fitting}, (), node.origin).value
+        assert isinstance(entry, dict)  # node_of keeps the type
+        self.blocks[own] = (replace(at, value=own), replace(node, value={**entry, **given}))
         self.kinds[own] = kind
 
     def replacing(self) -> list[str]:

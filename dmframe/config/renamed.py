@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import final
 
 from dmframe.block import AbstractBlock
+from dmframe.common.errors import DmframeError, ValueFault, raise_all
 from dmframe.config.document import Document, Node
 from dmframe.config.places import report
 from dmframe.config.sections import kinds_of
-from dmframe.errors import DmframeError, ValueFault, raise_all
 
 Names = Mapping[str, Mapping[str, str]]
 """Former and new names, by block."""
@@ -93,12 +93,12 @@ class _Work:
         for key, (at, value) in node.value.items():
             name = new(key)
             other = node.value[name][1] if name != key and name in node.value else None
-            if other is not None and bool(other.said) == bool(value.said):
+            if other is not None and bool(other.origin) == bool(value.origin):
                 self.faults.append(_both(at.place(self.file), key, name))
                 continue
             if name != key:
                 self._note(at.place(self.file), key, name)
-            if name in changed and changed[name][1].said:  # an override has precedence under either name
+            if name in changed and changed[name][1].origin:  # an override has precedence under either name
                 continue
             changed[name] = (replace(at, value=name), value)
         return replace(node, value=changed)

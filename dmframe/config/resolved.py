@@ -6,9 +6,9 @@ import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dmframe.files import made_distinct
+from dmframe.common.files import made_distinct
+from dmframe.common.units import Stated
 from dmframe.robot.library import RobotSource, find_robot
-from dmframe.units import Stated
 
 if TYPE_CHECKING:
     from dmframe.config.graph import BaseGraph

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from dmframe.block import AbstractBlock
+from dmframe.block.parameter import Spec, spec_of
 from dmframe.block.prose import about
 from dmframe.catalogue import block_types
 from dmframe.config.grammar import GraphFile
 from dmframe.config.sections import NAME
 from dmframe.formula.unmarked import unmarked
-from dmframe.parameter import Spec, spec_of
 from dmframe.robot.library import robots
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
@@ -21,7 +21,7 @@ PRIOR = {
     "required": ["inverse_of"],
     "additionalProperties": False,
 }
-"""Schema of `dmframe.gain.Prior`."""
+"""Schema of `dmframe.block.gain.Prior`."""
 
 
 def json_schema() -> dict[str, Any]:
@@ -58,12 +58,12 @@ def json_schema() -> dict[str, Any]:
 
 def _block(kind: type[AbstractBlock]) -> dict[str, Any]:
     plain = kind.model_json_schema()
-    said = about(kind)
-    properties: dict[str, Any] = {"type": {"description": unmarked(said.summary)}}
+    page = about(kind)
+    properties: dict[str, Any] = {"type": {"description": unmarked(page.summary)}}
     for name, field in kind.model_fields.items():
         spec = spec_of(field)
         properties[name] = plain["properties"][name] if spec is None else _number(spec)
-        prose = unmarked(said.parameters.get(name, ""))
+        prose = unmarked(page.parameters.get(name, ""))
         text = "; ".join(part for part in (properties[name].get("description", ""), prose) if part)
         properties[name] = {**properties[name], **({"description": text} if text else {})}
     required = [name for name, field in kind.model_fields.items() if field.is_required()]
@@ -78,9 +78,9 @@ def _block(kind: type[AbstractBlock]) -> dict[str, Any]:
 
 def _number(spec: Spec) -> dict[str, Any]:
     unit = f"[{spec.unit}]" if spec.unit else "a plain number"
-    said = f"{unit}, shape ({spec.shape})" if spec.shape else unit
+    description = f"{unit}, shape ({spec.shape})" if spec.shape else unit
     if spec.sign:
-        said += f", {spec.sign}"
+        description += f", {spec.sign}"
     row = {"type": "array", "items": NUMBER, "minItems": 1}
     either = {"anyOf": [NUMBER, row]}
     shapes: dict[str, dict[str, Any]] = {
@@ -91,4 +91,4 @@ def _number(spec: Spec) -> dict[str, Any]:
         "ball": {"type": "array", "items": either, "minItems": 2, "maxItems": 2},
         "box": {"type": "array", "items": either, "minItems": 2, "maxItems": 2},
     }
-    return {"description": said, **shapes[spec.form]}
+    return {"description": description, **shapes[spec.form]}

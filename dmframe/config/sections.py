@@ -12,11 +12,11 @@ from pydantic import ValidationError
 
 from dmframe.block import AbstractBlock, type_name
 from dmframe.catalogue import find_block
+from dmframe.common.errors import DmframeError, MissingError, UnknownNameError, ValueFault
+from dmframe.common.units import joint_place, to_unit
 from dmframe.config.document import Document
 from dmframe.config.grammar import GraphFile, RobotSection, robot_name, shown
 from dmframe.config.places import placed
-from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault
-from dmframe.units import joint_place, to_unit
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
@@ -93,12 +93,12 @@ def robot_of(given: Any, base: Path, faults: list[DmframeError]) -> Any:
         section = RobotSection.model_validate(value)
     except ValidationError:
         return None
-    from dmframe.robot.library import load
+    from dmframe.config.kept_robot import kept_robot
 
     try:
-        return load(
+        return kept_robot(
             section.model,
-            base=base,
+            base,
             free=section.free,
             hold=section.hold,
             tool=section.tool,

@@ -18,9 +18,9 @@ from typing import Any, ClassVar, final
 
 import casadi as ca
 
-from dmframe.certificate import SX
-from dmframe.eigen import eigen, positive_part
-from dmframe.linalg import ldl, solve_spd
+from dmframe.block.certificate import SX
+from dmframe.block.linalg import ldl, solve_spd
+from dmframe.common.eigen import eigen, positive_part
 from dmframe.robot.parameters import INERTIAL
 from dmframe.robot.pseudo_inertia import dual, parameters_of, pseudo_inertia
 

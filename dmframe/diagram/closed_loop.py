@@ -10,11 +10,11 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
+from dmframe.block.port import Side
 from dmframe.diagram.pieces import Followed, Leaf, Noise, Parameter, Signal, Variable, rows_of
 from dmframe.diagram.projection import Projection
-from dmframe.port import Side
 
 
 @final
@@ -23,7 +23,7 @@ class ClosedLoop:
     """x' = F(t, x, p) and the map of one sample, from the one set of block equations.
 
     Expressions depend on independent variables ("leaves"): states, parameters, `trajectories`, the corrections of
-    `projections`, and `crossings`, the measured and commanded signals. The controller can therefore be extracted
+    `projections`, and `sampled_signals`, the measured and commanded signals. The controller can therefore be extracted
     alone, and trajectories can be left free. The methods replace leaves by their expressions.
 
     The map of a sample and the flow are defined here only: runs, code, exports, analyses and proofs take them from the
@@ -39,7 +39,7 @@ class ClosedLoop:
         Trajectories at whole samples later, as functions of t and T.
     noises
         Random inputs, drawn at each sample.
-    crossings
+    sampled_signals
         The measured and commanded signals in the leaves of their own side, in the order of evaluation.
     paced
         The sources whose time is a controller's signal; these are not trajectories.
@@ -54,7 +54,7 @@ class ClosedLoop:
     trajectories: tuple[Leaf, ...]
     ahead: tuple[Leaf, ...]
     noises: tuple[Noise, ...]
-    crossings: tuple[Leaf, ...]
+    sampled_signals: tuple[Leaf, ...]
     projections: tuple[Projection, ...]
     parameters: tuple[Parameter, ...]
     outputs: tuple[Signal, ...]
@@ -89,12 +89,12 @@ class ClosedLoop:
     @property
     def measured(self) -> tuple[Leaf, ...]:
         """The measured signals."""
-        return tuple(leaf for leaf in self.crossings if leaf.side is Side.PLANT)
+        return tuple(leaf for leaf in self.sampled_signals if leaf.side is Side.PLANT)
 
     @property
     def commanded(self) -> tuple[Leaf, ...]:
         """The commanded signals."""
-        return tuple(leaf for leaf in self.crossings if leaf.side is Side.CONTROLLER)
+        return tuple(leaf for leaf in self.sampled_signals if leaf.side is Side.CONTROLLER)
 
     @cached_property
     def state(self) -> SX:
@@ -156,7 +156,7 @@ class ClosedLoop:
         return next((pairs[name] for name in ("x", "q", *pairs) if name in pairs), None)
 
     @property
-    def clocked(self) -> str:
+    def discrete_time(self) -> str:
         """The reason why it runs on a clock only, as a clause; empty if it also runs in continuous time."""
         if self.ahead:
             return f"a block looks ahead at {self.ahead[0].name}, T the sampling period"
@@ -296,7 +296,7 @@ class ClosedLoop:
             plant=tuple(map(variable, self.plant)),
             trajectories=tuple(map(leaf, self.trajectories)),
             ahead=tuple(map(leaf, self.ahead)),
-            crossings=tuple(map(leaf, self.crossings)),
+            sampled_signals=tuple(map(leaf, self.sampled_signals)),
             projections=tuple(replace(item, nominal=change(item.nominal)) for item in self.projections),
             outputs=tuple(replace(item, expression=change(item.expression)) for item in self.outputs),
         )
@@ -304,7 +304,7 @@ class ClosedLoop:
     @cached_property
     def _crossed(self) -> tuple[SX, SX]:
         done = list[Leaf]()
-        for leaf in self.crossings:
+        for leaf in self.sampled_signals:
             done.append(leaf.standing_for(_put([leaf.expression], columns(done))[0]))
         return columns(done)
 

@@ -9,8 +9,10 @@ from typing import Any, final
 
 from dmframe.block import AbstractBlock, type_name
 from dmframe.block.model import SYMBOLIC, BlockModel, model_block
+from dmframe.block.port import Output
 from dmframe.block.sizes import Sizes, bind_sizes, parameter_arrays
 from dmframe.block.symmetric import unique
+from dmframe.common.errors import DmframeError, MissingError, SizeError, UnitError, WiringError, raise_all
 from dmframe.diagram.closed_loop import ClosedLoop, Parameter
 from dmframe.diagram.fingerprint import fingerprint
 from dmframe.diagram.flatten import flatten
@@ -27,9 +29,6 @@ from dmframe.diagram.wiring import (
     ways,
     wire_blocks,
 )
-from dmframe.dimensions import unit_faults
-from dmframe.errors import DmframeError, MissingError, SizeError, UnitError, WiringError, raise_all
-from dmframe.port import Output
 
 
 @final
@@ -130,6 +129,8 @@ class Diagram:
 
         It takes 0.1 to 0.3 s for most graphs, 1 s for sampled inverses; `check` and `verify` call it.
         """
+        from dmframe.dimensions import unit_faults  # a run checks no units
+
         with SYMBOLIC:
             return unit_faults(self.models, self.sizes, self.robot)
 
@@ -209,7 +210,7 @@ def _produced(models: Mapping[str, BlockModel]) -> Outputs:
 
 
 def _parameters(models: Mapping[str, BlockModel], robot: Any) -> list[Parameter]:
-    from dmframe.parameter import specs
+    from dmframe.block.parameter import specs
 
     found = list[Parameter]()
     for name, model in models.items():

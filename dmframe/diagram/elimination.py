@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple, final
 
 import casadi as ca
 
-from dmframe.errors import EngineError
+from dmframe.common.errors import EngineError
 
 MOST_FACTORS: Final = 5000
 """Limit for expressions and compilation in a few seconds: 70 states, all coupled."""

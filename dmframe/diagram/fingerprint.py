@@ -16,7 +16,7 @@ from typing import Any, Final
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX
+from dmframe.block.certificate import SX
 from dmframe.diagram.closed_loop import ClosedLoop, stack
 
 SHORT: Final = 12

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import BlockModel, symbols_in
-from dmframe.certificate import SX
+from dmframe.block.port import Side
 from dmframe.diagram.closed_loop import ClosedLoop, Noise, Parameter, Signal, Variable
 from dmframe.diagram.pieces import Leaf
 from dmframe.diagram.resolve import Resolver, loop_fault
 from dmframe.diagram.wiring import End, Wire
-from dmframe.port import Side
 
 
 def flatten(resolver: Resolver, parameters: Sequence[Parameter]) -> ClosedLoop:
@@ -37,7 +37,7 @@ def flatten(resolver: Resolver, parameters: Sequence[Parameter]) -> ClosedLoop:
         trajectories=tuple(resolver.trajectories.values()),
         ahead=tuple(resolver.ahead.values()),
         noises=tuple(Noise(".".join(end), leaf, drawn[end]) for end, leaf in resolver.drawn.items()),
-        crossings=_crossings(resolver),
+        sampled_signals=_sampled_signals(resolver),
         projections=tuple(resolver.projections.values()),
         parameters=tuple(parameters),
         outputs=tuple(outputs),
@@ -80,11 +80,11 @@ def _cycle(needs: Mapping[End, Sequence[End]]) -> list[End]:
     return way[way.index(way[-1]) :]
 
 
-def _crossings(resolver: Resolver) -> tuple[Leaf, ...]:
+def _sampled_signals(resolver: Resolver) -> tuple[Leaf, ...]:
     """Measured and commanded signals with their expressions in the leaves of their sides, in order of evaluation."""
     waiting = dict[End, tuple[Leaf, SX]]()
-    while missing := resolver.crossings.keys() - waiting.keys():  # resolving one may find another
-        waiting |= {end: (resolver.crossings[end], resolver.output(*end)) for end in sorted(missing)}
+    while missing := resolver.sampled_signals.keys() - waiting.keys():  # resolving one may find another
+        waiting |= {end: (resolver.sampled_signals[end], resolver.output(*end)) for end in sorted(missing)}
     symbols = {end: leaf.identities for end, (leaf, _) in waiting.items()}
     used = {end: symbols_in([expression]) for end, (_, expression) in waiting.items()}
     done = list[Leaf]()

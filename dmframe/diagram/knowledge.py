@@ -25,13 +25,13 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import BlockModel, Recalled, signals_of, stated_by, symbols_in
+from dmframe.block.port import Side
 from dmframe.block.steady import same_expression
-from dmframe.certificate import SX
+from dmframe.common.errors import DmframeError, listed
 from dmframe.diagram.diagram import Diagram
 from dmframe.diagram.wiring import Derived, End, Wire
-from dmframe.errors import DmframeError, listed
-from dmframe.port import Side
 
 WORDS: Final[Mapping[str, str]] = {
     "lengths": "the link lengths",

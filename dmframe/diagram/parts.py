@@ -8,9 +8,9 @@ from typing import Any, NamedTuple, final
 
 import casadi as ca
 
+from dmframe.common.slices import slices
 from dmframe.diagram.implicit import Bodies, Implicit, systems
 from dmframe.diagram.slopes import Slopes
-from dmframe.slices import slices
 
 
 @final

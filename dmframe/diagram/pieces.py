@@ -10,10 +10,10 @@ from typing import NamedTuple, final
 
 import numpy as np
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
-from dmframe.port import Side
-from dmframe.slices import slices
+from dmframe.block.port import Side
+from dmframe.common.slices import slices
 
 
 @final
@@ -106,7 +106,7 @@ class Signal:
 @final
 @dataclass(frozen=True)
 class Noise:
-    """A random input, drawn at each sample from a distribution of `dmframe.port.DISTRIBUTIONS`."""
+    """A random input, drawn at each sample from a distribution of `dmframe.block.port.DISTRIBUTIONS`."""
 
     label: str
     symbol: SX

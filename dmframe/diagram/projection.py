@@ -13,9 +13,9 @@ from typing import ClassVar, final
 
 import casadi as ca
 
-from dmframe.certificate import SX
+from dmframe.block.certificate import SX
+from dmframe.block.linalg import square, times
 from dmframe.diagram.bodies import Bodies
-from dmframe.linalg import square, times
 
 
 @final

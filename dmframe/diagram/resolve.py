@@ -14,16 +14,16 @@ from typing import final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import BlockModel, symbol, symbols_in
+from dmframe.block.port import TIME, Access, Side, State
 from dmframe.block.sizes import Sizes
-from dmframe.certificate import SX
+from dmframe.common.errors import AlgebraicLoopError, DerivativeError, DmframeError, ValueFault
 from dmframe.diagram.bodies import TEN, Bodies
 from dmframe.diagram.pieces import Leaf
 from dmframe.diagram.projection import Ball, Box, Projection
 from dmframe.diagram.wiring import Ahead, Derived, Drawn, End, Period, Source, Time, Wire
-from dmframe.errors import AlgebraicLoopError, DerivativeError, DmframeError, ValueFault
 from dmframe.exact import zero_test
-from dmframe.port import TIME, Access, Side, State
 
 
 @final
@@ -36,7 +36,7 @@ class Resolver:
         self.drawn = dict[End, SX]()
         self.ahead = dict[tuple[str, str, int], Leaf]()
         self.trajectories = dict[tuple[str, str, int], Leaf]()
-        self.crossings = dict[End, Leaf]()
+        self.sampled_signals = dict[End, Leaf]()
         self.projections = dict[End, Projection]()
         self.faults = list[DmframeError]()
         self._outputs, self._rates = dict[End, SX](), dict[End, SX]()
@@ -47,7 +47,7 @@ class Resolver:
         """The same diagram with these outputs replaced by other expressions, wherever another block reads them."""
         other = copy(self)
         other._outputs, other._rates, other.faults = dict(outputs), {}, []
-        other.crossings, other.projections = dict(self.crossings), dict(self.projections)
+        other.sampled_signals, other.projections = dict(self.sampled_signals), dict(self.projections)
         return other
 
     def output(self, block: str, port: str) -> SX:
@@ -184,9 +184,9 @@ class Resolver:
         for key, trajectory in list(self.trajectories.items()):
             if used & trajectory.identities:
                 yield trajectory.symbol, self.trajectory_rate(*key)
-        for end, crossing in list(self.crossings.items()):
-            if used & crossing.identities:
-                yield crossing.symbol, self._rate_across(end, wanted_by)
+        for end, leaf_signal in list(self.sampled_signals.items()):
+            if used & leaf_signal.identities:
+                yield leaf_signal.symbol, self._rate_across(end, wanted_by)
 
     def _rate_across(self, end: End, wanted_by: str) -> SX:
         """The rate of a signal of the other side: a measured signal, or an output declared as its derivative."""
@@ -224,11 +224,11 @@ class Resolver:
         return self._crossing((wire.block, wire.port)).symbol
 
     def _crossing(self, end: End) -> Leaf:
-        if end not in self.crossings:
+        if end not in self.sampled_signals:
             name, model = ".".join(end), self.models[end[0]]
             leaf = symbol(name, model.equations.outputs[end[1]].shape)
-            self.crossings[end] = Leaf(name, self.side(end[0]), leaf, leaf)
-        return self.crossings[end]
+            self.sampled_signals[end] = Leaf(name, self.side(end[0]), leaf, leaf)
+        return self.sampled_signals[end]
 
     def trajectory_rate(self, block: str, port: str, order: int) -> SX:
         """The next derivative of a source's output: a leaf, or zero if the source does not read the time.

@@ -13,12 +13,12 @@ from collections import defaultdict, deque
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import combinations
 
+from dmframe.block.certificate import SX
+from dmframe.block.port import Input, Output, Side
 from dmframe.block.steady import same_expression
-from dmframe.certificate import SX
+from dmframe.common.errors import BlockError
 from dmframe.diagram.diagram import Diagram
 from dmframe.diagram.wiring import Wire, same_unit
-from dmframe.errors import BlockError
-from dmframe.port import Input, Output, Side
 
 Stated = Mapping[str, Mapping[str, SX]]
 """True values from certificates, by block and by name."""

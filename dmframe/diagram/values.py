@@ -11,19 +11,19 @@ import numpy as np
 
 from dmframe.block import AbstractBlock
 from dmframe.block.faults import fault_context
+from dmframe.block.gain import Prior
 from dmframe.block.model import BlockModel, stated_by, with_starts
 from dmframe.block.names import type_name
 from dmframe.block.numberless import remade
+from dmframe.block.parameter import specs
 from dmframe.block.sizes import parameter_arrays
 from dmframe.block.steady import same_statement, stated_equations
 from dmframe.block.symmetric import unique
+from dmframe.common.errors import DmframeError, NeedsDiagramError, ShapeError, UnknownNameError, ValueFault, raise_all
 from dmframe.diagram.closed_loop import Parameter
 from dmframe.diagram.diagram import Diagram
 from dmframe.diagram.resolve import Resolver
 from dmframe.diagram.view import stated_start, view
-from dmframe.errors import DmframeError, NeedsDiagramError, ShapeError, UnknownNameError, ValueFault, raise_all
-from dmframe.gain import Prior
-from dmframe.parameter import specs
 
 _SYMBOLS: WeakKeyDictionary[Resolver, set[str]] = WeakKeyDictionary()
 """Labels of parameters that are known to be symbols in all expressions of their block."""

@@ -9,12 +9,12 @@ from typing import Any, final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Signals
+from dmframe.block.certificate import SX
 from dmframe.block.model import Recalled, signals_of
-from dmframe.certificate import SX
+from dmframe.block.port import Input
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.diagram import Diagram
 from dmframe.diagram.truths import Stated, owner_of, value_of
-from dmframe.port import Input
 
 
 @final
@@ -60,17 +60,21 @@ def recalling(diagram: Diagram, name: str, seen: View) -> View:
 
 def stated_start(block: AbstractBlock, seen: View) -> dict[str, Any]:
     """Initial values of a block's states, by a description of each, ``start of z``."""
-    said: Any = block.composed_start(seen.u, seen.p, seen.truth)
-    return {f"start of {name}": value for name, value in said.items()} if isinstance(said, Mapping) else {"start": said}
+    starts: Any = block.composed_start(seen.u, seen.p, seen.truth)
+    return (
+        {f"start of {name}": value for name, value in starts.items()}
+        if isinstance(starts, Mapping)
+        else {"start": starts}
+    )
 
 
 def _settled(diagram: Diagram, expression: SX) -> SX:
     """The expression without the leaves of signals that cross sides for this reader only; the loop has none of them."""
-    resolver, built = diagram.resolver, {leaf.name for leaf in diagram.loop.crossings}
+    resolver, built = diagram.resolver, {leaf.name for leaf in diagram.loop.sampled_signals}
     for _ in range(len(diagram.blocks)):
         late = [
             (leaf.symbol, resolver.output(*end))
-            for end, leaf in list(resolver.crossings.items())
+            for end, leaf in list(resolver.sampled_signals.items())
             if leaf.name not in built and ca.depends_on(expression, leaf.symbol)
         ]
         if not late:

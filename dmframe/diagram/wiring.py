@@ -8,10 +8,18 @@ from typing import final
 
 from dmframe.block import AbstractBlock, type_name
 from dmframe.block.numberless import without_numbers
+from dmframe.block.port import ANY, PERIOD, TIME, Access, Input, Output, Side
 from dmframe.block.sizes import Sizes
-from dmframe.errors import AccessError, DmframeError, ShapeError, UnitError, UnknownNameError, WiringError, nearest
-from dmframe.port import ANY, PERIOD, TIME, Access, Input, Output, Side
-from dmframe.units import compatible
+from dmframe.common.errors import (
+    AccessError,
+    DmframeError,
+    ShapeError,
+    UnitError,
+    UnknownNameError,
+    WiringError,
+    nearest,
+)
+from dmframe.common.units import compatible
 
 End = tuple[str, str]
 """A block's name and a port's."""

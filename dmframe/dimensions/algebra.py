@@ -22,7 +22,7 @@ class Algebra:
     Attributes
     ----------
     ignored
-        Base units whose powers are not compared.
+        Base units whose powers are not compared. It is set before the first comparison, which is remembered.
     """
 
     def __init__(self) -> None:
@@ -33,6 +33,7 @@ class Algebra:
         self._solved: dict[int, Dimension] = {}
         self._resolved: dict[int, int] = {}
         self._holding = defaultdict[int, set[int]](set)
+        self._compared: dict[tuple[int, int], bool | None] = {}
         self._count = 0
         self.number = self.handle(NUMBER)
 
@@ -65,19 +66,25 @@ class Algebra:
             return one
         if not one:
             return other
-        a, b = self.of(one), self.of(other)
-        apart = product(a, b, -1)
-        if apart.unknowns:
-            self._solve(apart, exact=apart.angular and not a.number and not b.number)
-            return self._sharper(one, other)
-        *powers, angles = ((base not in self.ignored) * power for base, power in zip(BASES, apart.powers, strict=True))
+        key = self._resolve(one), self._resolve(other)
+        if key not in self._compared:
+            a, b = self._known[key[0]], self._known[key[1]]
+            ratio = product(a, b, -1)
+            if ratio.unknowns:
+                self._solve(ratio, exact=ratio.angular and not a.number and not b.number)
+                return one if _sharper(self.of(one), self.of(other)) else other
+            self._compared[key] = _sharper(a, b) if self._equal(a, b, ratio) else None
+        first = self._compared[key]
+        return None if first is None else one if first else other
+
+    def _equal(self, a: Dimension, b: Dimension, ratio: Dimension) -> bool:
+        """True for two dimensions, whose ratio has no unknowns, that a sum may have."""
+        *powers, angles = ((base not in self.ignored) * power for base, power in zip(BASES, ratio.powers, strict=True))
         if b.number:
             angles -= angles == 1  # a literal number may be in radians
         elif a.number:
             angles += angles == -1
-        if any(powers) or (apart.angular and angles):
-            return None
-        return self._sharper(one, other)
+        return not any(powers) and not (ratio.angular and angles)
 
     def forget(self) -> None:
         """Reset all unknowns."""
@@ -89,15 +96,10 @@ class Algebra:
         """The dimension, with the unknowns that have been determined."""
         return self._known[self._resolve(handle)]
 
-    def _sharper(self, one: int, other: int) -> int:
-        """The more completely known of two equal dimensions."""
-        a, b = self.of(one), self.of(other)
-        return one if (not a.number, a.angular) >= (not b.number, b.angular) else other
-
-    def _solve(self, apart: Dimension, *, exact: bool) -> None:
+    def _solve(self, ratio: Dimension, *, exact: bool) -> None:
         """Set the newest unknown so that the equation is satisfied."""
-        key, power = apart.unknowns[-1]
-        rest = apart._replace(unknowns=apart.unknowns[:-1], angular=exact, number=False)
+        key, power = ratio.unknowns[-1]
+        rest = ratio._replace(unknowns=ratio.unknowns[:-1], angular=exact, number=False)
         value = product(ONE, rest, -power if power in (1, -1) else Fraction(-1) / power)
         for other, known in self._solved.items():
             for held, exponent in known.unknowns:
@@ -123,3 +125,8 @@ class Algebra:
             for key, _ in whole.unknowns:
                 self._holding[key].add(handle)
         return found
+
+
+def _sharper(a: Dimension, b: Dimension) -> bool:
+    """True where the first of two equal dimensions is known as completely as the other."""
+    return (not a.number, a.angular) >= (not b.number, b.angular)

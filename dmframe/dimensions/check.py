@@ -11,7 +11,11 @@ import casadi as ca
 
 from dmframe.block.base import AbstractBlock
 from dmframe.block.model import BlockModel
+from dmframe.block.parameter import specs
+from dmframe.block.port import ANY, Signal, State
 from dmframe.block.sizes import Sizes
+from dmframe.common.errors import UnitError
+from dmframe.common.units import base_units
 from dmframe.dimensions.algebra import Algebra
 from dmframe.dimensions.declared import Declared, Leaf
 from dmframe.dimensions.dimension import BASES, Dimension, counted, product, spelled
@@ -19,11 +23,7 @@ from dmframe.dimensions.limits import with_limits
 from dmframe.dimensions.rules import Contradiction, dimensions
 from dmframe.dimensions.stated import STORED, Item, items_of
 from dmframe.dimensions.words import expression
-from dmframe.errors import UnitError
-from dmframe.parameter import specs
-from dmframe.port import ANY, Signal, State
-from dmframe.program import CONST, INPUT, TO_READ, Program, by_code, read
-from dmframe.units import base_units
+from dmframe.program import CONST, INPUT, TO_READ, Program, by_code, read, shared
 
 
 def unit_faults(models: Mapping[str, BlockModel], sizes: Sizes, robot: Any = None) -> list[UnitError]:
@@ -85,7 +85,7 @@ class Check:
         self._algebra = Algebra()
         self._declared = Declared(self._algebra, model, units)
         self._items = items_of(model, sizes, self._declared)
-        if _bare(model.block):
+        if _is_dimensionless(model.block):
             self._algebra.ignored = BASES
             return
         posed = model.robot is not None and not _POSES.isdisjoint(self._compiled[0].codes)
@@ -97,7 +97,7 @@ class Check:
     ) -> Check:
         """The check of a block; after an inconsistency it is repeated with the robot's limits as symbols with units."""
         check = cls(model, sizes, units, prismatic=prismatic)
-        if model.robot is None or check.disagreement() is None:
+        if model.robot is None or check._first is None:
             return check
         limited = with_limits(model, sizes)
         return check if limited is None else cls(limited, sizes, units, prismatic=prismatic)
@@ -108,30 +108,35 @@ class Check:
         given = self._declared.arguments
         known = [argument.symbols for argument in given]
         free = ca.Function("units", known, [column], {"allow_free": True}).free_sx()
-        program = read(ca.Function("units", [*known, ca.vertcat(ca.SX(0, 1), *free)], [column], TO_READ))
-        leaves = dict[int, Leaf]()
+        program = shared(read(ca.Function("units", [*known, ca.vertcat(ca.SX(0, 1), *free)], [column], TO_READ)))
+        leaf_units = dict[int, Leaf]()
         for place, node in enumerate(program.nodes):
             if node.code == INPUT and node.a < len(given):
-                leaves[place] = given[node.a].leaf(node.b)
+                leaf_units[place] = given[node.a].leaf(node.b)
             elif node.code == INPUT:  # an undeclared symbol is one that the block has created
-                leaves[place] = Leaf(str(free[node.b]), self._algebra.unknown())
-        return program, leaves
+                leaf_units[place] = Leaf(str(free[node.b]), self._algebra.unknown())
+        return program, leaf_units
 
     @property
     def parameters(self) -> list[str]:
         """The parameters on which the block's expressions depend."""
         return sorted({leaf.parameter for leaf in self._compiled[1].values() if leaf.parameter})
 
+    @cached_property
+    def _first(self) -> Disagreement | None:
+        """The first inconsistency with the declared units."""
+        return self.disagreement()
+
     def disagreement(self, parameter: str = "", times: int | None = None) -> Disagreement | None:
         """The first inconsistency, optionally with the dimension of one parameter multiplied by another."""
-        program, leaves = self._compiled
+        program, leaf_units = self._compiled
         algebra = self._algebra
         algebra.forget()
         given = {
             place: algebra.product(leaf.dimension, times)
             if times is not None and leaf.parameter == parameter
             else leaf.dimension
-            for place, leaf in leaves.items()
+            for place, leaf in leaf_units.items()
         }
         values, wrong = dimensions(program, algebra, given)
         if wrong:
@@ -161,14 +166,14 @@ class Check:
 
     def fault(self) -> UnitError | None:
         """The first inconsistency as a fault, with the one parameter whose unit would remove it."""
-        declared = next(unlike(type(self.model.block)), None)
+        declared = next(declaration_faults(type(self.model.block)), None)
         if declared is not None:
             return UnitError(f"{self.model.name}: {declared}", path=("blocks", self.model.name))
-        found = self.disagreement()
+        found = self._first
         if found is None:
             return None
-        program, leaves = self._compiled
-        text = _text_of(found, program, {place: leaf.name for place, leaf in leaves.items()})
+        program, leaf_units = self._compiled
+        text = _text_of(found, program, {place: leaf.name for place, leaf in leaf_units.items()})
         return UnitError(f"{self.model.name}: {text}{self._remedy(found, program)}", path=("blocks", self.model.name))
 
     def _inside(self, program: Program, values: list[int], wrong: Contradiction) -> Disagreement:
@@ -190,7 +195,7 @@ class Check:
 
     def _remedy(self, found: Disagreement, program: Program) -> str:
         if any(program.nodes[operand].code == CONST for operand in found.operands):
-            return "; a number that has a unit has to be a parameter"
+            return "; declare a number with a unit as a parameter"
         fitting = list(self._fitting())
         return f"; {fitting[0]} would agree" if len(fitting) == 1 else ""
 
@@ -207,14 +212,14 @@ class Check:
                 yield f"{parameter} in {spelled(whole)}"
 
 
-def _bare(block: AbstractBlock) -> bool:
+def _is_dimensionless(block: AbstractBlock) -> bool:
     """True if a block declares no units except those of time: all its quantities, time included, are plain numbers."""
     items: list[Signal | State] = [*block.inputs, *block.outputs, *block.states, *block.truth]
     units = {item.unit for item in items} | {spec.unit for spec in specs(type(block)).values()}
     return all(base_units(unit)[1].keys() <= {"s"} for unit in units - {ANY})
 
 
-def unlike(block: type[AbstractBlock]) -> Iterator[str]:
+def declaration_faults(block: type[AbstractBlock]) -> Iterator[str]:
     """Faults of declarations outside equations: initial values, boxes and balls of states, and derivative ports."""
     numbers = specs(block)
     for state in block.states:
@@ -247,9 +252,9 @@ def _text_of(found: Disagreement, program: Program, names: Mapping[int, str]) ->
         return f"{found.item.what}: expected a plain number in {where}, found {spelled(found.found[0])}"
     one, by = parts
     first, second = found.found
-    apart = product(first, second, -1)
+    ratio = product(first, second, -1)
     if first.unknowns or second.unknowns:
-        return f"{found.item.what}: {one} and {by} differ by {spelled(apart)}, and cannot be added or compared"
+        return f"{found.item.what}: {one} and {by} differ by {spelled(ratio)}, and cannot be added or compared"
     return (
         f"{found.item.what}: expected one unit in {where}, found {spelled(first)} in {one} and {spelled(second)} "
         f"in {by}"

@@ -6,14 +6,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple, final
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import BlockModel
+from dmframe.block.parameter import PAIRS, Spec, specs
+from dmframe.block.port import ANY, Signal, State
 from dmframe.block.symmetric import lower_triangle
-from dmframe.certificate import SX
 from dmframe.dimensions.algebra import ANYTHING, Algebra
 from dmframe.dimensions.dimension import declared
 from dmframe.dimensions.limits import LIMITS, Limited
-from dmframe.parameter import PAIRS, Spec, specs
-from dmframe.port import ANY, Signal, State
 from dmframe.robot.parameters import DynamicParameters
 
 _OF_JOINTS_AND_TASK: Final = ("n", "m")

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from fractions import Fraction
 from typing import Final, NamedTuple, final
 
-from dmframe.units import base_units, factors
+from dmframe.common.units import base_units, factors
 
 BASES: Final = ("g", "m", "s", "A", "K", "rad")
 RAD: Final = BASES.index("rad")

@@ -8,9 +8,9 @@ from typing import Any, Final, final
 
 import casadi as ca
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import BlockModel, Recalled, signals_of, stated_by
 from dmframe.block.sizes import Sizes
-from dmframe.certificate import SX
 
 LIMITS: Final[Mapping[str, str]] = {
     "velocity_limits": "rad/s",

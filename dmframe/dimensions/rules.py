@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Final, final
 
-from dmframe.certificate import TINY
+from dmframe.block.certificate import TINY
 from dmframe.dimensions.algebra import ANYTHING, Algebra
 from dmframe.dimensions.dimension import NUMBER, PLAIN
 from dmframe.program import CONST, INPUT, OPERATIONS, POWERS, Program, by_code

@@ -1,4 +1,4 @@
-"""The expressions of a block, each with its required dimension."""
+"""Expressions of a block with their required dimensions."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from typing import Any, final
 import casadi as ca
 
 from dmframe.block.base import Signals
-from dmframe.block.faults import fault_context
-from dmframe.block.model import BlockModel, symbol
-from dmframe.block.sizes import Sizes
-from dmframe.certificate import (
+from dmframe.block.certificate import (
     SX,
     Certificate,
     CommonLyapunov,
     Condition,
-    Driven,
     Inequality,
     LogDet,
+    StableLinear,
 )
+from dmframe.block.faults import fault_context
+from dmframe.block.model import BlockModel, symbol
+from dmframe.block.sizes import Sizes
+from dmframe.common.errors import DmframeError
 from dmframe.dimensions.declared import Declared
-from dmframe.errors import DmframeError
 
 STORED = ("the storage S", "the weight of a storage term")
 """Items that have the unit of a block's storage."""
@@ -66,7 +66,7 @@ def items_of(model: BlockModel, sizes: Sizes, declared: Declared) -> list[Item]:
             conditions = block.composed_conditions(p, truth)
         if isinstance(certificate, Certificate):
             sampled = any(state.sampled for state in block.states)
-            found += [*_certificate(certificate, declared, sampled), *_over_samples(certificate, declared)]
+            found += [*_certificate(certificate, declared, sampled), *_discrete_time(certificate, declared)]
         for condition in conditions:
             found += _condition(condition, declared)
     except DmframeError:
@@ -116,30 +116,30 @@ def _starts(model: BlockModel, declared: Declared, starts: Mapping[str, Any]) ->
 
 
 def _certificate(certificate: Certificate, declared: Declared, sampled: bool) -> Iterator[Item]:
-    """All terms of S have one unit, and all of dS/dt that per second; of a difference over a sample, the same."""
+    """All terms of S have one unit, and those of dS/dt, or of the increment per sample, have it per second."""
     algebra, second = declared.algebra, declared.unit("s")
     energy = algebra.unknown()
     power = energy if sampled else algebra.product(energy, second, -1)
     for stored in certificate.storage:
-        if isinstance(stored, LogDet):  # the logarithm of a determinant ratio, not a ratio's logarithm
+        if isinstance(stored, LogDet):  # the logarithm of a determinant ratio is dimensionless
             matrix = ca.densify(ca.SX(stored.matrix - stored.true))
             yield Item("the matrices of a storage term", matrix)
             yield Item("the weight of a storage term", ca.SX(stored.weight), (energy,))
         else:
             yield Item("the storage S", ca.SX(stored.value), (energy,))
-    for terms, what in ((certificate.dissipation, "the dissipation"), (certificate.excess, "the residual")):
+    for terms, what in ((certificate.dissipation, "the dissipation"), (certificate.residual, "the residual")):
         for lost in terms:
             yield Item(what, ca.SX(lost.value), (power,))
     yield Item("the supply rate", ca.SX(certificate.supply), (power,))
     if certificate.consumes is not None:
-        yield Item("what it consumes of the servo level", ca.SX(certificate.consumes.value), (power,))
+        yield Item("the cross term with the servo level", ca.SX(certificate.consumes.value), (power,))
     for name, value in certificate.truth.items():
         yield Item(f"the true {name}", ca.SX(value))
     for error in certificate.errors:
         yield Item("an error", ca.SX(error.value))
     yield from _consumed(certificate, declared)
-    for driven in certificate.driven:
-        yield from _driven(driven, declared)
+    for subsystem in certificate.linear:
+        yield from _linear_subsystem(subsystem, declared)
     for barrier in certificate.barriers:
         position = ca.SX(barrier.position - barrier.upper) + ca.SX(barrier.margin)
         own = tuple(algebra.unknown() for _ in range(position.numel()))
@@ -154,26 +154,26 @@ def _consumed(certificate: Certificate, declared: Declared) -> Iterator[Item]:
     if len(terms) < 2:
         return
     vectors = [ca.SX(coefficient) * ca.SX(term.pieces[0]) for coefficient, term in terms]
-    yield Item("what it dominates of a cascade", sum(vectors[1:], vectors[0]))
+    yield Item("the terms that dominate a cascade's cross term", sum(vectors[1:], vectors[0]))
 
 
-def _driven(driven: Driven, declared: Declared) -> Iterator[Item]:
+def _linear_subsystem(subsystem: StableLinear, declared: Declared) -> Iterator[Item]:
     """The signals of each equation have their own units; a rate A_jk maps that of z_k to that of z_j per second."""
     algebra, second = declared.algebra, declared.unit("s")
-    vectors = [ca.SX(vector) for vector in driven.vectors]
+    vectors = [ca.SX(vector) for vector in subsystem.vectors]
     units = [[algebra.unknown() for _ in range(vector.numel())] for vector in vectors]
-    for own, vector, rates in zip(units, vectors, driven.rates, strict=True):
-        yield Item("a driven signal", vector, tuple(own))
+    for own, vector, rates in zip(units, vectors, subsystem.rates, strict=True):
+        yield Item("a signal of a stable linear subsystem", vector, tuple(own))
         for rate, other in zip(map(ca.SX, rates), units, strict=True):
             pairs = zip(own, other, strict=False)
             expected = [algebra.product(algebra.product(one, by, -1), second, -1) for one, by in pairs]
             if not rate.is_zero():
-                yield Item("the rate of a driven signal", rate, tuple(expected[: rate.numel()]))
-    for own, given in zip(units, driven.inputs, strict=False):
+                yield Item("the rate of a signal of a stable linear subsystem", rate, tuple(expected[: rate.numel()]))
+    for own, given in zip(units, subsystem.inputs, strict=False):
         column = ca.SX(given)
         expected = [algebra.product(one, second, -1) for one in own]
-        yield Item("the input of a driven signal", column, tuple(expected[: column.numel()]))
-    for condition in driven.otherwise:
+        yield Item("the input of a signal of a stable linear subsystem", column, tuple(expected[: column.numel()]))
+    for condition in subsystem.otherwise:
         yield from _condition(condition, declared)
 
 
@@ -187,8 +187,8 @@ def _condition(condition: Condition, declared: Declared) -> Iterator[Item]:
             yield Item(f"the condition {condition.name}", matrix, (each,) * matrix.numel())
 
 
-def _over_samples(certificate: Certificate, declared: Declared) -> Iterator[Item]:
-    """All terms of V of sampled steps have one unit; so have the prediction and the output of each row."""
+def _discrete_time(certificate: Certificate, declared: Declared) -> Iterator[Item]:
+    """All terms of V of sampled steps have one unit, as do the prediction and the output of each row."""
     algebra, second = declared.algebra, declared.unit("s")
     for steps in certificate.steps:
         error = ca.SX(steps.theta - steps.true)
@@ -203,5 +203,9 @@ def _over_samples(certificate: Certificate, declared: Declared) -> Iterator[Item
     for relation in certificate.plant:
         moved = ca.SX(relation.momentum)
         own = tuple(algebra.unknown() for _ in range(moved.numel()))
-        yield Item("the momentum of a relation", moved, own)
-        yield Item("the rest of a relation", ca.SX(relation.rest), tuple(algebra.product(o, second, -1) for o in own))
+        yield Item("the momentum of a plant identity", moved, own)
+        yield Item(
+            "the remainder of a plant identity",
+            ca.SX(relation.rest),
+            tuple(algebra.product(o, second, -1) for o in own),
+        )

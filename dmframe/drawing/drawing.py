@@ -9,11 +9,11 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final, cast, final
 
+from dmframe.common.errors import OutputError
+from dmframe.common.files import check_place, expanded, write_bytes, write_text
 from dmframe.drawing.flowchart import mermaid
 from dmframe.drawing.netlist import Wired
 from dmframe.drawing.picture import svg
-from dmframe.errors import OutputError
-from dmframe.files import check_place, expanded, write_bytes, write_text
 
 
 @final
@@ -48,7 +48,7 @@ class Drawing:
         Raises
         ------
         OutputError
-            The extension is another one, or the file cannot be written.
+            The extension is unknown, or the file cannot be written.
         """
         path = expanded(path)
         check_ending(path)

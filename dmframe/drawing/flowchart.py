@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 
+from dmframe.block.port import Side
+from dmframe.common.names import unicode_name
 from dmframe.drawing.netlist import Box, Wired, netlist
-from dmframe.names import unicode_name
-from dmframe.port import Side
 
 
 def mermaid(diagram: Wired, title: str = "") -> str:
@@ -45,6 +45,6 @@ def _shape(box: Box) -> str:
 
 
 def _plain(text: str, *, keep: bool = False) -> str:
-    """A text within Mermaid's quotes."""
+    """Text escaped for Mermaid's quotes."""
     text = text.replace('"', "#quot;").replace("\n", " ")
     return text if keep else text.replace("<", "#lt;").replace(">", "#gt;")

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from statistics import median_low
 from typing import final
 
+from dmframe.block.port import Side
 from dmframe.diagram.wiring import End
 from dmframe.drawing.netlist import Box, Netlist, Pin, columns
-from dmframe.port import Side
 
 PITCH, TRACK, BYPASS = 18.0, 10.0, 17.0
 GRID = PITCH / 2
@@ -93,7 +93,7 @@ def lay_out(net: Netlist) -> Layout:
     column = {name: index for index, names in enumerate(order) for name in names}
     placed = {name: _sized(net, net.boxes[name], column) for names in order for name in names}
     _set_heights(net, order, placed)
-    _set_apart(net, order, placed)
+    _separate(net, order, placed)
     top = min((item.y for item in placed.values()), default=0.0)
     bottom = max((item.y + item.height for item in placed.values()), default=0.0)
     bypasses = _bypasses(net, column, top, bottom)
@@ -123,11 +123,11 @@ def _sized(net: Netlist, box: Box, column: Mapping[str, int]) -> Placed:
     for pin in wired:
         pins += [pin, *(other for other in box.inputs if other.order and other.root == pin.name)]
 
-    def leaves(port: str) -> float:
-        ways = [arrival[route(column, box.name, target)] for target, _ in net.nets[box.name, port]]
-        return sum(ways) / len(ways)
+    def height_of(port: str) -> float:
+        heights = [arrival[route(column, box.name, target)] for target, _ in net.nets[box.name, port]]
+        return sum(heights) / len(heights)
 
-    ports = sorted(box.outputs, key=leaves)
+    ports = sorted(box.outputs, key=height_of)
     inner = max([wide(box.name, 13) * 1.08, wide(box.kind, 11), 76.0])
     width = max(inner, max((wide(pin.name, 11) for pin in pins), default=0.0) + 30) + 14
     states = _wrapped(box.states, width - 8)
@@ -164,27 +164,27 @@ def _set_heights(net: Netlist, order: list[list[str]], placed: dict[str, Placed]
         if placed[target[0]].column == placed[source[0]].column + 1
     ]
     for names in order:
-        wishes = dict[str, float]()
+        preferred = dict[str, float]()
         for name in names:
             aims = [placed[s].output_y(port) - placed[t].inputs[pin] for (s, port), (t, pin) in direct if t == name]
-            wishes[name] = median_low(aims) if aims else 0.0
-        _stack(names, placed, wishes)
+            preferred[name] = median_low(aims) if aims else 0.0
+        _stack(names, placed, preferred)
     for names in reversed(order):  # boxes without a direct input are aligned with their outputs
-        wishes = {}
+        preferred = {}
         for name in names:
             aims = [placed[t].input_y(pin) - placed[s].outputs[port] for (s, port), (t, pin) in direct if s == name]
-            driven = any(t == name for _, (t, _) in direct)
-            wishes[name] = median_low(aims) if aims and not driven else placed[name].y
-        _stack(names, placed, wishes)
+            has_source = any(t == name for _, (t, _) in direct)
+            preferred[name] = median_low(aims) if aims and not has_source else placed[name].y
+        _stack(names, placed, preferred)
 
 
-def _stack(names: list[str], placed: dict[str, Placed], wishes: Mapping[str, float]) -> None:
-    """Place the tops at the wishes, and move overlapping boxes apart, evenly up and down."""
+def _stack(names: list[str], placed: dict[str, Placed], preferred: Mapping[str, float]) -> None:
+    """Place the tops at the preferred heights, and move overlapping boxes apart, evenly up and down."""
     below = float("-inf")
     for name in names:
-        placed[name].y = max(wishes[name], below)
+        placed[name].y = max(preferred[name], below)
         below = placed[name].y + placed[name].height + GAP
-    pushed = sum(placed[name].y - wishes[name] for name in names) / len(names)
+    pushed = sum(placed[name].y - preferred[name] for name in names) / len(names)
     for name in names:
         # on a grid, so that a wire is straight or has a visible step
         placed[name].y = round((placed[name].y - pushed) / GRID) * GRID
@@ -196,14 +196,14 @@ def _bypasses(
     """Assign a bypass to each net that needs one, short ones next to the boxes; channel c is left of column c."""
     found = dict[tuple[End, str], tuple[int, int]]()
     for end, targets in net.nets.items():
-        for way in ("top", "bottom"):
-            ends = [column[target] for target, _ in targets if route(column, end[0], target) == way]
+        for side in ("top", "bottom"):
+            ends = [column[target] for target, _ in targets if route(column, end[0], target) == side]
             if ends:
                 reach = [column[end[0]] + 1, *ends]
-                found[end, way] = (min(reach), max(reach))
+                found[end, side] = (min(reach), max(reach))
     bypasses = dict[tuple[End, str], tuple[float, int, int]]()
-    for way, sign, edge in (("top", -1.0, top), ("bottom", 1.0, bottom)):
-        keys = [key for key in found if key[1] == way]
+    for side, sign, edge in (("top", -1.0, top), ("bottom", 1.0, bottom)):
+        keys = [key for key in found if key[1] == side]
         keys.sort(key=lambda key: found[key][1] - found[key][0])
         for index, key in enumerate(keys):
             bypasses[key] = (edge + sign * (22.0 + BYPASS * index), *found[key])
@@ -259,7 +259,7 @@ def _crossings(order: list[End], channel: Mapping[End, Trunk]) -> int:
     return cost
 
 
-def _set_apart(net: Netlist, order: list[list[str]], placed: dict[str, Placed]) -> None:
+def _separate(net: Netlist, order: list[list[str]], placed: dict[str, Placed]) -> None:
     """Shift a column slightly if no order of tracks separates the stubs on its left."""
     for index in range(1, len(order)):
         for shift in (0.0, GRID, -2 * GRID, 3 * GRID, -4 * GRID):  # cumulative, in both directions

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Protocol, final
 
 from dmframe.block import AbstractBlock
+from dmframe.block.port import Side
+from dmframe.common.names import unicode_name
 from dmframe.diagram.wiring import Derived, End, Source, Wire
-from dmframe.names import unicode_name
-from dmframe.port import Side
 
 SWEEPS = 8
 

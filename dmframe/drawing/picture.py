@@ -6,11 +6,11 @@ from collections import Counter
 from collections.abc import Iterator
 from xml.sax.saxutils import escape, quoteattr
 
+from dmframe.block.port import Side
+from dmframe.common.names import unicode_name
 from dmframe.diagram.wiring import End
 from dmframe.drawing.layout import MARGIN, Layout, Placed, lay_out, segments
 from dmframe.drawing.netlist import Wired, netlist
-from dmframe.names import unicode_name
-from dmframe.port import Side
 
 _STYLE = """
 text { font-family: Helvetica, Arial, 'Liberation Sans', 'DejaVu Sans', sans-serif; fill: #111; font-size: 11px }
@@ -54,7 +54,7 @@ def svg(diagram: Wired, title: str = "") -> str:
         *_wires(layout, diagram),
         *(line for item in layout.placed.values() for line in _box(item)),
         *(line for item in layout.placed.values() for line in _marks(item)),
-        *_crossings(layout),
+        *_boundary_arrows(layout),
         *_labels(layout),
         "</g>",
         "</svg>",
@@ -96,13 +96,13 @@ def _wires(layout: Layout, diagram: Wired) -> Iterator[str]:
 
 def _branches(lines: list[tuple[tuple[float, float], tuple[float, float]]]) -> list[tuple[float, float]]:
     """Points where three or four segments of a net meet."""
-    ways = Counter[tuple[float, float]]()
+    directions = Counter[tuple[float, float]]()
     points = {point for line in lines for point in line}
     for x, y in points:
         for (a, b), (c, d) in lines:
             inside = (a == c == x and min(b, d) < y < max(b, d)) or (b == d == y and min(a, c) < x < max(a, c))
-            ways[x, y] += 2 if inside else (x, y) in ((a, b), (c, d))
-    return sorted(point for point, count in ways.items() if count >= 3)
+            directions[x, y] += 2 if inside else (x, y) in ((a, b), (c, d))
+    return sorted(point for point, count in directions.items() if count >= 3)
 
 
 def _box(item: Placed) -> Iterator[str]:
@@ -142,7 +142,7 @@ def _raised(number: int) -> str:
     return str(number).translate(str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
-def _crossings(layout: Layout) -> Iterator[str]:
+def _boundary_arrows(layout: Layout) -> Iterator[str]:
     """Arrows where signals cross the boundary."""
     if layout.wall is None:
         return
@@ -158,9 +158,9 @@ def _labels(layout: Layout) -> Iterator[str]:
     for item in layout.placed.values():
         for port in item.outputs:
             yield _text(item.x + item.width + 5, item.output_y(port) - 4, unicode_name(port), "label")
-    for (end, way), (height, first, last) in layout.bypasses.items():
+    for (end, direction), (height, first, last) in layout.bypasses.items():
         source = layout.placed[end[0]].column
-        under = {source + 1 if way == "top" else source}
+        under = {source + 1 if direction == "top" else source}
         if layout.wall is not None:
             under |= {i for i in range(first, last) if _last_before(layout, i)}
         for index in sorted(under):
@@ -175,8 +175,8 @@ def _last_before(layout: Layout, index: int) -> bool:
     return layout.spans[index][1] < layout.wall < after
 
 
-def _arrow(x: float, y: float, way: int) -> str:
-    return f'<path d="M{x:g} {y:g}l{-8 * way} -3.4v6.8z" fill="#111"/>'
+def _arrow(x: float, y: float, direction: int) -> str:
+    return f'<path d="M{x:g} {y:g}l{-8 * direction} -3.4v6.8z" fill="#111"/>'
 
 
 def _text(x: float, y: float, text: str, kind: str, anchor: str = "") -> str:

@@ -39,7 +39,7 @@ _ANCHORS: Final = {"end": "right", "middle": "center"}
 
 def printed(svg: str, kind: str, dpi: float = 200) -> bytes:
     """Picture as ``png`` or ``pdf``."""
-    from dmframe.plotting import new_figure, styled
+    from dmframe.common.plotting import new_figure, styled
 
     root = ET.fromstring(svg)
     wide, high = float(root.get("width", 0)), float(root.get("height", 0))

@@ -9,19 +9,19 @@ from typing import Any, Final
 import numpy as np
 
 from dmframe.block.model import SYMBOLIC
+from dmframe.common.errors import DriveError
 from dmframe.config import BaseGraph
 from dmframe.diagram.pieces import rows_of
 from dmframe.drive.identity import identity
-from dmframe.drive.kept import refusal
 from dmframe.drive.limits import own_limits
 from dmframe.drive.record import drive_data, recording_of
+from dmframe.drive.records import refusal
 from dmframe.drive.robots import Options, clock_of, kind_of, usual_payload
-from dmframe.errors import DriveError
 from dmframe.runtime.controller import Controller
 from dmframe.runtime.driving import Plan, drive
 from dmframe.runtime.gate import Gate, Limits
 from dmframe.runtime.journal import Spool
-from dmframe.runtime.steered import Steered
+from dmframe.runtime.scaled import ScaledController
 from dmframe.simulate import Recording
 from dmframe.simulate.engine import Choice
 from dmframe.simulate.start import start_state
@@ -30,12 +30,12 @@ RAMP: Final = 1.0
 """Default time in which a real robot's first motion accelerates to full speed [s]."""
 
 
-def steered_controller(graph: BaseGraph, engine: Choice = "auto") -> Steered:
+def scaled_controller(graph: BaseGraph, engine: Choice = "auto") -> ScaledController:
     """Controller of a graph on a robot's samples. Raises `DmframeError` if no robot can execute it."""
-    return Steered(graph.diagram, Controller(graph.diagram, clock_of(graph), start=graph.start, engine=engine))
+    return ScaledController(graph.diagram, Controller(graph.diagram, clock_of(graph), start=graph.start, engine=engine))
 
 
-def driven(
+def run_on_robot(
     graph: BaseGraph,
     robot: str,
     *,
@@ -87,10 +87,10 @@ def driven(
     limits, ramp = limits or own_limits(diagram.robot), RAMP * kind.real if ramp is None else ramp
     if kind.real and not shadow:
         _check_acceleration(limits)
-    steered = steered_controller(graph, engine)  # compile before the loop
+    scaled = scaled_controller(graph, engine)  # compile before the loop
     if kind.real and not shadow and rehearsed:  # identity of the loaded controller: files may have changed since
         load = usual_payload(diagram) if payload is None else payload
-        parts = identity(graph, steered, limits, payload=load, ramp=ramp, patience=patience)
+        parts = identity(graph, scaled, limits, payload=load, ramp=ramp, patience=patience)
         if why := refusal(graph.name, parts, duration):
             raise DriveError(f"{graph.name}: {why}")
     with SYMBOLIC:
@@ -99,12 +99,12 @@ def driven(
     driver = kind.make(rest, graph, options)
     plan = Plan(duration, start, ramp, shadow)
     gate = Gate(limits, driver.period)
-    about: dict[str, Any] = {"graph": graph.name, "field_hash": diagram.fingerprint, "command": steered.label}
-    about |= {"engine": steered.controller.engine, "drive": drive_data(robot, plan, gate)}
-    found = drive(steered, driver, gate, plan, stop_requested, None if record is None else Spool(record, about))
+    about: dict[str, Any] = {"graph": graph.name, "field_hash": diagram.fingerprint, "command": scaled.label}
+    about |= {"engine": scaled.controller.engine, "drive": drive_data(robot, plan, gate)}
+    found = drive(scaled, driver, gate, plan, stop_requested, None if record is None else Spool(record, about))
     recording = recording_of(
         diagram,
-        steered,
+        scaled,
         found,
         robot=robot,
         plan=plan,

@@ -24,16 +24,16 @@ import numpy as np
 
 from dmframe.build.compiler import FLAGS, SHARED, find_compiler, processor
 from dmframe.catalogue import loaded_digest
+from dmframe.common.files import encoded
+from dmframe.common.seal import digest
+from dmframe.common.version import version as own_version
+from dmframe.common.version import version_of
 from dmframe.config import BaseGraph
 from dmframe.config.resolved import resolved, robot_source
-from dmframe.files import encoded
 from dmframe.program import CONST, instructions
 from dmframe.runtime.controller import control_function, start_function
 from dmframe.runtime.gate import Limits
-from dmframe.runtime.steered import Steered
-from dmframe.seal import digest
-from dmframe.version import version as own_version
-from dmframe.version import version_of
+from dmframe.runtime.scaled import ScaledController
 
 Identity = Mapping[str, Mapping[str, str]]
 """Part -> item -> value or digest."""
@@ -45,7 +45,7 @@ _LIBRARIES: Final = ("casadi", "numpy", "scipy")
 
 def identity(
     graph: BaseGraph,
-    steered: Steered,
+    scaled: ScaledController,
     limits: Limits,
     *,
     payload: float,
@@ -71,11 +71,11 @@ def identity(
         "limits": {key: str(value) for key, value in limits.data.items()},
         "payload": {"at the tool [kg]": repr(float(payload))},
         "drive": {"ramp [s]": repr(float(ramp)), "patience [s]": "default" if patience is None else repr(patience)},
-        "engine": _engine(steered.controller.engine),
+        "engine": _engine(scaled.controller.engine),
         "dmframe": {"version": own_version(), "source": _framework()},
         "library": {name: _installed(name) for name in sorted({*_LIBRARIES, *libraries})}
         | {"python": platform.python_version()},
-        LOOP: _loop(steered),
+        LOOP: _loop(scaled),
     }
 
 
@@ -141,9 +141,9 @@ def _framework() -> str:
     return found.hexdigest()
 
 
-def _loop(steered: Steered) -> dict[str, str]:
+def _loop(scaled: ScaledController) -> dict[str, str]:
     """Digests of the loaded diagram and controller."""
-    controller = steered.controller
+    controller = scaled.controller
     diagram = controller.diagram
     begin, _ = start_function(diagram, controller.given)
     numbers = [np.array([controller.clock]), diagram.loop.p_values]
@@ -199,7 +199,7 @@ def _file(name: str) -> Path | None:
 
 
 def _is_library(path: Path) -> bool:
-    """Whether a file is of an installed package, here or in an environment that this one sees (system packages)."""
+    """True for a file of an installed package, of this environment or one visible from it (system packages)."""
     installed = any(path.is_relative_to(sysconfig.get_path(kind)) for kind in ("purelib", "platlib"))
     return installed or bool({"site-packages", "dist-packages"} & set(path.parts))
 

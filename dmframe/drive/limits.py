@@ -11,13 +11,13 @@ from typing import Annotated, Any, Final, Literal, final
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError
 
+from dmframe.common.errors import DmframeError, DriveError, UnknownNameError, ValueFault, raise_all
+from dmframe.common.units import plain, to_unit
 from dmframe.config.document import Kind, read_file
 from dmframe.config.grammar import Section, fault_of, shown
 from dmframe.config.grammar import version as checked_version
 from dmframe.config.places import placed
-from dmframe.errors import DmframeError, DriveError, UnknownNameError, ValueFault, raise_all
 from dmframe.runtime.gate import Limits
-from dmframe.units import plain, to_unit
 
 LIMITS: Final = Kind("limits", "dmframe-limits: 1")
 BRAKING: Final = (0.1, 1000.0)

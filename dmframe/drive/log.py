@@ -11,10 +11,10 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from dmframe.errors import MissingError
+from dmframe.common.errors import MissingError
+from dmframe.common.seal import SEAL, faults, folder_of, seal_of
 from dmframe.results.place import SAMPLES
 from dmframe.runtime.journal import read_samples
-from dmframe.seal import SEAL, faults, folder_of, seal_of
 
 SIGNALS: Final = "signals.nc"
 

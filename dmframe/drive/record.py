@@ -8,19 +8,19 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.model import SYMBOLIC
+from dmframe.block.port import Side
+from dmframe.common.slices import slices
+from dmframe.common.units import plain
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal, stack
-from dmframe.port import Side
-from dmframe.runtime.driving import Driven, Plan
+from dmframe.runtime.driving import DriveResult, Plan
 from dmframe.runtime.gate import Gate
 from dmframe.runtime.journal import Journal
+from dmframe.runtime.scaled import ScaledController
 from dmframe.runtime.signals import FIELDS
-from dmframe.runtime.steered import Steered
 from dmframe.simulate import Recording, Solver
 from dmframe.simulate.recording import ExtraSignal
 from dmframe.simulate.run import moving_outputs
-from dmframe.slices import slices
-from dmframe.units import plain
 
 MOST_BYTES: Final = 48 * 2**20
 """Memory for the signals of a drive whose samples are in a file."""
@@ -31,8 +31,8 @@ THINNED: Final = "signals and figures have one of {every} samples; samples.bin h
 
 def recording_of(
     diagram: Diagram,
-    steered: Steered,
-    driven: Driven,
+    scaled: ScaledController,
+    result: DriveResult,
     *,
     robot: str,
     plan: Plan,
@@ -50,22 +50,22 @@ def recording_of(
     thinned
         Decimate the samples of a long drive so that the signals fit into `MOST_BYTES`.
     """
-    journal = driven.journal
+    journal = result.journal
     if not len(journal):
         return None
     every = _every(diagram, journal) if thinned else 1
     found = journal.parts(every)
-    states = {label: found[f"state:{label}"] for label in steered.controller.states}
+    states = {label: found[f"state:{label}"] for label in scaled.controller.states}
     shown = {name: found[name] for name in FIELDS if journal.columns.widths[name]}
-    measured = {label: shown[name] for label, name in steered.fields.items()}
-    commands = {steered.label: found["command"]}
+    measured = {label: shown[name] for label, name in scaled.fields.items()}
+    commands = {scaled.label: found["command"]}
     time, scale, missed, answer, age = (
         np.ascontiguousarray(found[name][:, 0]) for name in ("reference", "scale", "missed", "answer", "age")
     )
-    period = steered.controller.clock * (1 + missed) * scale
+    period = scaled.controller.clock * (1 + missed) * scale
     known = plain_signals(diagram)
     others = {label: shown[name] for label, name in known.items() if label not in measured and name in shown}
-    seen = _velocities_scaled(measured, steered, scale)
+    seen = _velocities_scaled(measured, scaled, scale)
     outputs = {**_computed(diagram, states, seen, time, period), **others, **measured, **commands}
     hidden = {variable.label for variable in diagram.loop.controller if not variable.recorded}
     extra = {
@@ -80,17 +80,17 @@ def recording_of(
     more = (*[journal.notice] * bool(journal.notice), *[THINNED.format(every=every, count=len(journal))] * (every > 1))
     return Recording(
         diagram=diagram,
-        clock=steered.controller.clock,
+        clock=scaled.controller.clock,
         duration=plan.until,
         solver=solver,
         time=time,
         states={label: values for label, values in states.items() if label not in hidden},
         outputs=outputs,
         divergence=None,
-        interrupted=driven.stop is not None,
-        wall_time=driven.wall_time,
-        engine=steered.controller.engine,
-        notices=(*_notices(driven, robot, plan.shadow, answer, missed, extra), *more),
+        interrupted=result.stop is not None,
+        wall_time=result.wall_time,
+        engine=scaled.controller.engine,
+        notices=(*_notices(result, robot, plan.shadow, answer, missed, extra), *more),
         beside=extra,
         drive={**drive_data(robot, plan, gate), "every": every},
     )
@@ -112,10 +112,12 @@ def _every(diagram: Diagram, journal: Journal) -> int:
     return max(1, -(-len(journal) * width * 8 // MOST_BYTES))
 
 
-def _velocities_scaled(measured: dict[str, np.ndarray], steered: Steered, scale: np.ndarray) -> dict[str, np.ndarray]:
+def _velocities_scaled(
+    measured: dict[str, np.ndarray], scaled: ScaledController, scale: np.ndarray
+) -> dict[str, np.ndarray]:
     """Measurements in the controller's time; NaN while it waited, so that results are NaN, too."""
     rate = np.where(scale > 0, scale, np.nan)[:, None]
-    return {label: rows if steered.fields[label] != "dq" else rows / rate for label, rows in measured.items()}
+    return {label: rows if scaled.fields[label] != "dq" else rows / rate for label, rows in measured.items()}
 
 
 def plain_signals(diagram: Diagram) -> dict[str, str]:
@@ -168,7 +170,12 @@ def _without(own: list[Signal], loop: Any, plant: Any) -> tuple[list[Signal], An
 
 
 def _notices(
-    driven: Driven, robot: str, shadow: bool, answer: np.ndarray, missed: np.ndarray, extra: dict[str, ExtraSignal]
+    result: DriveResult,
+    robot: str,
+    shadow: bool,
+    answer: np.ndarray,
+    missed: np.ndarray,
+    extra: dict[str, ExtraSignal],
 ) -> tuple[str, ...]:
     found = [f"robot: {robot}, shadow drive: no command was sent" if shadow else f"robot: {robot}"]
     taken = answer[np.isfinite(answer)]
@@ -181,7 +188,7 @@ def _notices(
         found.append(f"measured latency of commands: median {half}, maximum {worst}")
     if missed.any():
         found.append(f"{int(missed.sum())} of {int(missed.sum()) + missed.size} samples were lost")
-    found += [f"the gate limited {count} commands by {rule}" for rule, count in driven.cuts.items()]
-    if driven.stop is not None:
-        found.append(f"the robot was stopped: {driven.stop}")
+    found += [f"the gate limited {count} commands by {rule}" for rule, count in result.cuts.items()]
+    if result.stop is not None:
+        found.append(f"the robot was stopped: {result.stop}")
     return tuple(found)

@@ -8,23 +8,23 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from dmframe.columns import columns
+from dmframe.common.columns import columns
+from dmframe.common.errors import DriveError
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
 from dmframe.config.sections import tolerance_in
-from dmframe.drive.bar import Bar, Measured, farthest, quarters
-from dmframe.drive.drive import RAMP, steered_controller
+from dmframe.drive.drive import RAMP, scaled_controller
+from dmframe.drive.error_bounds import ErrorBounds, Measured, farthest, quarters
 from dmframe.drive.identity import Identity, identity
 from dmframe.drive.limits import own_limits
 from dmframe.drive.record import recording_of
 from dmframe.drive.rival import Law, Rival, law_of
 from dmframe.drive.robots import clock_of, simulated_robot, usual_payload
-from dmframe.errors import DriveError
 from dmframe.results.metrics import euclidean, tracking_error
-from dmframe.runtime.driving import Driven, Plan, drive
+from dmframe.runtime.driving import DriveResult, Plan, drive
 from dmframe.runtime.gate import Gate, Limits
 from dmframe.runtime.simulated import SimulatedRobot
 from dmframe.simulate.engine import Choice
-from dmframe.units import plain
 
 IDEAL: Final = "the ideal robot"
 LONGEST: Final = 40.0
@@ -114,7 +114,7 @@ class Rehearsal:
     until: float = 0.0
     identity: Identity | None = None
     field_hash: str = ""
-    bar: Bar = field(default_factory=Bar)
+    bar: ErrorBounds = field(default_factory=ErrorBounds)
 
     @property
     def whole(self) -> bool:
@@ -263,11 +263,11 @@ def rehearsed(
     given = tried if tried is not None else conditions(clock, duration, load, ramp)
     parts = None
     if tried is None:  # before the runs, since a file may change meanwhile
-        steered = steered_controller(graph, engine)
-        parts = identity(graph, steered, limits, payload=load, ramp=ramp, patience=patience)
+        scaled = scaled_controller(graph, engine)
+        parts = identity(graph, scaled, limits, payload=load, ramp=ramp, patience=patience)
     law, lacking = law_of(graph)
     trial = _Trial(graph, duration, limits, engine, law)
-    outcomes, ideal, bar = list[Outcome](), None, Bar(lacking=lacking)
+    outcomes, ideal, bar = list[Outcome](), None, ErrorBounds(lacking=lacking)
     signal = unit = ""
     for condition in given:
         report(condition.about)
@@ -275,7 +275,7 @@ def rehearsed(
         if ideal is None:  # the first condition
             ideal, signal, unit = found, found.signal, found.unit
             stated = tolerance_in(unit, graph.file, graph.document)
-            bar = Bar(stated, str(law) if law is not None else "", lacking)
+            bar = ErrorBounds(stated, str(law) if law is not None else "", lacking)
         why = found.stopped or bar.above(found, rival, ideal=ideal is found) or _why(found, ideal)
         error, other = (None if each is None or each.stopped else each.last for each in (found, rival))
         outcomes.append(Outcome(condition, error, why, other, found.still))
@@ -311,11 +311,11 @@ class _Trial:
 
     def measured(self, condition: Condition) -> Measured:
         """Errors of the graph's controller."""
-        steered = steered_controller(self.graph, self.engine)
-        found, robot, gate = self._driven(steered, condition)
+        scaled = scaled_controller(self.graph, self.engine)
+        found, robot, gate = self._simulated_drive(scaled, condition)
         plan = self._plan(condition)
         recording = recording_of(
-            self.graph.diagram, steered, found, robot=robot.name, plan=plan, gate=gate, solver=robot.solver
+            self.graph.diagram, scaled, found, robot=robot.name, plan=plan, gate=gate, solver=robot.solver
         )
         error = tracking_error(recording) if recording is not None else None
         if recording is None or error is None:
@@ -331,7 +331,7 @@ class _Trial:
         if self.law is None:
             return None
         robot = self.graph.diagram.robot
-        found, _, _ = self._driven(Rival(self.law, robot.n, clock_of(self.graph)), condition)
+        found, _, _ = self._simulated_drive(Rival(self.law, robot.n, clock_of(self.graph)), condition)
         journal, name = found.journal, "q" if self.law.shown is None else "x"
         times, shown = journal["reference"], journal[name]
         wanted = np.array([self.law.goal(t)[0].full().ravel() for t in times])
@@ -341,11 +341,11 @@ class _Trial:
     def _plan(self, condition: Condition) -> Plan:
         return Plan(self.duration, ramp=condition.ramp)
 
-    def _driven(self, steered: Any, condition: Condition) -> tuple[Driven, SimulatedRobot, Gate]:
+    def _simulated_drive(self, scaled: Any, condition: Condition) -> tuple[DriveResult, SimulatedRobot, Gate]:
         robot = simulated_robot(self.graph, self.duration, self.engine, **condition.options)
         gate = Gate(self.limits, robot.period)
-        return drive(steered, robot, gate, self._plan(condition), lambda: ""), robot, gate
+        return drive(scaled, robot, gate, self._plan(condition), lambda: ""), robot, gate
 
 
-def _stopped(found: Driven, time: float) -> str:
+def _stopped(found: DriveResult, time: float) -> str:
     return f"stopped after {plain(time, 's')}, {found.stop}" if found.stop else ""

@@ -13,19 +13,19 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from dmframe.common.errors import MissingError, listed
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
-from dmframe.drive.drive import steered_controller
+from dmframe.drive.drive import scaled_controller
 from dmframe.drive.log import Log, read_log
 from dmframe.drive.record import plain_signals
-from dmframe.errors import MissingError, listed
 from dmframe.runtime.driving import STILL
 from dmframe.runtime.gate import Gate, Limits
 from dmframe.runtime.robot import Sample
-from dmframe.runtime.steered import Steered
+from dmframe.runtime.scaled import ScaledController
 from dmframe.simulate.engine import Choice
-from dmframe.units import plain
 
-APART: Final = 0.4
+PERIOD_DEVIATION: Final = 0.4
 """Tolerance for the time between samples as a whole number of periods [periods]."""
 MOST_MISSED: Final = 2**31
 """Lost samples in a row above which a record is damaged."""
@@ -52,10 +52,10 @@ class Compared:
     @property
     def largest(self) -> float:
         """Largest difference."""
-        return float(np.nanmax(self.apart, initial=0.0))
+        return float(np.nanmax(self.difference, initial=0.0))
 
     @property
-    def apart(self) -> np.ndarray:
+    def difference(self) -> np.ndarray:
         """Absolute differences; NaN for two infinite numbers."""
         with np.errstate(invalid="ignore", over="ignore"):
             return np.asarray(np.abs(self.now - self.then))
@@ -156,15 +156,23 @@ class Replay:
     def _lines(self, label: str) -> list[str]:
         """First and largest difference of a signal."""
         item = self.compared[label]
-        first, apart = int(item.rows[0]), item.apart
-        names = self.joints if apart.shape[1] == len(self.joints) else tuple(map(str, range(1, apart.shape[1] + 1)))
+        first, difference = int(item.rows[0]), item.difference
+        names = (
+            self.joints
+            if difference.shape[1] == len(self.joints)
+            else tuple(map(str, range(1, difference.shape[1] + 1)))
+        )
         place = int(np.argmax(item.then[first] != item.now[first]))
-        row, most = np.unravel_index(int(np.nanargmax(apart)), apart.shape) if np.isfinite(apart).any() else (first, 0)
+        row, most = (
+            np.unravel_index(int(np.nanargmax(difference)), difference.shape)
+            if np.isfinite(difference).any()
+            else (first, 0)
+        )
         return [
             f"  {label}: first difference at t = {plain(float(self.time[first]), 's')}, {names[place]}: "
             f"recorded {item.then[first, place]:.9g}, recomputed {item.now[first, place]:.9g} [{item.unit or '1'}]",
             f"  {label}: largest difference at t = {plain(float(self.time[row]), 's')}, {names[most]}: "
-            f"{plain(float(apart[row, most]), item.unit)}",
+            f"{plain(float(difference[row, most]), item.unit)}",
         ]
 
 
@@ -182,69 +190,69 @@ def replayed(graph: BaseGraph, log: str | Path, *, engine: Choice = "auto") -> R
         There is no such file, a file of its folder was changed, or a measurement or a sample is missing.
     """
     diagram = graph.diagram
-    steered = steered_controller(graph, engine)
+    scaled = scaled_controller(graph, engine)
     own, states = plain_signals(diagram), {item.label: item for item in diagram.loop.controller}
     known = ["robot.time", SENT, *_USUAL, *own, *states]
-    fields = {**own, **steered.fields}
-    record = read_log(Path(log), [*steered.fields, steered.label], known, fields)
+    fields = {**own, **scaled.fields}
+    record = read_log(Path(log), [*scaled.fields, scaled.label], known, fields)
     notices = list(record.notices)
-    expected = {**steered.controller.measured, steered.label: steered.command}
+    expected = {**scaled.controller.measured, scaled.label: scaled.command}
     count = record.values["time"].size
     _check_sizes(record.values, expected, count, str(log))
     kept = [label for label in states if label in record.values]
     if lost := [label for label, item in states.items() if item.recorded and label not in record.values]:
         notices.append(f"{listed(lost)} {'are' if len(lost) > 1 else 'is'} not compared: not in the record")
-    now, refused, notice = _computed(steered, record, fields, kept, str(log))
-    units = {steered.label: "rad/s", SENT: "rad/s", **{label: item.unit for label, item in states.items()}}
+    now, refused, notice = _computed(scaled, record, fields, kept, str(log))
+    units = {scaled.label: "rad/s", SENT: "rad/s", **{label: item.unit for label, item in states.items()}}
     compared = {
         label: Compared(_rows(record.values[label], rows.shape, label, str(log)), rows, units[label])
         for label, rows in now.items()
     }
-    n = steered.command.size
+    n = scaled.command.size
     joints = tuple(map(str, range(1, n + 1)) if diagram.robot is None else diagram.robot.joint_names)
     return Replay(
         graph.name,
         str(log),
-        steered.label,
+        scaled.label,
         joints,
         record.values["time"].ravel(),
         compared,
         refused,
-        (record.engine, steered.controller.engine),
+        (record.engine, scaled.controller.engine),
         (*notices, *notice),
     )
 
 
 def _computed(
-    steered: Steered, record: Log, fields: Mapping[str, str], states: list[str], log: str
+    scaled: ScaledController, record: Log, fields: Mapping[str, str], states: list[str], log: str
 ) -> tuple[dict[str, np.ndarray], int, tuple[str, ...]]:
     """Recompute commands, commands after the gate, and states; with the number of refused samples, and notices."""
     time = record.values["time"].ravel()
-    count, n = time.size, steered.command.size
+    count, n = time.size, scaled.command.size
     scale, missed = (record.values.get(label, np.full(count, usual)).ravel() for label, usual in _USUAL.items())
     since = record.values.get("robot.time", time).ravel()
-    _check_whole(since, missed, steered.controller.clock, log)
+    _check_whole(since, missed, scaled.controller.clock, log)
     gate, ramp, notice = _gate(record, n, log)
-    now = {steered.label: np.full((count, n), np.nan)}
+    now = {scaled.label: np.full((count, n), np.nan)}
     if gate is not None:
         now[SENT] = np.full((count, n), np.nan)
-    now |= {label: np.full((count, steered.controller.states[label].size), np.nan) for label in states}
+    now |= {label: np.full((count, scaled.controller.states[label].size), np.nan) for label in states}
     sent, refused = np.zeros(n), 0
     for k in range(count):
         sample = _sample(record.values, fields, n, k, int(missed[k]))
         if k == 0:
-            steered.begin(sample, float(time[0]))
+            scaled.begin(sample, float(time[0]))
         for label in states:
-            now[label][k] = steered.controller.states[label]
+            now[label][k] = scaled.controller.states[label]
         moving = bool(scale[k] >= STILL)
-        if moving and not steered.step(sample, float(time[k]), float(scale[k])):
+        if moving and not scaled.step(sample, float(time[k]), float(scale[k])):
             refused += 1
             continue
-        now[steered.label][k] = steered.command
+        now[scaled.label][k] = scaled.command
         if gate is not None:
             own = min(1.0, (float(since[k]) + gate.period) / ramp) if ramp else 1.0
             gate.admit(sample)
-            gate.limited(own * steered.command if moving else np.zeros(n), sent, int(missed[k]))
+            gate.limited(own * scaled.command if moving else np.zeros(n), sent, int(missed[k]))
             now[SENT][k] = sent
     return now, refused, notice
 
@@ -296,7 +304,7 @@ def _check_whole(time: np.ndarray, missed: np.ndarray, clock: float, log: str) -
         k = int(wrong[0])
         raise MissingError(f"expected a count of lost samples, found {missed[k]:g} in sample {k + 1}", location=log)
     steps = np.diff(time)
-    odd = np.flatnonzero(~(np.abs(steps - clock * (1 + missed[1:])) <= APART * clock))
+    odd = np.flatnonzero(~(np.abs(steps - clock * (1 + missed[1:])) <= PERIOD_DEVIATION * clock))
     if odd.size:
         k = int(odd[0])
         raise MissingError(

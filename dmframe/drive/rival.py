@@ -17,18 +17,18 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.model import SYMBOLIC
+from dmframe.block.port import Side
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
 from dmframe.diagram.closed_loop import Followed
-from dmframe.port import Side
 from dmframe.results.metrics import goal_of, turn_of
 from dmframe.robot.symbolic import kinematics
 from dmframe.runtime.robot import Sample
 from dmframe.simulate.start import start_state
-from dmframe.units import plain
 
 LEAST_GAIN: Final = 1.0
 """Smallest gain of the rival [1/s]."""
-MOST_SHARE: Final = 0.1
+LARGEST_GAIN: Final = 0.1
 """Largest fraction of the error that it removes in a sample, which limits the gain."""
 
 
@@ -58,7 +58,7 @@ class Law:
 
 @final
 class Rival:
-    """Replaces the `Steered` controller of `dmframe.runtime.driving.drive` by a `Law`, which has no states."""
+    """Replaces the `ScaledController` controller of `dmframe.runtime.driving.drive` by a `Law`, which has no states."""
 
     def __init__(self, law: Law, n: int, clock: float) -> None:
         self.law, self.command = law, np.zeros(n)
@@ -66,10 +66,10 @@ class Rival:
         self.lacking: tuple[str, ...] = ()
 
     def begin(self, sample: Sample, t: float = 0.0) -> None:
-        """See `Steered`."""
+        """See `ScaledController`."""
 
     def step(self, sample: Sample, t: float, scale: float) -> bool:
-        """See `Steered`."""
+        """See `ScaledController`."""
         law = self.law
         wanted, rate = (part.full().ravel() for part in law.goal(t))
         if law.shown is None:
@@ -98,7 +98,7 @@ def law_of(graph: BaseGraph) -> tuple[Law | None, str]:
         if set(map(str, ca.symvar(wanted))) - set(map(str, ca.symvar(ca.veccat(loop.time, loop.p)))):
             return None, f"{goal.desired} is not a function of time only"
         at = ca.Function("goal", [loop.time, loop.p], [wanted, ca.jacobian(wanted, loop.time)])
-        gain = max(LEAST_GAIN, min(_answer(graph, goal, name), MOST_SHARE / (clock or 1.0)))
+        gain = max(LEAST_GAIN, min(_answer(graph, goal, name), LARGEST_GAIN / (clock or 1.0)))
         shown = kinematics(robot) if name == "x" else None
     p = loop.p_values
     return Law(lambda t: at(t, p), shown, gain), ""

@@ -9,9 +9,9 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.block.model import SYMBOLIC
+from dmframe.common.errors import DriveError, UnknownNameError, ValueFault
 from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
-from dmframe.errors import DriveError, UnknownNameError, ValueFault
 from dmframe.robot.symbolic import tool_position
 from dmframe.runtime import xarm
 from dmframe.runtime.robot import Robot

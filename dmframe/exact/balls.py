@@ -20,7 +20,7 @@ from typing import Final
 
 from flint import arb, ctx, fmpq
 
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.exact.arithmetic import ARITHMETIC
 from dmframe.exact.literal import literal
 from dmframe.program import COMPARISONS, DIVISIONS, JUMPS, Node, Program, by_code, run, sign_of

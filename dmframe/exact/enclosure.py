@@ -18,7 +18,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact.arithmetic import ARITHMETIC
 from dmframe.program import CONST, INPUT, OPERATIONS, Node, Program, by_code, read, run
 

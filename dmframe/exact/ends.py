@@ -9,7 +9,7 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact.arithmetic import with_intervals
 from dmframe.program import by_code, read, run
 

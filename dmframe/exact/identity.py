@@ -10,7 +10,7 @@ from fractions import Fraction
 from hashlib import sha256
 from typing import TYPE_CHECKING, final
 
-from dmframe.errors import ShapeError, UnknownNameError, ValueFault
+from dmframe.common.errors import ShapeError, UnknownNameError, ValueFault
 from dmframe.exact.evaluation import Evaluation
 from dmframe.exact.primes import is_prime, random_prime
 from dmframe.exact.sizes import Bound, degrees

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from fractions import Fraction
 from typing import final
 
-from dmframe.errors import ShapeError
+from dmframe.common.errors import ShapeError
 
 
 class NoRationalError(ArithmeticError):

@@ -6,7 +6,7 @@ import random
 from functools import lru_cache
 from typing import Final
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 
 MERSENNE_127: Final = 2**127 - 1
 """A prime that people can recognise in a report."""

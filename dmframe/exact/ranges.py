@@ -12,7 +12,7 @@ from fractions import Fraction
 import numpy as np
 from flint import arb
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact.balls import ZERO, UndecidedError, above, ball, below, enclosed, precise
 from dmframe.exact.enclosure import Enclosing, Enclosure
 from dmframe.exact.literal import literal

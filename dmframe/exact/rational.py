@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Final, final
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact.arithmetic import with_intervals
 from dmframe.exact.literal import literal
-from dmframe.program import read, run
+from dmframe.program import CONST, INPUT, Program, read, run
 
 
 @final
@@ -73,6 +74,23 @@ def evaluate(f: Any, inputs: Sequence[Sequence[Fraction | Interval]]) -> list[li
         ),
     )
     return program.stored(values)
+
+
+def known_values(program: Program, inputs: Sequence[Sequence[Fraction | Interval]]) -> list[Fraction | Interval | None]:
+    """The elements of all outputs; None for each that needs something where `evaluate` raises, or a free symbol."""
+    values = list[Fraction | Interval | None]()
+    for node in program.nodes:
+        value: Any = None
+        operands = [values[k] for k in node.operands]
+        with suppress(ZeroDivisionError, ValueFault):
+            if node.code == INPUT:
+                value = inputs[node.a][node.b]
+            elif node.code == CONST:
+                value = literal(node.constant)
+            elif node.code in RULES and None not in operands:
+                value = RULES[node.code](*operands)
+        values.append(value)
+    return [value for output in program.stored(values) for value in output]
 
 
 def as_float(value: Fraction | Interval) -> float:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from fractions import Fraction
 from typing import Any, Final, final
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact.literal import literal
 from dmframe.exact.ring import Ring
 from dmframe.exact.tape import Tape

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Final, final
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact.literal import exact
 from dmframe.exact.trial import Trial
 from dmframe.program import BY_NAME, CONST, INPUT, OPERATIONS, POWERS, Node, Program, read

@@ -108,6 +108,16 @@ class Trial:
                 raise ZeroDivision(f"a denominator vanishes modulo {self.prime}") from None
         return known
 
+    def inverse_matrix(self, rows: Sequence[Sequence[int]]) -> list[list[int]]:
+        """The inverse of a square matrix of numbers that need not be reduced; raises `ZeroDivision`."""
+        from flint import fmpz_mod_ctx, fmpz_mod_mat  # a run that proves nothing does not load it
+
+        try:
+            inverse = fmpz_mod_mat(rows, fmpz_mod_ctx(self.prime)).inv()
+        except ZeroDivisionError:
+            raise ZeroDivision(f"a matrix is singular modulo {self.prime}") from None
+        return [[int(value) for value in row] for row in inverse.tolist()]
+
     def cos_sin(self, angle: int) -> tuple[int, int]:
         """(cos, sin) of a reduced residue."""
         if angle == 0:

@@ -13,18 +13,18 @@ import casadi as ca
 
 from dmframe.codegen.function import ONE, written
 from dmframe.codegen.source import helpers
+from dmframe.common.errors import OutputError
+from dmframe.common.files import encoded, expanded
+from dmframe.common.slices import slices
+from dmframe.common.units import plain
+from dmframe.common.version import version
 from dmframe.config import BaseGraph
 from dmframe.config.resolved import resolved_text
 from dmframe.diagram.parts import split
-from dmframe.errors import OutputError
 from dmframe.export.program import Member, Program, program_of
 from dmframe.export.replay import Computed, computed_by_c, first_sample, kept, samples_as_c, samples_of, sizes_as_c
-from dmframe.files import encoded, expanded
 from dmframe.results.folder import provenance
 from dmframe.results.place import Place, built, locked
-from dmframe.slices import slices
-from dmframe.units import plain
-from dmframe.version import version
 
 
 def header(program: Program) -> str:

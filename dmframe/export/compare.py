@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Final
 import casadi as ca
 import numpy as np
 
+from dmframe.common.errors import EngineError
 from dmframe.diagram import Diagram
-from dmframe.errors import EngineError
 from dmframe.export.program import Member, Program
 from dmframe.runtime.controller import control_function
 

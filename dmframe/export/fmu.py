@@ -20,16 +20,16 @@ import casadi as ca
 
 from dmframe.build.compiler import CompileFailed, find_compiler
 from dmframe.codegen.source import helpers
+from dmframe.common.errors import EngineError, OutputError
+from dmframe.common.files import encoded, expanded
+from dmframe.common.slices import slices
+from dmframe.common.units import base_units
+from dmframe.common.version import version
 from dmframe.config import BaseGraph
 from dmframe.diagram.parts import split
-from dmframe.errors import EngineError, OutputError
 from dmframe.export.c import commented, functions_of, origin, own_file, spelled, write_all
 from dmframe.export.program import Member, Program, program_of
 from dmframe.export.robot import Robot, robot_of
-from dmframe.files import encoded, expanded
-from dmframe.slices import slices
-from dmframe.units import base_units
-from dmframe.version import version
 
 Version = Literal[2, 3]
 
@@ -205,7 +205,7 @@ def _count(items: Sequence[Member]) -> int:
 
 
 def described(unit: Unit, fmi: Version, token: str) -> str:
-    """modelDescription.xml, as a parser reads it back.
+    """modelDescription.xml, checked by a parser.
 
     Raises `EngineError` for a name that no XML can hold, such as one with a control character.
     """
@@ -219,7 +219,7 @@ def described(unit: Unit, fmi: Version, token: str) -> str:
     found = [item.get("name") for item in root.iter(tag) if item.get("causality") != "independent"]
     if found != list(_names(unit, fmi)) or about != (unit.name, unit.about):
         raise EngineError(
-            f"{unit.name}: modelDescription.xml reads back as something else; expected a title and names of printable "
+            f"{unit.name}: modelDescription.xml is not recovered by a parser; expected a title and names of printable "
             "characters"
         )
     return text

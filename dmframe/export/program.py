@@ -13,11 +13,11 @@ from typing import Any, Final, final
 import casadi as ca
 
 from dmframe.block.model import symbols_in
+from dmframe.block.port import Side
+from dmframe.common.errors import EngineError, OutputError
+from dmframe.common.files import made_distinct
 from dmframe.config import BaseGraph
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import EngineError, OutputError
-from dmframe.files import made_distinct
-from dmframe.port import Side
 from dmframe.robot.symbolic import tool_position
 from dmframe.runtime.controller import control_function, path_function, path_leaves, start_function
 
@@ -136,10 +136,10 @@ def program_of(graph: BaseGraph) -> Program:
     start, unmeasured = start_function(diagram, graph.start)
     inputs = [ca.SX.sym(word, control.numel_in(k)) for k, word in enumerate(("z", "measured", "t", "T"))]
     results = control(*inputs, loop.p)
-    begun = start(*inputs[1:], loop.p)
+    initial = start(*inputs[1:], loop.p)
     follow, own_path = control_function(diagram, path=True), path_function(diagram)
     path = ca.SX.sym("path", follow.numel_in(5))
-    used = symbols_in([*results, begun])
+    used = symbols_in([*results, initial])
     kept = [parameter for parameter in loop.parameters if used & symbols_in([parameter.symbol])]
     sides = {label: block.side for label, block in diagram.blocks.items()}
     for parameter in kept:
@@ -159,7 +159,7 @@ def program_of(graph: BaseGraph) -> Program:
         control=ca.Function("control", [*inputs, p], list(results)),
         follow=ca.Function("follow", [*inputs, p, path], list(follow(*inputs, loop.p, path))),
         own_path=ca.Function("own_path", [*inputs[2:], p], [own_path(*inputs[2:], loop.p)]),
-        start=ca.Function("start", [*inputs[1:], p], [begun]),
+        start=ca.Function("start", [*inputs[1:], p], [initial]),
         tool=None if diagram.robot is None else tool_position(diagram.robot),
         unmeasured=unmeasured,
         model=diagram.fingerprint,

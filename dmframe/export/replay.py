@@ -11,12 +11,12 @@ import numpy as np
 
 from dmframe.build.compiler import CompileFailed, find_compiler
 from dmframe.build.trial import called
+from dmframe.common.errors import EngineError
+from dmframe.common.files import encoded
 from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
-from dmframe.errors import EngineError
 from dmframe.export.compare import compared
 from dmframe.export.program import Member, Program
-from dmframe.files import encoded
 from dmframe.runtime.controller import Controller
 from dmframe.simulate import Log, simulate
 

@@ -9,13 +9,13 @@ from weakref import WeakKeyDictionary
 import casadi as ca
 
 from dmframe.block.model import symbols_in
+from dmframe.block.port import Side
+from dmframe.common.errors import EngineError, listed
 from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.pieces import rows_of
-from dmframe.errors import EngineError, listed
 from dmframe.export.program import Member, identifier, members
-from dmframe.port import Side
 from dmframe.simulate import simulate
 from dmframe.simulate.start import start_state
 from dmframe.simulate.step import build_parts, substeps_of

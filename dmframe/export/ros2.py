@@ -10,8 +10,12 @@ from typing import Final, NamedTuple, final
 from xml.etree import ElementTree
 from xml.sax.saxutils import escape, unescape
 
+from dmframe.common.errors import EngineError
+from dmframe.common.files import made_distinct
+from dmframe.common.slices import slices
+from dmframe.common.units import plain
+from dmframe.common.version import version
 from dmframe.config import BaseGraph
-from dmframe.errors import EngineError
 from dmframe.export.c import (
     about,
     c_text,
@@ -25,11 +29,7 @@ from dmframe.export.c import (
     write_all,
 )
 from dmframe.export.program import Member, Program, program_of
-from dmframe.files import made_distinct
 from dmframe.runtime.signals import measured_as, velocity_command
-from dmframe.slices import slices
-from dmframe.units import plain
-from dmframe.version import version
 
 _WHOLE: Final = 1e-6
 
@@ -160,14 +160,14 @@ def _called(name: str, words: dict[str, str]) -> str:
 
 
 def _read_as_xml(name: str, file: str, words: dict[str, str]) -> str:
-    """A file of XML, if a parser reads from it the title that was written. Raises `EngineError` where it does not."""
+    """XML file, checked by a parser that must recover the title; raises `EngineError` if it does not."""
     text = _called(file, words)
     try:
         found = "".join(item.text or "" for item in ElementTree.fromstring(text.encode()).iter("description"))
     except (ElementTree.ParseError, UnicodeEncodeError):
         found = ""
     if not found.startswith(unescape(words["DM_TITLE"])):
-        raise EngineError(f"{name}: {file} reads back as something else; expected a title of printable characters")
+        raise EngineError(f"{name}: {file} is not recovered by a parser; expected a title of printable characters")
     return text
 
 

@@ -9,12 +9,12 @@ from typing import Any, Final, Literal, get_args, get_origin
 
 from dmframe.block import AbstractBlock, type_name
 from dmframe.block.model import model_block
+from dmframe.block.parameter import PAIRS, Spec, specs
 from dmframe.block.sizes import Sizes, parameter_arrays
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.formula.law import Line, PrintedLaw
 from dmframe.formula.laws import ReadBlock, certify
 from dmframe.formula.robot import RobotFunctions
-from dmframe.parameter import PAIRS, Spec, specs
 from dmframe.robot.chain import Joint, SerialChain
 from dmframe.robot.symbolic import SymbolicRobot
 

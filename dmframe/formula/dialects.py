@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import ClassVar, Final, final
 
+from dmframe.common.names import latex_name, unicode_name
 from dmframe.formula.write import Dialect
-from dmframe.names import latex_name, unicode_name
 
 
 def _relations(signs: str) -> dict[str, str]:

@@ -18,16 +18,16 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.block import AbstractBlock
-from dmframe.errors import BlockError, DmframeError, raise_all
+from dmframe.block.parameter import specs
+from dmframe.common.errors import BlockError, DmframeError, raise_all
+from dmframe.common.names import Symbol
 from dmframe.formula.alone import variants
-from dmframe.formula.latex import evaluate, name_in, said
+from dmframe.formula.latex import evaluate, name_in, spelled
 from dmframe.formula.laws import ReadBlock
 from dmframe.formula.matrices import Numbers, UnreadableLatexError
 from dmframe.formula.meanings import point_of, undotted, values_at
 from dmframe.formula.points import ALL_SIZES, FEW, NEAR, differs, differs_near, is_rounding, jittered
 from dmframe.formula.stated import Stated, equations_of, shown, source_of
-from dmframe.names import Symbol
-from dmframe.parameter import specs
 
 
 @final
@@ -230,7 +230,7 @@ class _Trial:
             if not item.displayed:
                 return _Verdict.SKIPPED, ""
             return self._compared(self._value(item.left), item.right, shown(item.left))
-        name, label = left[0], said(left[0])
+        name, label = left[0], spelled(left[0])
         bare = undotted(name)
         if "\\int" in item.right:
             return self._integral(name, item)
@@ -244,10 +244,10 @@ class _Trial:
         if self.point.look(name) is not None or name.start:
             return _Verdict.DIFFERS, f"{label}: an equation for it, but the block does not compute it"
         if bare is not None and bare in self.point.after:
-            text = f"an equation for its rate, but {said(bare)} is a sampled state; write {said(bare)}^+"
+            text = f"an equation for its rate, but {spelled(bare)} is a sampled state; write {spelled(bare)}^+"
             return _Verdict.DIFFERS, f"{label}: {text}"
         if bare is not None:
-            return _Verdict.DIFFERS, f"{label}: an equation for its rate, but the block has no state {said(bare)}"
+            return _Verdict.DIFFERS, f"{label}: an equation for its rate, but the block has no state {spelled(bare)}"
         self._value(item.right)
         return _Verdict.DEFINES, label
 
@@ -255,7 +255,7 @@ class _Trial:
         r"""A = \int b of a state a: its rate is b."""
         words = item.right[item.right.index("\\int") + 1 :]
         if name in self.point.rates:
-            return self._compared(self.point.rates[name], words, f"rate of {said(name)}")
+            return self._compared(self.point.rates[name], words, f"rate of {spelled(name)}")
         if item.displayed:
             raise UnreadableLatexError("an integral is allowed for a state only")
         return _Verdict.SKIPPED, ""
@@ -303,7 +303,7 @@ class _Checker:
                 self._verdicts[item][0] is not _Verdict.DIFFERS and worst[0] is _Verdict.DIFFERS
             ):
                 self._verdicts[item] = worst
-        self._used |= {said(name) for trial in trials for name in trial.used}
+        self._used |= {spelled(name) for trial in trials for name in trial.used}
         self._meant |= {shown(item.left) for item in self._equations if trials[0].is_computed(item)}
         if plain:
             self._late = self._not_yet(fine, trials[0])

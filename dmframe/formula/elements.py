@@ -10,7 +10,7 @@ from typing import Any, Final, final
 
 import casadi as ca
 
-from dmframe.certificate import SX
+from dmframe.block.certificate import SX
 from dmframe.formula import tree
 from dmframe.formula.read import FUNCTIONS, MOST, MULTIPLE, RELATIONS, UnreadableError, constant, relation
 from dmframe.formula.tree import SCALAR, Applied, Name, Node, Number, Piece, Power, Relation, Stack, Unprinted

@@ -1,7 +1,7 @@
 r"""Numeric evaluation of LaTeX formulas in docstrings, for comparison with the code.
 
 The grammar: sums, products by juxtaposition or ``\cdot``, quotients, brackets, ``\frac``, ``|a|^2_W`` (bars of any
-kind), ``\top``, ``^{-1}``, powers, ``bmatrix``, common functions, and names as in `dmframe.names`. A product is
+kind), ``\top``, ``^{-1}``, powers, ``bmatrix``, common functions, and names as in `dmframe.common.names`. A product is
 evaluated from right to left; a column that is not its last factor means a diagonal matrix.
 """
 
@@ -13,6 +13,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from dmframe.common.names import LETTERS, Symbol, unicode_symbol
 from dmframe.formula.matrices import (
     Eye,
     Numbers,
@@ -25,7 +26,6 @@ from dmframe.formula.matrices import (
     scaled,
     stacked,
 )
-from dmframe.names import LETTERS, Symbol, unicode_symbol
 
 _TOKEN: Final = re.compile(r"\\[A-Za-z]+|\\.|\d+(?:\.\d+)?|[A-Za-z]|\S")
 _BLANK: Final = (
@@ -296,7 +296,7 @@ class LatexReader:
             return value
         if symbol == Symbol("I"):
             return Eye(1.0)
-        raise UnreadableLatexError(f"the name {said(symbol)} is unknown")
+        raise UnreadableLatexError(f"the name {spelled(symbol)} is unknown")
 
     def symbol(self) -> Symbol | None:
         """A name with its accents, index and start."""
@@ -382,7 +382,7 @@ def _index(words: list[str]) -> list[str]:
     return [item.removeprefix("\\") for item in text.split(",")]
 
 
-def said(symbol: Symbol) -> str:
+def spelled(symbol: Symbol) -> str:
     """A name for a message."""
     text = "_".join([symbol.letter, *symbol.index]).replace("_^", "^")
     for accent in symbol.accents:

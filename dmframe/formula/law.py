@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, Final, final
 
-from dmframe.certificate import (
+from dmframe.block.certificate import (
     Certificate,
     Clipped,
-    Gathered,
+    InformationSquare,
     Lemma,
     LogDet,
     NormSquare,
@@ -19,12 +19,12 @@ from dmframe.certificate import (
     beyond,
     clip,
 )
+from dmframe.block.naming import description_of
+from dmframe.block.terms import divergence, potential
 from dmframe.formula import tree
 from dmframe.formula.formula import Formula
 from dmframe.formula.robot import CONSTANTS, quantity
 from dmframe.formula.tree import SCALAR, Applied, Equation, Name, Node, Norm, Number, Product, Rate
-from dmframe.naming import said_of
-from dmframe.terms import divergence, potential
 
 
 @final
@@ -82,10 +82,10 @@ class PrintedLaw:
     outputs, rates
         Its equations, without outputs that equal a state or a parameter. Rates come first, then the sampled states
         one sample later.
-    storage, dissipation, excess, errors
+    storage, dissipation, residual, errors
         Terms of the certificate, in its order; S is half the sum of the first, and the last are in no sum.
     driven
-        The bounded signals of each `Driven` of the certificate, in its order.
+        The bounded signals of each `StableLinear` of the certificate, in its order.
     estimates
         True values of the estimates, by the estimate's name.
     truths
@@ -105,9 +105,9 @@ class PrintedLaw:
     rates: tuple[Line, ...]
     storage: tuple[PrintedTerm, ...] = ()
     dissipation: tuple[PrintedTerm, ...] = ()
-    excess: tuple[PrintedTerm, ...] = ()
+    residual: tuple[PrintedTerm, ...] = ()
     errors: tuple[PrintedTerm, ...] = ()
-    driven: tuple[tuple[Formula, ...], ...] = ()
+    linear: tuple[tuple[Formula, ...], ...] = ()
     estimates: tuple[Line, ...] = ()
     truths: tuple[Line, ...] = ()
     supply: Formula | None = None
@@ -130,9 +130,9 @@ class PrintedLaw:
             self,
             storage=(),
             dissipation=(),
-            excess=(),
+            residual=(),
             errors=(),
-            driven=(),
+            linear=(),
             estimates=(),
             supply=None,
             consumption=None,
@@ -141,7 +141,7 @@ class PrintedLaw:
         )
 
 
-ROLES: Final = ("storage", "dissipation", "excess", "errors")
+ROLES: Final = ("storage", "dissipation", "residual", "errors")
 """The fields of a certificate that contain terms."""
 
 Reader = Callable[[Any, Any], Node]
@@ -189,9 +189,9 @@ class Energy:
         """The terms of a role."""
         return tuple(term for term, _ in self._nodes[role])
 
-    def driven(self) -> tuple[tuple[Formula, ...], ...]:
+    def linear(self) -> tuple[tuple[Formula, ...], ...]:
         """Signals that are bounded although they are not in S."""
-        pairs = zip(self._certificate.driven, self._scalars.driven, strict=True)
+        pairs = zip(self._certificate.linear, self._scalars.linear, strict=True)
         return tuple(
             tuple(Formula(self._reader(*pair)) for pair in zip(mine.bounded, theirs.bounded, strict=True))
             for mine, theirs in pairs
@@ -234,11 +234,11 @@ class Energy:
         return total
 
     def dS(self) -> Node:
-        """- dissipation + excess + consumption + supply."""
+        """- dissipation + residual + consumption + supply."""
         total: Node = Number(Fraction(0))
         for _, node in self._nodes["dissipation"]:
             total = tree.subtract(total, node, SCALAR)
-        for _, node in self._nodes["excess"]:
+        for _, node in self._nodes["residual"]:
             total = tree.add(total, node, SCALAR)
         return tree.add(tree.add(total, self._consumed(), SCALAR), self.supply(), SCALAR)
 
@@ -246,14 +246,14 @@ class Energy:
         pairs = zip(term.pieces, scalars.pieces, strict=True)
         nodes = [(self._reader if k else self._vectors)(*pair) for k, pair in enumerate(pairs)]
         kind, vector, weight, by, whole = _TERMS[type(term)](term, nodes)
-        said = Formula(by) if by is not None else None
-        return PrintedTerm(kind, Formula(vector), Formula(weight), said, Formula(whole)), whole
+        bound = Formula(by) if by is not None else None
+        return PrintedTerm(kind, Formula(vector), Formula(weight), bound, Formula(whole)), whole
 
 
-Said = tuple[str, Node, Node, Node | None, Node]
+Description = tuple[str, Node, Node, Node | None, Node]
 
 
-def _square(term: Any, nodes: Sequence[Node]) -> Said:
+def _square(term: Any, nodes: Sequence[Node]) -> Description:
     vector, weight = nodes
     return "square", vector, weight, None, squared(vector, weight)
 
@@ -269,12 +269,12 @@ def squared(vector: Node, weight: Node) -> Node:
     return Norm(vector, squared=True, weight=weight)
 
 
-def _norm_square(term: Any, nodes: Sequence[Node]) -> Said:
+def _norm_square(term: Any, nodes: Sequence[Node]) -> Description:
     vector, weight, by = nodes
     return "norm square", vector, weight, by, tree.multiply(Norm(by), squared(vector, weight), SCALAR)
 
 
-def _lemma(term: Any, nodes: Sequence[Node]) -> Said:
+def _lemma(term: Any, nodes: Sequence[Node]) -> Description:
     weight, first, second, scale = nodes
     shape = max((node.shape for node in nodes), key=lambda shape: shape[0])
     difference = tree.subtract(first, second, shape)
@@ -283,7 +283,7 @@ def _lemma(term: Any, nodes: Sequence[Node]) -> Said:
         if x == Number(Fraction(0), x.shape) != first:
             return Number(Fraction(0), shape)
         if term.phi == "beyond" and weight == scale:
-            return Applied("beyond", (x, scale), shape, said=said_of(beyond))
+            return Applied("beyond", (x, scale), shape, description=description_of(beyond))
         if term.phi == "tanh" and scale == Name(CONSTANTS["friction_velocity"]):
             return quantity("coulomb", (x,), shape)
         width = (Number(Fraction(1)),) if term.phi == "beyond" else ()
@@ -295,40 +295,40 @@ def _lemma(term: Any, nodes: Sequence[Node]) -> Said:
     return "lemma", difference, weight, None, whole
 
 
-def _gathered(term: Any, nodes: Sequence[Node]) -> Said:
+def _gathered(term: Any, nodes: Sequence[Node]) -> Description:
     vector, weight, memory, *_ = nodes
     whole = tree.multiply(weight, Norm(vector, squared=True, weight=memory), SCALAR)
     return "gathered", vector, weight, memory, whole
 
 
-def _clipped(term: Any, nodes: Sequence[Node]) -> Said:
+def _clipped(term: Any, nodes: Sequence[Node]) -> Description:
     first, width, other = nodes
-    clipped = Applied("clip", (first, width), first.shape, said=said_of(clip))
+    clipped = Applied("clip", (first, width), first.shape, description=description_of(clip))
     return "clipped", other, width, first, tree.dot(clipped, other)
 
 
-def _potential(term: Any, nodes: Sequence[Node]) -> Said:
+def _potential(term: Any, nodes: Sequence[Node]) -> Description:
     vector, width, weight = nodes
     return (
         "potential",
         vector,
         weight,
         width,
-        Applied("potential", (vector, width, weight), SCALAR, said=said_of(potential)),
+        Applied("potential", (vector, width, weight), SCALAR, description=description_of(potential)),
     )
 
 
-def _log_det(term: Any, nodes: Sequence[Node]) -> Said:
+def _log_det(term: Any, nodes: Sequence[Node]) -> Description:
     matrix, true, weight = nodes
-    apart = Applied("divergence", (matrix, true), SCALAR, said=said_of(divergence))
+    apart = Applied("divergence", (matrix, true), SCALAR, description=description_of(divergence))
     return "log det", matrix, weight, true, tree.multiply(weight, apart, SCALAR)
 
 
-_TERMS: Mapping[type, Callable[[Any, Sequence[Node]], Said]] = {
+_TERMS: Mapping[type, Callable[[Any, Sequence[Node]], Description]] = {
     Square: _square,
     NormSquare: _norm_square,
     Lemma: _lemma,
-    Gathered: _gathered,
+    InformationSquare: _gathered,
     Clipped: _clipped,
     Potential: _potential,
     LogDet: _log_det,
@@ -346,7 +346,7 @@ def pieces_of(certificate: Certificate) -> list[tuple[str, Any]]:
     if certificate.consumes is not None:
         found += [("what it consumes", certificate.consumes.vector), ("what it consumes", certificate.consumes.c)]
     found += [("its dominates", item) for item in certificate.dominates]
-    found += [("what is driven", piece) for item in certificate.driven for piece in item.pieces]
+    found += [("what is driven", piece) for item in certificate.linear for piece in item.pieces]
     found += [("what a barrier is made of", piece) for item in certificate.barriers for piece in item.pieces]
     found += [(f"what {name} estimates", true.value) for name, true in certificate.estimates.items()]
     return found + [(f"the truth {name}", value) for name, value in certificate.truth.items()]

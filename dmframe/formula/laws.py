@@ -9,12 +9,13 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import Certificate
 from dmframe.block.model import BlockModel, symbols_in
-from dmframe.certificate import Certificate
+from dmframe.block.naming import as_mx, expression_of
+from dmframe.common.errors import BlockError, DmframeError
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.view import View
 from dmframe.diagram.wiring import Zero, same_unit
-from dmframe.errors import BlockError, DmframeError
 from dmframe.formula.elements import Elements
 from dmframe.formula.fold import folded, is_difference, names_of
 from dmframe.formula.formula import Formula
@@ -24,7 +25,6 @@ from dmframe.formula.read import UnreadableError, read
 from dmframe.formula.reading import Evaluated, Reading, Signs, place_of
 from dmframe.formula.robot import RobotFunctions
 from dmframe.formula.tree import SCALAR, Name, Node, Unprinted
-from dmframe.naming import as_mx, expression_of
 
 
 def printed(diagram: Diagram, name: str) -> PrintedLaw:
@@ -344,9 +344,9 @@ class ReadBlock:
             rates=lines(rates),
             storage=energy.terms("storage"),
             dissipation=energy.terms("dissipation"),
-            excess=energy.terms("excess"),
+            residual=energy.terms("residual"),
             errors=energy.terms("errors"),
-            driven=energy.driven(),
+            linear=energy.linear(),
             estimates=energy.estimates(),
             truths=energy.truths(),
             supply=Formula(energy.supply()) if claims else None,

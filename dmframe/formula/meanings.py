@@ -10,14 +10,14 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import Certificate
 from dmframe.block.symmetric import full_gains
-from dmframe.certificate import Certificate
+from dmframe.common.names import Symbol, latex_name, symbol
 from dmframe.formula.latex import tokens
 from dmframe.formula.laws import ReadBlock
 from dmframe.formula.matrices import Numbers
 from dmframe.formula.robot import PAPER, SIGNS
 from dmframe.formula.stated import Stated
-from dmframe.names import Symbol, latex_name, symbol
 from dmframe.robot.parameters import DynamicParameters
 
 _PAPER: Final = tuple((method, sign) for sign, method in PAPER.items())
@@ -148,7 +148,7 @@ def energies(stated: Certificate) -> list[Any]:
     def total(terms: Sequence[Any]) -> Any:
         return sum((ca.SX(term.value) for term in terms), ca.SX(0))
 
-    claimed = total(stated.excess) - total(stated.dissipation) + ca.SX(stated.supply)
+    claimed = total(stated.residual) - total(stated.dissipation) + ca.SX(stated.supply)
     if stated.consumes is not None:
         claimed += stated.consumes.value
     return [total(stated.storage) / 2, claimed]

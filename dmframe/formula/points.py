@@ -10,11 +10,9 @@ from typing import Any, Final, final
 
 import casadi as ca
 import numpy as np
-from flint import arb
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact import zero_test
-from dmframe.exact.balls import UndecidedError, enclosed
 from dmframe.program import OPERATIONS, codes, read, run
 
 POINTS: Final = 6
@@ -133,6 +131,10 @@ def in_balls(function: Any, given: Sequence[Any], place: int) -> np.ndarray | No
     If a matrix is singular up to rounding, or the argument of a sign is zero up to rounding, floating-point results
     have no correct digit.
     """
+    from flint import arb  # rarely needed
+
+    from dmframe.exact.balls import UndecidedError, enclosed
+
     symbols = [ca.SX.sym(f"given{k}", function.size_in(k)) for k in range(function.n_in())]
     try:
         program = read(scalars := ca.Function("scalars", symbols, [function.call(symbols)[place]]))

@@ -10,6 +10,9 @@ from typing import Any, Final, final
 
 import casadi as ca
 
+from dmframe.block.linalg import solve_spd
+from dmframe.block.naming import operation_of
+from dmframe.block.terms import norm
 from dmframe.formula import tree
 from dmframe.formula.robot import written as robot_call
 from dmframe.formula.tree import (
@@ -30,9 +33,6 @@ from dmframe.formula.tree import (
     Stack,
     Transposed,
 )
-from dmframe.linalg import solve_spd
-from dmframe.naming import operation_of
-from dmframe.terms import norm
 
 
 @final
@@ -144,7 +144,7 @@ class _Reader:
             return robot_call(called, arguments, x.shape)
         if called.function in _SIGNS:
             return _SIGNS[called.function](arguments, x.shape)
-        return Applied(called.sign, tuple(arguments), x.shape, said=called.said)
+        return Applied(called.sign, tuple(arguments), x.shape, description=called.description)
 
     def add(self, x: Any, shape: Shape) -> Node:
         """A + b, and the two halves of if_else."""

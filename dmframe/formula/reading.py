@@ -15,14 +15,14 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.certificate import Certificate, Consumed
 from dmframe.block.model import BlockModel
+from dmframe.block.naming import Expression, Naming, NamingError, as_mx, expression_of, reading
+from dmframe.block.port import PERIOD
 from dmframe.block.symmetric import full_gains, lower_triangle
-from dmframe.certificate import Certificate, Consumed
-from dmframe.errors import BlockError
+from dmframe.common.errors import BlockError
 from dmframe.formula.points import Draw, in_balls, switching
 from dmframe.formula.robot import CONSTANTS, ReadRobot, RobotFunctions
-from dmframe.naming import Expression, Naming, NamingError, as_mx, expression_of, reading
-from dmframe.port import PERIOD
 
 
 @final
@@ -288,11 +288,11 @@ def _as_kind(stated: Certificate, convert: Callable[[Expression], Expression]) -
         stated,
         storage=terms("storage"),
         dissipation=terms("dissipation"),
-        excess=terms("excess"),
+        residual=terms("residual"),
         supply=convert(stated.supply),
         consumes=stated.consumes and Consumed(convert(stated.consumes.vector), convert(stated.consumes.c)),
         dominates=tuple(map(convert, stated.dominates)),
-        driven=terms("driven"),
+        linear=terms("linear"),
         barriers=terms("barriers"),
         truth={name: convert(value) for name, value in stated.truth.items()},
         estimates={

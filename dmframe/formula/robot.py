@@ -8,9 +8,9 @@ from typing import Any, Final, final
 
 import casadi as ca
 
+from dmframe.block.naming import Expression, Operation, as_mx, call, description_of, register
 from dmframe.formula import tree
 from dmframe.formula.tree import Applied, Node, Number, Shape
-from dmframe.naming import Expression, Operation, as_mx, call, register, said_of
 from dmframe.robot.symbolic import SymbolicRobot
 
 SIGNS: Final[Mapping[str, str]] = {
@@ -253,7 +253,7 @@ def written(called: Operation, arguments: Sequence[Node], shape: Shape) -> Node:
 
 def quantity(method: str, arguments: tuple[Node, ...], shape: Shape) -> Applied:
     """A method of the robot as its symbol."""
-    return Applied(SIGNS[method], arguments, shape, symbol=True, said=said_of(getattr(ReadRobot, method)))
+    return Applied(SIGNS[method], arguments, shape, symbol=True, description=description_of(getattr(ReadRobot, method)))
 
 
 def _inverse_dynamics(given: Mapping[str, Node], shape: Shape) -> Node:

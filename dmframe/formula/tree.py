@@ -11,7 +11,7 @@ from fractions import Fraction
 from typing import final
 
 Shape = tuple[int, int]
-Said = tuple[tuple[str, ...], str]
+Description = tuple[tuple[str, ...], str]
 """Description of a function, and the names of its arguments."""
 SCALAR: Shape = (1, 1)
 MINUS = Fraction(-1)
@@ -114,13 +114,13 @@ class Norm:
 @final
 @dataclass(frozen=True)
 class Applied:
-    """function(arguments); a `symbol` is a name such as J, else a word such as tanh; `said` is its description."""
+    """function(arguments); a `symbol` is a name such as J, else a word such as tanh."""
 
     function: str
     arguments: tuple[Node, ...]
     shape: Shape
     symbol: bool = False
-    said: Said | None = field(default=None, compare=False)
+    description: Description | None = field(default=None, compare=False)
 
 
 @final

@@ -7,13 +7,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import fields
 from typing import Any, Final
 
+from dmframe.common.names import unicode_name
 from dmframe.formula import tree
 from dmframe.formula.dialects import UNICODE
 from dmframe.formula.law import Line
 from dmframe.formula.reading import GIVEN, START
 from dmframe.formula.robot import MEANINGS
 from dmframe.formula.tree import Applied, Derivative, Diagonal, Name, Node, Norm, Piece, Product, Stack
-from dmframe.names import unicode_name
 
 _SUMMED: Final = "the sum of the elements of a"
 
@@ -23,7 +23,7 @@ def where(lines: Iterable[Line]) -> tuple[tuple[str, str], ...]:
     found = dict[str, str]()
     for line in lines:
         for node in _nodes(line.right.node):
-            for sign, text in _said(node):
+            for sign, text in _descriptions(node):
                 found.setdefault(sign, text)
     return tuple(sorted(found.items(), key=lambda item: item[0] in _CONVENTIONS))
 
@@ -39,11 +39,11 @@ _CONVENTIONS: Final = (_ELEMENT, _ROW, _PIECE, _BLOCKS, _COLUMNS, _WEIGHTED, _DI
 """Conventions, which are listed last."""
 
 
-def _said(node: Node) -> Iterator[tuple[str, str]]:
+def _descriptions(node: Node) -> Iterator[tuple[str, str]]:
     match node:
-        case Applied(function, _, _, symbol, said) if said is not None:
-            names = tuple(Name(name) for name in said[0])
-            yield UNICODE.write(Applied(function, names, node.shape, symbol)), _unicode(said[1])
+        case Applied(function, _, _, symbol, description) if description is not None:
+            names = tuple(Name(name) for name in description[0])
+            yield UNICODE.write(Applied(function, names, node.shape, symbol)), _unicode(description[1])
         case Applied("sum"):
             yield "sum(a)", _SUMMED
         case Applied("vec"):

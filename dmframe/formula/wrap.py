@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from dmframe.columns import width
+from dmframe.common.columns import width
 
 _SIGNS: Final = ("+", "-", "−", "=")
 _NORM: Final = 10

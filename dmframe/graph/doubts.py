@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 from dmframe.block.model import SYMBOLIC
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
 from dmframe.simulate import Recording
-from dmframe.units import plain
 
 LONG: Final = 10.0
 """From this duration [s] on a run also checks the stability near the set-point, half a second for a UR10."""
@@ -28,8 +28,8 @@ def doubts(graph: BaseGraph, recording: Recording) -> tuple[str, ...]:
     radius = sampled_radius(recording.diagram, graph.clock, graph.start)
     if radius is None or radius <= 1 + TOLERANCE:
         return left
-    said = (
+    remark = (
         f"with its estimates at their true values this loop is unstable near its set-point on a clock of "
         f"{plain(graph.clock, 's')}, spectral radius {radius:.4g}: a longer run may diverge; `analyse` gives details"
     )
-    return (*left, said)
+    return (*left, remark)

@@ -1,7 +1,8 @@
 """First graph of a robot: an adaptive law in joint space with gains from the robot's own inertia.
 
 The servo that the simulated robot hides is a placeholder, a PID servo of positions. Its gains scale with the largest
-inertia of each joint, as do those of the law, so that the loop's rates are the same for a small and a large robot.
+inertia of each joint, as do those of the law, so that the loop's rates are the same for a small and a large robot, and
+are larger where the weight of the arm requires it. Rotors and friction are placeholders in the proportions of a UR10e.
 """
 
 from __future__ import annotations
@@ -13,31 +14,43 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dmframe.errors import RobotError
+from dmframe.common.errors import RobotError
 from dmframe.robot.chain import Joint, SerialChain, pin_configuration
-from dmframe.robot.convert import FORMATS, read_any, way_to, written
-from dmframe.robot.flange import MOVING, flange_of, repaired
+from dmframe.robot.convert import FORMATS, Element, joints_to, read_any, written
+from dmframe.robot.flange import AXES, MOVING, flange_of
 from dmframe.robot.library import find_robot, load, robots
+from dmframe.robot.repairs import repaired
+from dmframe.robot.urdf_tree import tree_faults
 
-AXES: Final = (4, 7)
-"""Least and most moving joints of an arm."""
 RATE: Final = 80.0
 """Bandwidth of the servo's velocity loop at the largest inertia of a joint [rad/s]."""
-SPREAD: Final = 0.02
-"""Least gain of a joint relative to the largest."""
+RATIO_P: Final = 2.2
+RATIO_I: Final = 0.7
+"""K_P/K_D [1/s] and K_I/K_D [1/s^2] of the servo."""
+SAG: Final = {"revolute": 0.05, "prismatic": 0.01}
+"""Most deflection of the servo's proportional part under the weight of the arm [rad, m]."""
+ROTOR: Final = (0.4, 0.03)
+"""Rotor inertia of a joint relative to that of the links, and its least value relative to the largest joint's."""
+VISCOUS: Final = 1 / 40
+COULOMB: Final = 1 / 50
+"""Friction relative to K_D, as that of a real UR10e to the servo of the packaged UR10 [-, rad/s]."""
 PERIOD: Final = 0.008
 """Sampling period [s]."""
-STEP: Final = 0.05
+STEP: Final = 0.2
 """Fraction of an error that adaptation may remove within one sample; from 2 on it diverges."""
 SAMPLES: Final = 400
 """Postures tried for the centre of the motion."""
 REACH: Final = {"revolute": 0.25, "prismatic": 0.05}
 """Largest amplitude [rad, m]."""
+STROKE: Final = {"revolute": math.pi, "prismatic": 0.5}
+"""Range of a joint without limits [rad, m]."""
 SPEED: Final = 0.3
+ACCELERATION: Final = 0.5
 """Velocity and acceleration at which the regressor is evaluated [rad/s, rad/s^2]."""
 SHARE: Final = 0.3
 """Fraction of a joint's range and of its velocity limit that the motion uses."""
@@ -61,7 +74,9 @@ def is_robot(name: str) -> bool:
     return name.lower().endswith(FORMATS) or name in robots()
 
 
-def first_graph(name: str, folder: Path, tool: str | None = None) -> FirstGraph:
+def first_graph(
+    name: str, folder: Path, tool: str | None = None, hold: Mapping[str, float] | None = None
+) -> FirstGraph:
     """A graph with which a robot runs and verifies.
 
     Parameters
@@ -69,66 +84,93 @@ def first_graph(name: str, folder: Path, tool: str | None = None) -> FirstGraph:
     name : a packaged robot, or the path of a URDF, xacro or MJCF file
     folder : where the graph will be
     tool : frame at the end of the arm; by default the flange
+    hold : joints between the base and the tool that do not move, with their positions [rad, m]
 
     Raises
     ------
     MissingError, RobotError, UnknownNameError
         The file cannot be read, or the robot is not an arm of 4 to 7 axes.
     """
+    hold = dict(hold or {})
     if not name.lower().endswith(FORMATS):
-        chain = load(name, tool=tool)
-        return FirstGraph(_text(chain, name, tool, {}), {}, ())
+        chain = load(name, tool=tool, hold=hold)
+        return FirstGraph(_text(chain, name, tool, hold, {}), {}, ())
     path = Path(name).expanduser()
     where = f"robot {path.name}"
     file = read_any(path)
+    for element, fault in tree_faults(file.root):
+        raise RobotError(f"{where}: {element.tag} {element.get('name') or 'without a name'}: {fault}")
     frame = tool or flange_of(file.root, where)
-    moving = sum(joint.get("type") in MOVING and joint.find("mimic") is None for joint in way_to(file.root, frame))
-    if frame in {link.get("name") for link in file.root.iter("link")} and not AXES[0] <= moving <= AXES[1]:
-        raise RobotError(
-            f"{where}: {moving} joints move on the way to {frame}; expected an arm with {AXES[0]} to {AXES[1]}: name "
-            "another frame with --tool, or write a graph with free and hold"
-        )
+    _check_axes(file.root, frame, hold, where)
+    before = ElementTree.tostring(file.root)
     notes = repaired(file.root, frame, where)
-    text = written(file.root, notes) if file.converted or notes else None
+    changed = file.converted or ElementTree.tostring(file.root) != before
     urdf_name = f"{path.name.partition('.')[0]}.urdf"
-    if text is None:
-        model, chain = os.path.relpath(path, folder), load(str(path), tool=frame)
+    if not changed:
+        text, model, chain = None, os.path.relpath(path, folder), load(str(path), tool=frame, hold=hold)
     else:
+        text = written(file.root, notes)
         if (folder / urdf_name).resolve() == path.resolve():
             urdf_name = f"{path.stem}_arm.urdf"
         model = urdf_name
         with tempfile.TemporaryDirectory() as place:
             made = Path(place) / urdf_name
             made.write_text(text, encoding="utf-8")
-            chain = load(str(made), tool=frame)
+            chain = load(str(made), tool=frame, hold=hold)
     rotor = {joint: value for joint, value in file.armature.items() if joint in chain.joint_names}
     said = [f"tool: {frame}"] if tool is None else []
     if rotor:
         said.append("the armature of the MJCF file is the rotor inertia of the graph's arm")
     return FirstGraph(
-        _text(chain, model, frame, rotor, notes), {} if text is None else {urdf_name: text}, (*said, *notes)
+        _text(chain, model, frame, hold, rotor, notes), {} if text is None else {urdf_name: text}, (*said, *notes)
+    )
+
+
+def _check_axes(root: Element, frame: str, hold: Mapping[str, float], where: str) -> None:
+    """Refuse a tool whose arm has too few or too many axes."""
+    if frame not in {link.get("name") for link in root.iter("link")}:
+        return  # reported with the names of the frames when the robot is read
+    moving = [
+        joint.get("name", "")
+        for joint in joints_to(root, frame)
+        if joint.get("type") in MOVING and joint.find("mimic") is None and joint.get("name") not in hold
+    ]
+    least, most = AXES
+    if least <= len(moving) <= most:
+        return
+    listed = f" ({', '.join(moving)})" if moving else ""
+    some = "hold some with --hold JOINT=POSITION, or " if len(moving) > most else ""
+    raise RobotError(
+        f"{where}: {len(moving)} joints move on the way to {frame}{listed}; expected an arm with {least} to {most}: "
+        f"{some}name another frame with --tool, or write a graph with free and hold"
     )
 
 
 def _text(
-    chain: SerialChain, model: str, tool: str | None, rotor: Mapping[str, float], notes: list[str] | None = None
+    chain: SerialChain,
+    model: str,
+    tool: str | None,
+    hold: Mapping[str, float],
+    armature: Mapping[str, float],
+    notes: list[str] | None = None,
 ) -> str:
     """The graph as YAML."""
     source = find_robot(model).description if model in robots() else chain.name
-    centre, inertia, torque, rows = _sampled(chain)
-    inertia = inertia + np.array([rotor.get(joint, 0.0) for joint in chain.joint_names])
-    K_D = np.maximum(RATE * inertia, SPREAD * RATE * inertia.max())
+    centre, links, weight, rows = _sampled(chain)
+    rotor = _rotors(chain, links, armature)
+    inertia = links + rotor
+    K_D = np.maximum(RATE * inertia, weight / (RATIO_P * np.array([SAG[joint.kind] for joint in chain.joints])))
     # a sample changes the command by w Y Gamma Y' sigma and by Lambda tau^2 sigma, times the period
     Gamma = STEP / PERIOD / np.max(rows / K_D)
-    Lambda = STEP / PERIOD / np.maximum(torque + inertia, 1e-2 * torque.max()) ** 2
+    Lambda = STEP / PERIOD / np.maximum(weight + inertia, 1e-2 * weight.max()) ** 2
     amplitude = np.array([_amplitude(joint) for joint in chain.joints])
-    rate = 0.5 + 0.4 * np.arange(chain.n) / max(1, chain.n - 1)
-    slow = min(
-        [1.0, *(SHARE * joint.velocity / (a * w) for joint, a, w in zip(chain.joints, amplitude, rate, strict=True))]
-    )
-    rotor_value = f", rotor: {_list([rotor.get(joint, 0.0) for joint in chain.joint_names])}" if rotor else ""
+    rate = 1.0 + 0.8 * np.arange(chain.n) / max(1, chain.n - 1)
+    limits = np.array([joint.velocity for joint in chain.joints])
+    slow = min(1.0, float(np.min(SHARE * limits / np.maximum(amplitude * rate, 1e-9))))
     box = f"[{_list(np.zeros(chain.n))}, {_list(3.2 / K_D)}]"
-    robot = f"robot: {{model: {model}, tool: {tool}}}" if tool else f"robot: {model}"
+    keys = {"model": model, "tool": tool, "hold": _table(hold)}
+    section = ", ".join(f"{key}: {value}" for key, value in keys.items() if value)
+    robot = f"robot: {{{section}}}" if tool or hold else f"robot: {model}"
     comments = "".join(f"# Assumed: {note}\n" for note in notes or [])
     return f"""dmframe: 1
 title: {chain.name} tracks a joint path through a PID position servo
@@ -138,15 +180,17 @@ duration: 30 s
 start: {{q: {_list(centre)}}}   # inside the limits and away from singular postures
 blocks:
   path:     {{type: sinusoid, center: {_list(centre)}, amplitude: {_list(amplitude)}, rate: {_list(slow * rate)}}}
-  task:     {{type: joint_tracking, alpha_bar: 2}}
-  model:    {{type: regressor, friction: [viscous]{", rotors: true" if rotor else ""}}}
-  # Each gain changes the commands by 5 % of the error in one sample, at most.
+  task:     {{type: joint_tracking, alpha_bar: 3}}
+  model:    {{type: regressor, friction: [viscous, coulomb], rotors: true}}
+  # Each gain changes the commands by {100 * STEP:g} % of the error in one sample, at most.
   dynamics: {{type: dynamic_compensator, Gamma: {_number(Gamma)}}}
-  inverse:  {{type: pid_inverse, K_c: 1, Lambda: {_list(Lambda)}, Lambda_P: 1, Lambda_I: 1,
-             w_P: 2, w_I: 0.7, w_box: {box}, w_P_box: [1, 3], w_I_box: [0.5, 2]}}
-  # Placeholders, hidden from the controller: the maker does not publish the servo, and the file has no friction.
-  servo:    {{type: pid_servo, K_D: {_list(K_D)}, K_P: {_list(2.2 * K_D)}, K_I: {_list(0.7 * K_D)}}}
-  arm:      {{type: manipulator, viscous: {_list(K_D / 160)}{rotor_value}}}
+  # Initially w is half its true value, 1/K_D.
+  inverse:  {{type: pid_inverse, K_c: 2, Lambda: {_list(Lambda)}, Lambda_P: 1, Lambda_I: 1,
+             w: {_list(0.5 / K_D)}, w_P: 2, w_I: 0.7, w_box: {box}, w_P_box: [1, 3], w_I_box: [0.5, 2]}}
+  # Placeholders, hidden from the controller: manufacturers do not publish them.
+  servo:    {{type: pid_servo, K_D: {_list(K_D)}, K_P: {_list(RATIO_P * K_D)}, K_I: {_list(RATIO_I * K_D)}}}
+  arm:      {{type: manipulator, viscous: {_list(VISCOUS * K_D)}, coulomb: {_list(COULOMB * K_D)},
+             rotor: {_list(rotor)}}}
 baseline:
   inverse: {{type: kinematic_command}}
   model: null
@@ -154,8 +198,27 @@ baseline:
 """
 
 
+def _rotors(chain: SerialChain, links: Column, armature: Mapping[str, float]) -> Column:
+    """Rotor inertias: those of the file, else placeholders from the inertia of the links."""
+    relative, least = ROTOR
+    largest = {
+        kind: max((value for joint, value in zip(chain.joints, links, strict=True) if joint.kind == kind), default=0.0)
+        for kind in REACH
+    }
+    return np.array(
+        [
+            armature.get(joint.name) or max(relative * value, least * largest[joint.kind])
+            for joint, value in zip(chain.joints, links, strict=True)
+        ]
+    )
+
+
+def _table(hold: Mapping[str, float]) -> str:
+    return f"{{{', '.join(f'{joint}: {_number(value)}' for joint, value in hold.items())}}}" if hold else ""
+
+
 def _amplitude(joint: Joint) -> float:
-    return min(REACH[joint.kind], SHARE * (joint.upper - joint.lower) / 2)
+    return min(REACH[joint.kind], max(0.0, SHARE * (joint.upper - joint.lower) / 2))
 
 
 def _sampled(chain: SerialChain) -> tuple[Column, Column, Column, Column]:
@@ -168,7 +231,7 @@ def _sampled(chain: SerialChain) -> tuple[Column, Column, Column, Column]:
     import pinocchio as pin
 
     random, data = np.random.default_rng(0), chain.model.createData()
-    ends = [(max(joint.lower, -math.pi), min(joint.upper, math.pi)) for joint in chain.joints]
+    ends = [_range(joint) for joint in chain.joints]
     lower, upper = np.array(ends).T
     best, found = -1.0, (lower + upper) / 2
     inertia, torque, rows = np.zeros((3, chain.n))
@@ -177,9 +240,10 @@ def _sampled(chain: SerialChain) -> tuple[Column, Column, Column, Column]:
         pin.crba(chain.model, data, configuration)
         inertia = np.maximum(inertia, np.diag(data.M))
         torque = np.maximum(torque, np.abs(pin.computeGeneralizedGravity(chain.model, data, configuration)))
-        slow = np.full(chain.n, SPEED)
-        regressor = pin.computeJointTorqueRegressor(chain.model, data, configuration, slow, slow)
-        rows = np.maximum(rows, np.sum(regressor**2, axis=1))
+        motion = np.full(chain.n, SPEED), np.full(chain.n, ACCELERATION)
+        regressor = pin.computeJointTorqueRegressor(chain.model, data, configuration, *motion)
+        # the columns of a rotor and of viscous and Coulomb friction have one element each
+        rows = np.maximum(rows, np.sum(regressor**2, axis=1) + ACCELERATION**2 + SPEED**2 + 1)
         jacobian = pin.computeFrameJacobian(
             chain.model, data, configuration, chain.model_tool, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         )[:3]
@@ -189,6 +253,13 @@ def _sampled(chain: SerialChain) -> tuple[Column, Column, Column, Column]:
         if score > best:
             best, found = score, q
     return np.round(found, 3), inertia, torque, rows
+
+
+def _range(joint: Joint) -> tuple[float, float]:
+    """Range of a joint from which postures are drawn: its limits, or a part of it about 0."""
+    stroke = STROKE[joint.kind]
+    lower, upper = max(joint.lower, -stroke), min(joint.upper, stroke)
+    return (lower, upper) if lower <= upper else (joint.lower, joint.upper)
 
 
 def _list(values: object) -> str:

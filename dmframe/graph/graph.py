@@ -7,14 +7,14 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, final
 
-from dmframe import notebook
 from dmframe.block.model import SYMBOLIC
+from dmframe.common import notebook
+from dmframe.common.errors import DmframeError, ValueFault, raise_all
+from dmframe.common.units import plain, seconds, to_unit
 from dmframe.config import BaseGraph
 from dmframe.config.given import listed
-from dmframe.errors import DmframeError, ValueFault, raise_all
 from dmframe.graph.doubts import doubts
 from dmframe.graph.progress import progress_line, shown
-from dmframe.units import plain, seconds, to_unit
 
 if TYPE_CHECKING:
     from dmframe.drawing import Drawing
@@ -232,10 +232,10 @@ class Graph(BaseGraph):
         DmframeError
             The graph drives no robot, the file has faults, or the graph may not drive a real robot.
         """
-        from dmframe.drive import driven, load_limits
+        from dmframe.drive import load_limits, run_on_robot
         from dmframe.results.run import Run
 
-        recording = driven(
+        recording = run_on_robot(
             self,
             robot,
             until=None if until is None else seconds("until", until),
@@ -294,8 +294,8 @@ class Graph(BaseGraph):
         log
             The folder of the results.
         """
+        from dmframe.common.files import expanded
         from dmframe.drive import replayed
-        from dmframe.files import expanded
 
         return replayed(self, expanded(log), engine=engine)
 

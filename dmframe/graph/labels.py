@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from dmframe.common.files import made_distinct
+from dmframe.common.units import shorten
 from dmframe.config import BaseGraph
-from dmframe.files import made_distinct
-from dmframe.units import shorten
 
 
 def labels_of(items: Sequence[tuple[str, BaseGraph]]) -> list[str]:

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from dmframe.common.errors import ValueFault
 from dmframe.config.document import read_document
 from dmframe.config.given import document_of
-from dmframe.errors import ValueFault
 from dmframe.graph.graph import Graph
 
 TEXT = "graph"
@@ -42,7 +42,7 @@ def load(source: str | Path | Mapping[str, Any] | Graph, *, name: str = "", trus
     """
     if trust:
         from dmframe.catalogue import find_graph
-        from dmframe.trust import remember
+        from dmframe.common.trust import remember
 
         named = isinstance(source, Path) or (isinstance(source, str) and "\n" not in source)
         remember(find_graph(str(source)).parent if named else Path())

@@ -8,8 +8,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from dmframe.block import AbstractBlock, type_name
+from dmframe.block.parameter import PAIRS, Spec, specs
+from dmframe.block.port import Access, Input, Output, Side, Signal, State
 from dmframe.block.prose import about, prose
-from dmframe.columns import columns, page_width, width
+from dmframe.common.columns import columns, page_width, width
+from dmframe.common.names import unicode_name
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.diagram.wiring import Ahead, Derived, Drawn, Period, Source, Time, Wire
@@ -19,11 +23,7 @@ from dmframe.formula.docstring import check_docstring
 from dmframe.formula.unmarked import unmarked
 from dmframe.formula.where import sizes_show, where
 from dmframe.formula.wrap import wrapped
-from dmframe.names import unicode_name
-from dmframe.parameter import PAIRS, Spec, specs
-from dmframe.port import Access, Input, Output, Side, Signal, State
 from dmframe.simulate.warnings import unread
-from dmframe.units import plain
 
 
 def check_page(graph: BaseGraph) -> str:
@@ -102,26 +102,26 @@ def first_line(kind: type[AbstractBlock]) -> str:
 
 def block_page(kind: type[AbstractBlock]) -> str:
     """A block's law, printed from its code, its ports, states, parameters, and the text of its docstring."""
-    said, wide = about(kind), page_width()
+    page, wide = about(kind), page_width()
     parts = [
         f"{type_name(kind)} ({kind.side.value})",
-        textwrap.fill(unmarked(said.summary), wide),
+        textwrap.fill(unmarked(page.summary), wide),
         *_laws(kind, wide),
     ]
     parts += [f"docstring\n{columns((fault.text,) for fault in faults)}"] if (faults := check_docstring(kind)) else []
     for title, ports in (("inputs", kind.inputs), ("outputs", kind.outputs)):
         parts.append(f"{title}\n{columns(_port(port) for port in ports)}")
-    states = ((s.name, unicode_name(s.name), f"({s.shape})", s.unit or "-", _said(s)) for s in kind.states)
+    states = ((s.name, unicode_name(s.name), f"({s.shape})", s.unit or "-", _state_properties(s)) for s in kind.states)
     parts.append(f"states\n{columns(states)}")
     if kind.truth:
         parts.append(f"true values, which its certificate alone reads\n{columns(_port(port) for port in kind.truth)}")
     parts.append(f"parameters\n{columns(_parameters(kind))}")
     names = dict[str, list[str]]()
-    for name, text in said.parameters.items():
+    for name, text in page.parameters.items():
         names.setdefault(text, []).append(name)
     lines = [f"{', '.join(several)}: {unmarked(text)}" for text, several in names.items()]
     parts += ["\n".join(textwrap.fill(text, wide, **_INDENT) for text in lines)] * bool(lines)
-    parts += [textwrap.fill(unmarked(text), wide) for text in (said.notes, said.source) if text]
+    parts += [textwrap.fill(unmarked(text), wide) for text in (page.notes, page.source) if text]
     return "\n\n".join(parts)
 
 
@@ -143,11 +143,13 @@ def _laws(kind: type[AbstractBlock], wide: int) -> Iterable[str]:
     yield f"{textwrap.fill(f'law{given}', wide)}\n{_equations(own, wide)}"
     for option, lines in options.items():
         yield f"with {option}\n{_equations([line for line in lines if line.name not in stated], wide)}"
-    said = [("", list(law.truths))]
-    said += [(f"with {option}", [line for line in lines if line.name in stated]) for option, lines in options.items()]
+    properties = [("", list(law.truths))]
+    properties += [
+        (f"with {option}", [line for line in lines if line.name in stated]) for option, lines in options.items()
+    ]
     stated_lines = [
         f"  {option}\n{textwrap.indent(_equations(lines, wide - 2), '  ')}" if option else _equations(lines, wide)
-        for option, lines in said
+        for option, lines in properties
         if lines
     ]
     if stated_lines:
@@ -179,22 +181,24 @@ def _equations(lines: Sequence[Line], wide: int) -> str:
     return "\n".join(rows) or "  none: each output equals a state or a parameter"
 
 
-def _said(state: State) -> str:
+def _state_properties(state: State) -> str:
     sets = [name for name in (state.box, state.ball) if name]
     sets += [f"the bodies above {state.bodies}"] * bool(state.bodies)
-    said = ["sampled"] * state.sampled + [f"projected onto {' or '.join(sets)}"] * bool(sets)
-    return ", ".join(said + ["optional"] * (state.optional and not sets))
+    properties = ["sampled"] * state.sampled + [f"projected onto {' or '.join(sets)}"] * bool(sets)
+    return ", ".join(properties + ["optional"] * (state.optional and not sets))
 
 
 def _port(port: Signal) -> tuple[str, ...]:
-    said = [port.access.value] if isinstance(port, Output) and port.access is not Access.INTERNAL else []
-    said += [f"derivative of {port.derivative_of}"] * bool(port.derivative_of) + ["optional"] * port.optional
+    properties = [port.access.value] if isinstance(port, Output) and port.access is not Access.INTERNAL else []
+    properties += [f"derivative of {port.derivative_of}"] * bool(port.derivative_of) + ["optional"] * port.optional
     if isinstance(port, Output):
-        said += [f"replaces {port.instead_of}"] * bool(port.instead_of) + ["a notice if not 0"] * bool(port.notice)
+        properties += [f"replaces {port.instead_of}"] * bool(port.instead_of) + ["a notice if not 0"] * bool(
+            port.notice
+        )
     if isinstance(port, Input):
-        said += [f"drawn at each sample, {port.drawn}"] * bool(port.drawn)
-        said += [f"{port.ahead_of}, {_samples(port.ahead)} later"] * bool(port.ahead_of)
-    return port.name, unicode_name(port.name), f"({port.shape})", port.unit or "-", ", ".join(said)
+        properties += [f"drawn at each sample, {port.drawn}"] * bool(port.drawn)
+        properties += [f"{port.ahead_of}, {_samples(port.ahead)} later"] * bool(port.ahead_of)
+    return port.name, unicode_name(port.name), f"({port.shape})", port.unit or "-", ", ".join(properties)
 
 
 def _parameters(kind: type[AbstractBlock]) -> Iterable[tuple[str, str, str, str]]:

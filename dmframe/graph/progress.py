@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, final
 
-from dmframe.errors import visible
+from dmframe.common.errors import visible
 
 if TYPE_CHECKING:  # rich is not imported if standard error is not displayed
     from rich.console import Console
@@ -101,7 +101,7 @@ def shown(progress: bool | Bar | None, name: str, total: float) -> Iterator[Bar 
 def progress_line(name: str, *, quiet: bool = False) -> Iterator[Callable[[str], None]]:
     """Show the current step in one transient line; nothing if standard error is not displayed.
 
-    It takes no thread, with which the process could not be copied (`dmframe.copies`), and no import of rich.
+    It takes no thread, with which the process could not be copied (`dmframe.common.copies`), and no import of rich.
     """
     if quiet or not sys.stderr.isatty():
         yield lambda _: None

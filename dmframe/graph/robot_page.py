@@ -8,9 +8,9 @@ import textwrap
 from collections.abc import Mapping
 from typing import Any, Final
 
-from dmframe.columns import columns, page_width
+from dmframe.common.columns import columns, page_width
+from dmframe.common.units import plain
 from dmframe.robot.library import RobotSource, find_robot, load
-from dmframe.units import plain
 
 UNITS: Final[Mapping[str, Mapping[str, str]]] = {
     "revolute": {"lower": "rad", "upper": "rad", "velocity": "rad/s", "effort": "N m"},
@@ -44,7 +44,7 @@ def robot_data(name: str) -> dict[str, Any]:
         "tool": {"frame": frame, "offset": [float(length) for length in chain.tool]},
         "held": dict(source.hold),
         "joints": joints,
-        **_said(source),
+        **_source_facts(source),
     }
 
 
@@ -81,7 +81,7 @@ def robot_page(name: str) -> str:
     return "\n\n".join(parts)
 
 
-def _said(source: RobotSource) -> dict[str, str | None]:
+def _source_facts(source: RobotSource) -> dict[str, str | None]:
     """Texts of a robot's package, by the keys of `SECTIONS`; None for a missing one."""
     file = None if source.folder is None or not source.description else source.folder / "SOURCE.md"
     if file is None or not file.is_file():

@@ -8,18 +8,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final, overload
 
-from dmframe import notebook
+from dmframe.common import notebook
+from dmframe.common.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault, raise_all
+from dmframe.common.plotting import FORMATS
+from dmframe.common.units import plain, seconds, shorten
 from dmframe.config import BaseGraph
-from dmframe.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault, raise_all
 from dmframe.graph.doubts import doubts
 from dmframe.graph.graph import Graph
 from dmframe.graph.labels import labels_of
 from dmframe.graph.load import load
 from dmframe.graph.progress import Bars
-from dmframe.plotting import FORMATS
 from dmframe.results.run import HEADS, NOTE, Run, drawn, ended, row, saved, table_of
-from dmframe.simulate import Recording, simulate_many
-from dmframe.units import plain, seconds, shorten
+from dmframe.simulate import Recording
 
 if TYPE_CHECKING:
     import pandas
@@ -167,6 +167,7 @@ def compare(
 def ran_together(graphs: Sequence[Graph], engine: Choice) -> list[Run] | None:
     """Runs of graphs that share one closed loop and its settings, in one build; None if they differ in more."""
     from dmframe.batch.runner import numbers_between
+    from dmframe.simulate import simulate_many
 
     base = graphs[0]
     found = [numbers_between(base, graph) if _same_settings(base, graph) else None for graph in graphs]

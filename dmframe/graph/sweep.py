@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 import numpy as np
 
 from dmframe.batch.columns import FIGURES, PREFIX, error_figures, limits_in, units_of
-from dmframe.batch.figures import ERROR, TURN, Measured, Wanted, merged
+from dmframe.batch.figures import ERROR, TURN, Measured, MeasuredSignals, merged
 from dmframe.batch.runner import Runner, Runs
+from dmframe.block.parameter import Spec, specs
+from dmframe.common.errors import DmframeError, ValueFault, raise_all
+from dmframe.common.units import shorten, to_unit
 from dmframe.config.given import listed
-from dmframe.errors import DmframeError, ValueFault, raise_all
 from dmframe.graph.graph import Graph
 from dmframe.graph.load import load
-from dmframe.parameter import Spec, specs
 from dmframe.results.metrics import EIGHTHS
-from dmframe.units import shorten, to_unit
 
 if TYPE_CHECKING:
     import xarray
@@ -118,7 +118,7 @@ def _check_distinct(labels: Iterable[str]) -> None:
         found[name] = label
 
 
-def _wanted(base: Graph, signals: Sequence[str], limits: Mapping[str, float | str] | None) -> Wanted:
+def _wanted(base: Graph, signals: Sequence[str], limits: Mapping[str, float | str] | None) -> MeasuredSignals:
     """What to measure, with limits as numbers. `Batch.of` refuses unknown names."""
     labels = [signals] if isinstance(signals, str) else signals
     labels = list(labels) if isinstance(labels, Iterable) else [labels]
@@ -132,7 +132,7 @@ def _wanted(base: Graph, signals: Sequence[str], limits: Mapping[str, float | st
         if limit < 0:
             faults.append(ValueFault(f"limits.{label}: expected a number of at least 0, found {limit:g}"))
     raise_all(faults)
-    return Wanted(tuple(labels), {**dict.fromkeys(limits or {}, np.inf), **found})
+    return MeasuredSignals(tuple(labels), {**dict.fromkeys(limits or {}, np.inf), **found})
 
 
 def _column(base: Graph, label: str, several: Sequence[Any]) -> np.ndarray | None:
@@ -159,7 +159,7 @@ def _measured(
     base: Graph,
     tried: Mapping[str, Sequence[Any]],
     places: Mapping[str, np.ndarray],
-    wanted: Wanted,
+    wanted: MeasuredSignals,
     engine: Choice,
 ) -> Measured:
     """All runs: values that are numbers of blocks as columns, other values as graphs of their own."""

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
+from dataclasses import dataclass
+from functools import partial
+from typing import Final, final
 
 import numpy as np
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
+from dmframe.identification.clipped import Limit, clipped, cut, fitted
+from dmframe.identification.clock import alternatives, clock_of, regular, with_losses
 from dmframe.identification.log import Array, Log
 from dmframe.robot.chain import SerialChain
 
@@ -19,8 +23,6 @@ PERIODS: Final = (2e-4, 0.2)
 GAP: Final = 3.5
 """Longest interval between samples, in periods."""
 Refuse = Callable[[str], ValueFault]
-LAGS: Final = 30
-"""Samples by which a position may follow its command."""
 SHORTEST: Final = 5.5
 """Shortest log [s]: a log of 3 s gave a k_P with an error of 5 %, outside its interval."""
 CHANGES: Final = 8
@@ -32,8 +34,30 @@ SIZE: Final = 0.15
 REMEDY: Final = "record the steps that dmframe experiment ROBOT writes: 20 s, every joint, both directions"
 
 
-def checked_log(signals: dict[str, Array], chain: SerialChain, where: str) -> tuple[Log, tuple[str, ...]]:
-    """The log of some signals, and notices.
+@final
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """A log that can be used.
+
+    Parameters
+    ----------
+    others
+        Other readings of irregular times, with what they assume.
+    limits
+        Velocities to which the robot clips the commands.
+    again
+        The same with other limits.
+    """
+
+    log: Log
+    notices: tuple[str, ...]
+    others: tuple[tuple[Log, str], ...]
+    limits: tuple[Limit, ...]
+    again: Callable[[tuple[Limit, ...]], Checked]
+
+
+def checked_log(signals: dict[str, Array], chain: SerialChain, where: str) -> Checked:
+    """The log of some signals.
 
     Raises
     ------
@@ -58,6 +82,7 @@ def checked_log(signals: dict[str, Array], chain: SerialChain, where: str) -> tu
     _clock(t, refuse)
     notices = list[str]()
     dq_c, q_c = signals.get("dq_c"), signals.get("q_c")
+    mean = dq_c is None
     if dq_c is None:
         assert q_c is not None  # `signals_of` requires one of them
         u = np.diff(q_c, axis=0) / np.diff(t)[:, None]
@@ -66,9 +91,10 @@ def checked_log(signals: dict[str, Array], chain: SerialChain, where: str) -> tu
         u = dq_c[:-1]
     _units(t, q, u, chain, refuse)
     _excited(t, q, u, refuse)
-    _matched(t, q, u, refuse)
+    limits = clipped(t, q, u) if q_c is None else ()
+    _matched(t, q, cut(u, limits), refuse)
     if q_c is not None and dq_c is not None:
-        u, text = _consistent(t, dq_c, q_c, refuse)
+        u, mean, text = _consistent(t, dq_c, q_c, refuse)
         notices.append(text)
     ahead = np.zeros(chain.n) if q_c is None else q_c[0] - q[0]
     if np.max(np.abs(ahead)) > 0.1:
@@ -83,7 +109,29 @@ def checked_log(signals: dict[str, Array], chain: SerialChain, where: str) -> tu
         notices.append(f"used: {MOST} of {len(t)} samples, those with the most changes of the commands")
         t, q, u, ahead = t[rows], q[rows], u[rows][:-1], np.zeros(chain.n)
         u = u[: len(t) - 1]
-    return Log(t - t[0], q, np.ascontiguousarray(u), ahead), tuple(notices)
+    return _built(t - t[0], q, np.ascontiguousarray(u), ahead, limits, mean, tuple(notices), refuse)
+
+
+def _built(
+    t: Array,
+    q: Array,
+    u: Array,
+    ahead: Array,
+    limits: tuple[Limit, ...],
+    mean: bool,
+    notices: tuple[str, ...],
+    refuse: Refuse,
+) -> Checked:
+    """The log with clipped commands and lost samples."""
+    clock, own = clock_of(t), cut(u, limits)
+    record, read = regular(Log(t, q, own, ahead, unknown=tuple(limit.unknown(own) for limit in limits)), clock)
+    try:
+        record, losses = with_losses(record, clock, mean)
+    except ValueFault as fault:
+        raise refuse(str(fault)) from None
+    again = partial(_built, t, q, u, ahead, mean=mean, notices=notices, refuse=refuse)
+    texts = (*notices, *map(str, limits), *read, *losses)
+    return Checked(record, texts, tuple(alternatives(record, clock)), limits, again)
 
 
 def _clock(t: Array, refuse: Refuse) -> None:
@@ -155,7 +203,7 @@ def _matched(t: Array, q: Array, u: Array, refuse: Refuse) -> None:
     n = q.shape[1]
     for j in range(n):
         own = q[:, j] - q[0, j]
-        fits = [_fit(held[:, k], own) for k in range(n)]
+        fits = [fitted(held[:, k], own) for k in range(n)]
         share, factor, lag = fits[j]
         better = int(np.argmin([fit[0] for fit in fits]))
         if share > 0.3 and better != j and fits[better][0] < 0.5 * share:
@@ -177,30 +225,17 @@ def _matched(t: Array, q: Array, u: Array, refuse: Refuse) -> None:
             )
 
 
-def _fit(command: Array, own: Array) -> tuple[float, float, int]:
-    """Unexplained fraction, factor and lag [samples] of a position as an affine function of a command."""
-    best = (np.inf, 0.0, 0)
-    for lag in range(-5, LAGS):
-        x, y = (command[: len(command) - lag], own[lag:]) if lag >= 0 else (command[-lag:], own[:lag])
-        x, y = x - np.mean(x), y - np.mean(y)
-        factor = float(x @ y / max(x @ x, 1e-30))
-        left = float(np.sqrt(np.sum((y - factor * x) ** 2) / max(y @ y, 1e-30)))
-        if left < best[0] - 1e-9:
-            best = left, factor, lag
-    return best
-
-
-def _consistent(t: Array, dq_c: Array, q_c: Array, refuse: Refuse) -> tuple[Array, str]:
-    """Commands that agree with both columns: differences of q_c where they are those of dq_c, else dq_c."""
+def _consistent(t: Array, dq_c: Array, q_c: Array, refuse: Refuse) -> tuple[Array, bool, str]:
+    """Commands that agree with both columns: differences of q_c (True) where they are those of dq_c, else dq_c."""
     slopes = np.diff(q_c, axis=0) / np.diff(t)[:, None]
     between = 0.5 * (dq_c[1:] + dq_c[:-1])
     size = max(float(np.std(slopes)), 1e-9)
     if np.std(slopes - between) < 0.02 * size and np.std(slopes - between) < np.std(slopes - dq_c[:-1]):
-        return slopes, "velocity commands are differences of q_c, which agree with dq_c"
+        return slopes, True, "velocity commands are differences of q_c, which agree with dq_c"
     for lag in range(-1, 8):
         late, early = (
             (slopes[lag:], dq_c[: len(slopes) - lag]) if lag >= 0 else (slopes[:lag], dq_c[-lag : len(slopes)])
         )
         if np.std(late - early) < 0.2 * size:
-            return dq_c[:-1], f"commands are dq_c; q_c follows them by {lag} samples"
+            return dq_c[:-1], False, f"commands are dq_c; q_c follows them by {lag} samples"
     raise refuse("dq_c is not the rate of q_c at any lag up to 7 samples: check columns and units")

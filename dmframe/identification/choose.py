@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -11,7 +11,7 @@ import numpy as np
 from dmframe.identification.log import Log
 from dmframe.identification.model import Array
 from dmframe.identification.rows import rows_of, starts
-from dmframe.identification.solve import ROUNDS, Fit, solved
+from dmframe.identification.solve import MOST_DELAY, RESOLUTION, ROUNDS, Fit, fine_step, solved, total
 from dmframe.identification.twin import Twins
 from dmframe.identification.unknowns import SERVOS, Unknowns
 
@@ -23,6 +23,12 @@ BRIEF: Final = 8
 """Rounds of a candidate after another one has explained the log."""
 ABOVE: Final = 3.0
 """Largest residual of an explained log, in floors."""
+SHARP: Final = 1.25
+"""Largest residual of a fit that leaves noise only, in standard deviations of the noise."""
+SMALL: Final = 0.2
+"""Part of the tracking error's share in the floor that counts as noise."""
+WHITE: Final = 2.0
+"""Largest inflation of such a residual."""
 SHARE: Final = 0.001
 """Fraction of the tracking error that counts as explained."""
 
@@ -38,10 +44,13 @@ class Choice:
         The best fit of each candidate, by its key in `SERVOS`.
     floor
         (n,), residual of a twin that is exact: noise, and a thousandth of the tracking error [rad].
+    noise
+        Standard deviation of the positions' noise [rad].
     """
 
     fits: dict[str, Fit]
     floor: Array
+    noise: float = np.inf
 
     @property
     def best(self) -> str:
@@ -61,6 +70,24 @@ class Choice:
         """True if the residual of a candidate is near the floor on every joint."""
         return bool(np.all(self.fits[kind].rms <= ABOVE * self.floor))
 
+    @property
+    def left(self) -> float:
+        """Sum of the joints' logarithms of the best candidate's residual."""
+        return float(np.sum(np.log(self.fits[self.best].rms)))
+
+    def sharp(self, kind: str) -> bool:
+        """True if a candidate leaves noise only, so that its fit is no local minimum."""
+        fit = self.fits[kind]
+        return bool(np.all(fit.rms <= SHARP * self.least) and np.all(fit.inflation <= WHITE))
+
+    @property
+    def least(self) -> Array:
+        """Residual below which a fit leaves noise only: of the noise, and a small fraction of the tracking error."""
+        if not np.isfinite(self.noise):
+            return np.full_like(self.floor, np.inf)
+        error = np.sqrt(np.maximum(self.floor**2 - self.noise**2, 0.0))
+        return np.asarray(np.hypot(self.noise, SMALL * error) + RESOLUTION)
+
 
 def criterion(fit: Fit, inflation: Array) -> float:
     """Bayesian information criterion of a fit, with the effective number of samples of the closest fit."""
@@ -71,23 +98,71 @@ def criterion(fit: Fit, inflation: Array) -> float:
 
 def floor_of(log: Log) -> Array:
     """Residual of a twin that is exact, of each joint [rad]."""
-    q_c = log.q[0] + log.ahead + np.vstack([0 * log.u[:1], np.cumsum(log.u * np.diff(log.time)[:, None], axis=0)])
-    return np.asarray(np.hypot(log.noise, SHARE * np.std(log.q - q_c, axis=0)) + 1e-7)
+    error = log.q - log.q[0] - log.commanded(log.time)
+    return np.asarray(np.hypot(log.noise, SHARE * np.std(error, axis=0)) + 1e-7)
 
 
 def chosen(twins: Twins, log: Log, say: Callable[[str], None] = lambda text: None) -> Choice:
-    """Fit all candidates to a log."""
-    rows, found = rows_of(twins.model, log), Choice({}, floor_of(log))
-    begun = {kind: starts(Unknowns(twins.model, log, kind), rows) for kind in SERVOS}
+    """Fit all candidates to a log, those first whose filtered rows leave the least residual."""
+    rows, found = rows_of(twins.model, log), Choice({}, floor_of(log), log.noise)
+    unknowns = {kind: Unknowns(twins.model, log, kind) for kind in SERVOS}
+    started = {kind: starts(own, rows) for kind, own in unknowns.items()}
+    order = sorted(started, key=lambda kind: started[kind][0][0])
     for attempt in range(STARTS):
-        for kind, some in begun.items():
+        for kind in order:
             say(f"fitting {kind}, start {attempt + 1}")
-            rounds = BRIEF if any(map(found.explained, found.fits)) else ROUNDS
-            fit = solved(twins, Unknowns(twins.model, log, kind), some[attempt][1], rounds)
-            if kind not in found.fits or np.sum(np.log(fit.rms)) < np.sum(np.log(found.fits[kind].rms)):
-                found.fits[kind] = fit
+            _fitted(twins, unknowns[kind], started[kind][attempt][1], found)
         if any(map(found.explained, found.fits)):
             break
-    if found.explained(found.best):  # its rounds may have been few
-        found.fits[found.best] = solved(twins, found.fits[found.best].unknowns, found.fits[found.best].theta)
+    if any(map(found.explained, found.fits)) and not found.sharp(found.best):
+        say("fitting, more starts")
+        _again(twins, unknowns, found)
+    best = found.fits[found.best]
+    if found.explained(found.best):  # its rounds may have been few, and the integrator coarse
+        found.fits[found.best] = solved(twins, best.unknowns, best.theta, step=fine_step(twins, best, found.floor))
     return found
+
+
+def _again(twins: Twins, unknowns: Mapping[str, Unknowns], found: Choice) -> None:
+    """Fit from more starts until a fit leaves noise only: with other delays, of all candidates that explain the log."""
+    near = found.fits[found.best]
+    own = [unknowns[kind] for kind in unknowns if found.explained(kind) or kind == found.best]
+    for candidate in own:
+        for theta in _shifted(candidate, near):
+            if not found.sharp(found.best):
+                _kept(found, candidate.kind, solved(twins, candidate, theta, BRIEF))
+
+
+def _shifted(unknowns: Unknowns, near: Fit) -> Iterator[Array]:
+    """Starts with other delays, along the line on which delay and feed-forward have nearly the same effect.
+
+    To first order, a delay that is longer by t and f + a t in place of f give the same torque.
+    """
+    place = near.unknowns.places["delay"].start
+    f, a, _, _ = near.unknowns.family(near.theta[:, None])
+    period = unknowns.log.period
+    ends = [float(np.mean((end - f) / (a * period))) for end in (0.0, 1.0)]
+    for change in (*ends, -2.0, -1.0, 1.0, 2.0):
+        delay = near.theta[place] + change
+        if 0 <= delay <= MOST_DELAY:
+            theta = unknowns.carried(near.unknowns, near.theta)
+            theta[unknowns.places["delay"]] = delay
+            if "f" in unknowns.places:
+                theta[unknowns.places["f"]] = np.clip(f + a * change * period, 0.0, 1.5)[:, 0]
+            yield theta
+
+
+def _fitted(twins: Twins, unknowns: Unknowns, start: Array, found: Choice) -> None:
+    """Fit a candidate from a start, or from the candidate that explains the log if that is nearer."""
+    known = [fit for kind, fit in found.fits.items() if found.explained(kind)]
+    if known:
+        closest = min(known, key=lambda fit: float(np.sum(np.log(fit.rms))))
+        others = [start, unknowns.carried(closest.unknowns, closest.theta)]
+        start = min(others, key=lambda theta: total(twins, unknowns, theta))
+    _kept(found, unknowns.kind, solved(twins, unknowns, start, BRIEF if known else ROUNDS))
+
+
+def _kept(found: Choice, kind: str, fit: Fit) -> None:
+    """Keep a fit if it is the best of its candidate."""
+    if kind not in found.fits or np.sum(np.log(fit.rms)) < np.sum(np.log(found.fits[kind].rms)):
+        found.fits[kind] = fit

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from dmframe.errors import MissingError, UnknownNameError, ValueFault
+from dmframe.common.errors import MissingError, UnknownNameError, ValueFault
 from dmframe.identification.table import LogTable
 
 _TIME: Final = ("t", "time", "timestamp")
@@ -16,12 +16,18 @@ _STEMS: Final[Mapping[str, tuple[str, ...]]] = {
     "q": ("q", "actual_q"),
     "dq_c": ("dq_c", "target_qd"),
     "q_c": ("q_c", "target_q"),
+    "tau": ("tau",),
+    "current": ("current", "actual_current"),
 }
 """Signals of the joints, with the beginnings of their columns' names; a number follows, from 0 or from 1."""
+OPTIONAL: Final = ("tau", "current")
+"""Signals that are not read unless there is a column for each joint."""
 
 
 def signals_of(table: LogTable, n: int, given: Sequence[str] = ()) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Signals t (N,), q, and dq_c or q_c or both (N, n); and the column of each: ``{"q_1": "actual_q_0"}``.
+    """Signals t (N,), q, and dq_c or q_c or both (N, n); tau and current if there are any; and the column of each.
+
+    The columns are ``{"q_1": "actual_q_0"}``.
 
     Parameters
     ----------
@@ -45,7 +51,7 @@ def signals_of(table: LogTable, n: int, given: Sequence[str] = ()) -> tuple[dict
             continue
         for other in stems:
             places = sorted(int(m[1]) for name in table.columns if (m := re.fullmatch(rf"{other}_?(\d+)", name)))
-            if not places:
+            if not places or (stem in OPTIONAL and len(places) != n):
                 continue
             if len(places) != n:
                 text = (

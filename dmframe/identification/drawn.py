@@ -13,11 +13,17 @@ from dmframe.identification.found import Identified
 from dmframe.identification.model import Array
 from dmframe.identification.solve import MOST_DELAY
 from dmframe.identification.unknowns import SERVOS, Unknowns
+from dmframe.robot.parameters import DynamicParameters
 
 NARROW: Final = 0.05
 """Two standard deviations of a delay below which it is not drawn [samples]."""
 MOST_SAMPLES: Final = 4.0
 """Longest delay of a graph, in samples of its clock."""
+PROJECTIONS: Final = 2000
+LENGTH: Final = 0.3
+"""Unit of lengths in a pseudo-inertia, with which its elements are of similar size [m]."""
+SMALLEST: Final = 1e-4
+"""Least eigenvalue of a pseudo-inertia, relative to its largest one."""
 WHOLE: Final = 0.02
 """Deviation from a whole number of samples below which a delay is rounded."""
 
@@ -118,8 +124,46 @@ def bodies_of(unknowns: Unknowns, beta: Array) -> tuple[Array, Array]:
     start[rotors] = np.maximum(nearest(values, root)[rotors], 0.0)
     fixed = root.copy()
     fixed[rotors] = 0.0
-    everything = nearest(start, fixed)
+    everything = physical(nearest(start, fixed), beta, model.grouping, parameters)
     return everything[parameters.inertial].reshape(model.n, -1), everything[rotors]
+
+
+def physical(values: Array, beta: Array, grouping: Array, parameters: DynamicParameters) -> Array:
+    """Parameters of bodies whose mass is nowhere negative, with the same base parameters, near `values`.
+
+    By alternating reflections at the positive definite pseudo-inertias P and projections on the base parameters, in the
+    Frobenius norm of P with lengths relative to `LENGTH`; `values` if they do not meet within `PROJECTIONS`.
+    """
+    links, rotors = np.arange(len(values))[parameters.inertial].reshape(-1, 10), parameters.places("rotor")
+    root, turned = np.eye(len(values)), np.array([_pseudo_inertia(row) for row in np.eye(10)])
+    corner = np.triu_indices(4)
+    weight = np.where(corner[0] == corner[1], 1.0, np.sqrt(2.0))
+    own = np.array([matrix[corner] * weight for matrix in turned]).T  # the coordinates of a link's parameters
+    for link in links:
+        root[np.ix_(link, link)] = own
+    to, x = np.linalg.inv(root), root @ values
+    G = grouping @ to
+    back = np.linalg.pinv(G)
+    for _ in range(PROJECTIONS):
+        P = np.zeros((len(links), 4, 4))
+        P[:, corner[0], corner[1]] = P[:, corner[1], corner[0]] = x[links] / weight
+        sizes, axes = np.linalg.eigh(P)
+        least = SMALLEST * sizes[:, -1:]
+        if np.all(sizes > 0.5 * least) and np.all(x[rotors] >= 0):
+            return np.asarray(to @ x)
+        P = np.einsum("lij,lj,lkj->lik", axes, np.maximum(sizes, 2 * least - sizes), axes)
+        x[links] = P[:, corner[0], corner[1]] * weight
+        x[rotors] = np.abs(x[rotors])
+        x += back @ (beta - G @ x)
+    return values
+
+
+def _pseudo_inertia(own: Array) -> Array:
+    """[[tr(I)/2 - I, m r], [m r', m]] of m, m r, xx, xy, yy, xz, yz, zz, with lengths relative to `LENGTH`."""
+    mass, moment, (xx, xy, yy, xz, yz, zz) = own[0], own[1:4] / LENGTH, own[4:] / LENGTH**2
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    second = np.trace(inertia) / 2 * np.eye(3) - inertia
+    return np.block([[second, moment[:, None]], [moment[None], np.array([[mass]])]])
 
 
 def thetas(found: Identified, count: int, seed: int = 0) -> Array:

@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
+from dmframe.common.errors import MissingError
 from dmframe.drive.log import SIGNALS, read_log
-from dmframe.errors import MissingError
 from dmframe.results.place import SAMPLES
 
 SENT: Final = "robot.sent"

@@ -9,8 +9,8 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from dmframe.common.errors import ValueFault
 from dmframe.drive.limits import load_limits
-from dmframe.errors import ValueFault
 from dmframe.identification.excitation import Excitation, Room, excitation
 from dmframe.identification.experiment_files import write_experiment
 from dmframe.identification.joint_box import Obstacles, box_around, free_posture

@@ -10,8 +10,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from dmframe.errors import DmframeError
-from dmframe.files import write_text, writing
+from dmframe.common.errors import DmframeError
+from dmframe.common.files import write_text, writing
 from dmframe.graph.graph import Graph
 from dmframe.identification.excitation import Excitation
 from dmframe.identification.subject import ARM, Subject

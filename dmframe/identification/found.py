@@ -10,8 +10,10 @@ import numpy as np
 
 from dmframe.identification.answer import NOT_REQUESTED, Verdict
 from dmframe.identification.choose import Choice
+from dmframe.identification.clipped import Limit
 from dmframe.identification.model import Array
 from dmframe.identification.solve import Fit
+from dmframe.identification.torque import Factor
 from dmframe.identification.unknowns import SERVOS
 
 ALWAYS: Final = (
@@ -41,12 +43,18 @@ class Identified:
         How to repeat it: versions, digest of the log, options.
     verdict
         Whether an adaptive law is worth it.
+    limits
+        Joints whose commands the robot clips, with the first estimate of the limit.
+    torques
+        Measured torques or currents relative to the torques of the identified robot.
     """
 
     choice: Choice
     notices: tuple[str, ...]
     record: dict[str, Any]
     verdict: Verdict = NOT_REQUESTED
+    limits: tuple[Limit, ...] = ()
+    torques: tuple[Factor, ...] = ()
 
     @property
     def fit(self) -> Fit:
@@ -74,8 +82,18 @@ class Identified:
 
     @property
     def wider(self) -> float:
-        """Factor of the standard deviations of the class."""
-        return _WIDER.get(self.choice.best, 1.0)
+        """Factor of the standard deviations: of the class, and of a residual that is above the noise.
+
+        Such a residual has a systematic part, of a model error or a local minimum, which may shift the numbers as far.
+        """
+        return _WIDER.get(self.choice.best, 1.0) * self.above
+
+    @property
+    def above(self) -> float:
+        """Largest residual of a joint relative to the noise; 1 if the fit leaves noise only."""
+        if self.choice.sharp(self.choice.best):
+            return 1.0
+        return max(1.0, float(np.max(self.fit.rms / self.choice.least)))
 
     def positive(self, name: str) -> tuple[Array, Array]:
         """Values of an unknown that is fitted as a logarithm, and (n, 2) limits of two standard deviations."""
@@ -117,6 +135,16 @@ class Identified:
         return value, (max(0.0, value - 2 * deviation), value + 2 * deviation)
 
     @property
+    def limited(self) -> dict[int, tuple[float, tuple[float, float]]]:
+        """Velocities to which the robot clips the commands, with their limits, by joint [rad/s]."""
+        found, first = dict[int, tuple[float, tuple[float, float]]](), self.fit.unknowns.places["command"].start
+        for k, limit in enumerate(self.limits, first):
+            deviation = self.wider * float(np.sqrt(self.fit.covariance[k, k]))
+            value = limit.speed + float(self.fit.theta[k])
+            found[limit.joint] = value, (value - 2 * deviation, value + 2 * deviation)
+        return found
+
+    @property
     def indistinguishable(self) -> tuple[str, ...]:
         """What positions and commands alone cannot separate."""
         return (*ALWAYS, *(_OF_F if self.choice.best.startswith("p_pi") else ()), *self._cascade)
@@ -156,6 +184,11 @@ class Identified:
                 name: {"value": own[0].tolist(), "interval": own[1].tolist() if self.known else None}
                 for name, own in self.friction.items()
             },
+            "limits": [
+                {"joint": joint + 1, "speed": speed, "interval": _limits(own) if self.known else None}
+                for joint, (speed, own) in self.limited.items()
+            ],
+            "torques": [own.summary for own in self.torques],
             "bodies": bodies,
             "residual": self.fit.rms.tolist(),
             "floor": self.choice.floor.tolist(),
@@ -180,6 +213,11 @@ class Identified:
         lines.append(f"servo: {self.kind}")
         lines.append(f"delay: {value:.3f} samples ({limits[0]:.3f} to {limits[1]:.3f})")
         lines += [_line(name, own) for name, own in (self.servo | self.friction).items()]
+        lines += [
+            f"joint {joint + 1}: velocity limit {speed:.4g} rad/s ({own[0]:.4g} to {own[1]:.4g})"
+            for joint, (speed, own) in self.limited.items()
+        ]
+        lines += [str(own) for own in self.torques]
         lines += [f"not separable: {text}" for text in self.indistinguishable]
         return "\n".join([*lines, f"verdict: {self.verdict.sentence}"])
 

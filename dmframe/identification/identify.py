@@ -12,22 +12,27 @@ from typing import Final
 import numpy as np
 
 from dmframe.catalogue import graphs
-from dmframe.errors import ValueFault
-from dmframe.identification.checked import checked_log
-from dmframe.identification.choose import chosen
+from dmframe.common.errors import ValueFault
+from dmframe.common.version import version
+from dmframe.identification.checked import Checked, checked_log
+from dmframe.identification.choose import Choice, chosen
+from dmframe.identification.clipped import Limit
 from dmframe.identification.columns import signals_of
 from dmframe.identification.found import Identified
 from dmframe.identification.model import model_of
+from dmframe.identification.solve import Fit
 from dmframe.identification.table import read_table
-from dmframe.identification.twin import twins_of
+from dmframe.identification.torque import MEASURED, factors
+from dmframe.identification.twin import Twins, twins_of
 from dmframe.identification.verdict import with_verdict
-from dmframe.identification.write import written
+from dmframe.identification.write import set_aside, written
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.library import load
-from dmframe.version import version
 
 FAR: Final = 3.0
 """Deviation of an inertial parameter from the robot's file, in standard deviations, above which there is a notice."""
+CLEARLY: Final = 0.1
+"""Decrease of the sum of the joints' logarithms of residuals with which another reading of the times is used."""
 UNSURE: Final = 0.35
 """Largest relative standard deviation of a servo's main gain that counts as determined."""
 
@@ -75,12 +80,33 @@ def identify(
     >>> found = dm.identify("log.csv", "ur10")           # doctest: +SKIP
     >>> found.kind, found.delay                          # doctest: +SKIP
     """
+    try:
+        found = _identified(log, robot, columns, out, say)
+    except Exception:
+        if out is not None:
+            set_aside(Path(out))
+        raise
+    if out is not None:
+        written(found, Path(out))
+    return with_verdict(found, None if out is None else Path(out), say) if verdict else found
+
+
+def _identified(
+    log: str | Path,
+    robot: str | SerialChain,
+    columns: Sequence[str],
+    out: str | Path | None,
+    say: Callable[[str], None],
+) -> Identified:
     chain = robot if isinstance(robot, SerialChain) else chain_of(robot)
     table = read_table(log, chain.joint_names)
     signals, used = signals_of(table, chain.n, columns)
-    record, notices = checked_log(signals, chain, table.name)
-    twins = twins_of(model_of(chain))
-    choice = chosen(twins, record, say)
+    needed = {name: values for name, values in signals.items() if name not in MEASURED}
+    checked, twins = checked_log(needed, chain, table.name), twins_of(model_of(chain))
+    choice, notices = _read(twins, checked, say)
+    if checked.limits:  # a command between the first and the estimated limit was clipped wrongly
+        checked = checked.again(estimated(checked.limits, choice.fits[choice.best]))
+        choice, notices = _read(twins, checked, say)
     given = chain.name if isinstance(robot, SerialChain) else robot
     options = [word for column in columns for word in ("--columns", column)]
     about = {
@@ -91,17 +117,35 @@ def identify(
         "sha256": table.digest,
         "robot": chain.name,
         "columns": used,
-        "samples": len(record.time),
-        "period": record.period,
+        "samples": len(checked.log.time),
+        "period": checked.log.period,
     }
     engine = (twins.notice,) if twins.notice else ()
     columns_used = "columns: " + ", ".join(f"{a} = {b}" for a, b in used.items())
-    found = Identified(choice, (*engine, columns_used, *notices), about)
+    found = Identified(choice, (*engine, columns_used, *notices), about, limits=checked.limits)
+    if found.known:
+        found = replace(found, torques=factors(found.fit, signals))
     _determined(found, table.name)
-    found = replace(found, notices=(*found.notices, *_doubts(found)))
-    if out is not None:
-        written(found, Path(out))
-    return with_verdict(found, None if out is None else Path(out), say) if verdict else found
+    return replace(found, notices=(*found.notices, *_doubts(found), *_above(found)))
+
+
+def _read(twins: Twins, checked: Checked, say: Callable[[str], None]) -> tuple[Choice, tuple[str, ...]]:
+    """The candidates, with the reading of irregular times that explains the log best; and notices."""
+    choice, notices = chosen(twins, checked.log, say), checked.notices
+    for other, text in checked.others:
+        if choice.sharp(choice.best):
+            break
+        say(f"other reading of the times: {text}")
+        again = chosen(twins, other, say)
+        if again.left < choice.left - CLEARLY:
+            choice, notices = again, (*checked.notices, text)
+    return choice, notices
+
+
+def estimated(limits: tuple[Limit, ...], fit: Fit) -> tuple[Limit, ...]:
+    """The limits of the commands after a fit."""
+    change = fit.theta[fit.unknowns.places["command"]]
+    return tuple(replace(limit, speed=limit.speed + float(own)) for limit, own in zip(limits, change, strict=False))
 
 
 def chain_of(robot: str) -> SerialChain:
@@ -123,6 +167,15 @@ def _doubts(found: Identified) -> Iterator[str]:
         yield (
             f"the inertial parameters deviate from the robot's file by {most:.2g} standard deviations (30 % of each "
             "mass, 3 kg at the tool): check that the log is of this robot, with this tool and mounting"
+        )
+
+
+def _above(found: Identified) -> Iterator[str]:
+    """A notice if the fit leaves more than noise."""
+    if found.known and found.above > 1:
+        yield (
+            f"the residual is up to {found.above:.2g} times the noise, also from other starts: intervals are widened "
+            "by this factor"
         )
 
 

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.identification.log import Array
 from dmframe.robot.chain import SerialChain, pin_configuration
 

@@ -21,7 +21,8 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from dmframe.linalg import solve_spd
+from dmframe.block.linalg import solve_spd
+from dmframe.diagram.rosenbrock import ROS34PW2
 from dmframe.regressor.base_parameters import BaseParameters, base_parameters
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.symbolic import SymbolicRobot
@@ -32,6 +33,10 @@ JOINT: Final = ("f", "a", "b", "c", "w", "B", "D", "S", "offset", "q_0", "dq_0",
 """Numbers of each joint: (1) to (3), and q, dq and q_c - q at the first sample."""
 SHARED: Final = ("v_0", "v_s", "delay")
 """Numbers of all joints: velocities of the friction law [rad/s], and the delay [s] relative to the schedule's."""
+
+
+SLOTS: Final = 24
+"""Most unknown parts of the commands, as of lost samples."""
 
 
 @final
@@ -57,12 +62,13 @@ class Model:
 
     @cached_property
     def places(self) -> dict[str, slice]:
-        """Places of the numbers in the twin's vector p: joint numbers, shared ones, base parameters."""
+        """Places of the numbers in the twin's vector p: of joints, shared ones, commands, base parameters."""
         n, found, at = self.n, dict[str, slice](), 0
         for name in JOINT:
             found[name], at = slice(at, at + n), at + n
         for name in SHARED:
             found[name], at = slice(at, at + 1), at + 1
+        found["command"], at = slice(at, at + SLOTS), at + SLOTS
         found["beta"] = slice(at, at + self.base.count)
         return found
 
@@ -111,13 +117,55 @@ class Model:
         v_0, v_s = p[self.places["v_0"]], p[self.places["v_s"]]
         moved = q - p[self.places["q_0"]]
         tau = (f * u + a * q_c - b * moved - v) / w + z
-        half = ca.tanh((v / v_s) ** 2 / 2)  # exp(-y) = (1 - tanh(y/2)) / (1 + tanh(y/2)); tanh has a SIMD form
-        dry = (D + S * (1 - half) / (1 + half)) * ca.tanh(v / v_0)
+        dry = (D + S * decayed(v / v_s)) * ca.tanh(v / v_0)
         M = robot.mass_matrix(q, bodies) + ca.diag(rotors)
         ddq = solve_spd(M, tau - B * v - dry - robot.inverse_dynamics(q, v, v, ca.SX(n, 1), bodies))
         [stated] = self._numeric(ca.vertcat(v, ddq, u, c * (q_c - moved) / w))
         [stated] = ca.substitute([stated], [beta], [p[self.places["beta"]]])
         return ca.Function("rate", [x, u, p], [ca.densify(stated)])
+
+    @cached_property
+    def implicit(self) -> Any:
+        r"""Function (x, p, h, rate) -> S, (n, n), of the linearly implicit integrator of `dmframe.identification.twin`.
+
+        .. math::
+
+            S = (M(q) + \gamma h K)^{-1} M(q), \quad
+            K = \mathrm{diag}(1/w + B + (D + S_j e^{-(v/v_s)^2}) / \sqrt{v_0^2 + v^2})
+
+        with the slowest velocity v from the present one to that after an explicit step. The last term is near the
+        secant of the friction law, tanh(v / v_0) / v, at least its slope. The method is stable with K from half of the
+        slope to any multiple of it; with the slope at the present velocity, a light joint that stops would chatter.
+        """
+        n, (robot, beta, bodies, rotors, _) = self.n, self._robot
+        x, p, h, rate = ca.SX.sym("x", 4 * n), ca.SX.sym("p", self.size), ca.SX.sym("h"), ca.SX.sym("rate", 4 * n)
+        q, now = x[:n], x[n : 2 * n]
+        after = now + h * rate[n : 2 * n]
+        v = ca.fmax(ca.fmin(ca.fabs(now), ca.sign(now) * after), 0)
+        w, B, D, S, v_0, v_s = (p[self.places[name]] for name in ("w", "B", "D", "S", "v_0", "v_s"))
+        K = 1 / w + B + (D + S * decayed(v / v_s)) / ca.sqrt(v_0 * v_0 + v * v)
+        M = robot.mass_matrix(q, bodies) + ca.diag(rotors)
+        [stated] = self._numeric(solve_spd(M + float(ROS34PW2.gamma) * h * ca.diag(K), M))
+        [stated] = ca.substitute([stated], [beta], [p[self.places["beta"]]])
+        return ca.Function("implicit", [x, p, h, rate], [ca.densify(stated)])
+
+    @cached_property
+    def inertia(self) -> Any:
+        """Function (q, p) -> mass matrix of links and rotors (n, n)."""
+        robot, beta, bodies, rotors, _ = self._robot
+        q, p = ca.SX.sym("q", self.n), ca.SX.sym("p", self.size)
+        [stated] = self._numeric(robot.mass_matrix(q, bodies) + ca.diag(rotors))
+        [stated] = ca.substitute([stated], [beta], [p[self.places["beta"]]])
+        return ca.Function("inertia", [q, p], [ca.densify(stated)])
+
+    def physical(self, q: Array, p: Array) -> Array:
+        """True for each column of p whose mass matrix is positive definite at all positions q, (count, n)."""
+        poses, columns = np.repeat(q, p.shape[1], axis=0).T, np.tile(p, len(q))
+        M = np.array(self.inertia.map(poses.shape[1])(poses, columns)).reshape(self.n, -1, self.n).transpose(1, 0, 2)
+        least = np.full(len(M), -np.inf)
+        finite = np.all(np.isfinite(M), axis=(1, 2))
+        least[finite] = np.linalg.eigvalsh(M[finite])[:, 0]
+        return np.asarray(np.all(least.reshape(len(q), -1) > 0, axis=0))
 
     @cached_property
     def begin(self) -> Any:
@@ -138,6 +186,12 @@ class Model:
         tau = robot.inverse_dynamics(q, v, v, a, bodies) + rotors * a
         [rows] = self._numeric(ca.jacobian(tau, beta))
         return ca.Function("rows", [q, v, a], [ca.densify(rows)])
+
+
+def decayed(slow: Any) -> Any:
+    """exp(-slow^2), by a tanh, which has a SIMD form."""
+    half = ca.tanh(slow * slow / 2)
+    return (1 - half) / (1 + half)
 
 
 def model_of(chain: SerialChain) -> Model:

@@ -7,13 +7,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from dmframe.common.plotting import COLORS, COLUMN, DASHES, draw_curve, figure_svg, frame, names_above, page
+from dmframe.common.units import plain
 from dmframe.identification.answer import Judged, millimetres
 from dmframe.identification.found import Identified
 from dmframe.identification.model import Array
-from dmframe.plotting import COLORS, COLUMN, DASHES, draw_curve, figure_svg, frame, names_above, page
 from dmframe.report.parts import Bullets, Cell, Columns, Lead, Marked, Paragraph, Picture, Section, Table, Titled, Word
 from dmframe.study.pages import study_page
-from dmframe.units import plain
 
 CLASSES: Final = {"pi": "PI servo", "pid": "PID servo", "p_pi": "P-PI cascade"}
 MEANINGS: Final = {
@@ -111,8 +111,7 @@ def _law(law: Judged) -> list[Cell]:
 
 def _errors(found: Identified) -> Picture:
     log = found.fit.unknowns.log
-    held = np.vstack([0 * log.u[:1], np.cumsum(log.u * np.diff(log.time)[:, None], axis=0)])
-    measured = 1000 * (log.q - log.q[0] - log.ahead - held)
+    measured = 1000 * (log.q - log.q[0] - log.commanded(log.time))
     curves = [("measured", measured), ("simulated", measured - 1000 * found.fit.residual)]
     svg = _panels(found, log.time, curves, "mrad")
     return Picture(svg, "errors", "Position minus commanded position, measured and of the identified robot.")

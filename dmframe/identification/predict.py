@@ -7,12 +7,12 @@ from typing import Final, final
 
 import numpy as np
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.identification.choose import SHARE
 from dmframe.identification.excitation import Excitation
 from dmframe.identification.log import Array, Log
 from dmframe.identification.model import Model
-from dmframe.identification.solve import STEP, longest_step
+from dmframe.identification.solve import STEP
 from dmframe.identification.twin import Twins, schedule
 from dmframe.identification.unknowns import Unknowns
 
@@ -52,8 +52,8 @@ def predicted(twins: Twins, plan: Excitation) -> Predicted:
     unknowns, model = Unknowns(twins.model, log, "pid"), twins.model
     theta = _nominal(unknowns, model)
     columns = np.hstack([theta[:, None], theta[:, None] + STEP * np.eye(len(theta))])
-    segments = schedule(log.time, log.period, longest_step(unknowns, theta))
-    q = twins.positions(segments, log.u, unknowns.numbers(columns, log.period))
+    segments = schedule(log, log.period)
+    q = twins.positions(segments, unknowns.numbers(columns, log.period))
     if not np.all(np.isfinite(q)):
         raise ValueFault(f"{model.chain.name}: the nominal servo diverges with this robot; check its masses")
     error = q[:, :, 0] - plan.q_c

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from dmframe.catalogue import find_twin
-from dmframe.errors import MissingError
+from dmframe.common.errors import MissingError
 from dmframe.identification.drawn import MOST_SAMPLES, Plant, periods, plain, thetas, whole
 from dmframe.identification.found import Identified
 from dmframe.identification.robot_file import TOOL

@@ -15,7 +15,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from dmframe.errors import MissingError, ValueFault, listed
+from dmframe.common.errors import MissingError, ValueFault, listed
 from dmframe.identification.log import Array
 
 STATES: Final = "sensor_msgs/msg/JointState"

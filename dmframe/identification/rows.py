@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, final
 
 import numpy as np
@@ -33,8 +33,7 @@ class Rows:
     def commands(self, delay: float) -> tuple[Array, Array]:
         """Filtered dq_c and q_c - q(0), `delay` samples late."""
         late = self.log.time - delay * self.log.period
-        held = np.vstack([self.log.ahead, self.log.ahead + np.cumsum(self.log.u * np.diff(self.log.time)[:, None], 0)])
-        q_c = np.column_stack([np.interp(late, self.log.time, column) for column in held.T])
+        q_c = self.log.commanded(late)
         return filtered(self.log, np.gradient(q_c, self.log.time, axis=0)), filtered(self.log, q_c)
 
 
@@ -48,12 +47,22 @@ def filtered(log: Log, values: Array) -> Array:
 
 def rows_of(model: Model, log: Log) -> Rows:
     """Filtered columns of the family's equation."""
+    log = even(log)
     q = filtered(log, log.q)
     dq = np.gradient(q, log.time, axis=0)
     ddq = np.gradient(dq, log.time, axis=0)
     rows = np.array(model.torque_rows.map(len(q))(q.T, dq.T, ddq.T)).reshape(model.n, len(q), -1)
     torque = filtered(log, np.einsum("jkb,b->kj", rows, model.nominal))
     return Rows(log, filtered(log, q - log.q[0]), filtered(log, dq), torque, filtered(log, np.tanh(dq / _V_0)))
+
+
+def even(log: Log) -> Log:
+    """The log with positions at equal intervals, by linear interpolation, which the filter requires."""
+    if np.ptp(np.diff(log.time)) < 1e-3 * log.period:
+        return log
+    time = np.arange(0.0, log.time[-1], log.period)
+    q = np.column_stack([np.interp(time, log.time, column) for column in log.q.T])
+    return replace(log, time=time, q=q, sent=log.instants[:-1])
 
 
 def starts(unknowns: Unknowns, rows: Rows) -> list[tuple[float, Array]]:

@@ -7,8 +7,9 @@ from typing import Final, final
 
 import numpy as np
 
+from dmframe.identification.log import Log
 from dmframe.identification.model import Array
-from dmframe.identification.twin import LONGEST, SHORTEST, Twins, schedule
+from dmframe.identification.twin import LONGEST, Twins, schedule
 from dmframe.identification.unknowns import Unknowns
 
 STEP: Final = 1e-5
@@ -21,6 +22,12 @@ MOST_DELAY: Final = 8.0
 CONVERGED: Final = 0.02
 """Decrease of the cost, twice a log likelihood, below which a fit has converged."""
 
+EXACT: Final = 0.03
+"""Error of the integrator, relative to the floor, that does not count."""
+FINEST: Final = 2.5e-4
+"""Shortest step of the integrator [s]."""
+POSES: Final = 60
+"""Positions of the log at which the mass matrix has to be positive definite."""
 RESOLUTION: Final = 1e-7
 """Deviation of a position that no twin explains [rad]."""
 FAR: Final = 3.0
@@ -69,31 +76,27 @@ def inflation_of(residual: Array) -> Array:
     return np.array(found)
 
 
-def longest_step(unknowns: Unknowns, theta: Array) -> float:
-    """Step of the integrator that the twin's fastest joint allows [s]."""
-    p = unknowns.numbers(theta[:, None], 0.0)[:, 0]
-    at = unknowns.model.places
-    slope = 1 / p[at["w"]] + np.abs(p[at["B"]]) + (np.abs(p[at["D"]]) + np.abs(p[at["S"]])) / p[at["v_0"]]
-    fastest = float(np.max(slope / (0.5 * unknowns.inertia)))
-    return float(np.clip(2.0 / fastest, SHORTEST, LONGEST))
+def solved(twins: Twins, unknowns: Unknowns, start: Array, rounds: int = ROUNDS, step: float = LONGEST) -> Fit:
+    """Minimise the weighted squares of recorded minus simulated positions, and of deviations from the prior.
 
-
-def solved(twins: Twins, unknowns: Unknowns, start: Array, rounds: int = ROUNDS) -> Fit:
-    """Minimise the weighted squares of recorded minus simulated positions, and of deviations from the prior."""
+    `step` is the longest step of the integrator [s].
+    """
     log, theta, damping = unknowns.log, start.copy(), 1e-2
     mean, deviation = unknowns.prior
     precision = np.where(np.isinf(deviation), 0.0, 1 / deviation**2)
     place = unknowns.places["delay"].start
-    fit = None
+    fit, some = None, log.q[:: max(1, len(log.q) // POSES)]
     for _ in range(rounds):
         delay = float(theta[place]) * log.period
-        plan = schedule(log.time, delay, longest_step(unknowns, theta))
+        plan = schedule(log, delay, step)
         columns = np.hstack([theta[:, None], theta[:, None] + STEP * np.eye(len(theta))])
-        q = twins.positions(plan, log.u, unknowns.numbers(columns, delay))
-        residual = log.q - q[:, :, 0]
+        q = twins.positions(plan, unknowns.numbers(columns, delay))
+        residual = difference(log, q[:, :, 0])
         if not np.all(np.isfinite(q)):
             break
         J = (q[:, :, 1:] - q[:, :, :1]) / STEP
+        if log.hidden is not None:
+            J[log.hidden] = 0
         inflation = inflation_of(residual)
         weight = 1 / (np.sqrt(np.mean(residual**2, axis=0) + RESOLUTION**2) * inflation)
         scaled = (J * weight[None, :, None]).reshape(-1, len(theta))
@@ -110,10 +113,12 @@ def solved(twins: Twins, unknowns: Unknowns, start: Array, rounds: int = ROUNDS)
             tried.append(theta + np.clip(change, -3, 3))
         trial = np.array(tried).T
         trial[place] = np.clip(trial[place], max(0.0, theta[place] - 0.6), min(theta[place] + 0.6, MOST_DELAY))
-        there = twins.positions(plan, log.u, unknowns.numbers(trial, delay))
-        costs = np.array([_cost(log.q - there[:, :, k], weight) for k in range(trial.shape[1])])
+        numbers = unknowns.numbers(trial, delay)
+        there = twins.positions(plan, numbers)
+        costs = np.array([_cost(difference(log, there[:, :, k]), weight) for k in range(trial.shape[1])])
         costs += np.sum(precision[:, None] * (trial - mean[:, None]) ** 2, axis=0)
         now = _cost(residual, weight) + float(np.sum(precision * (theta - mean) ** 2))
+        costs[~unknowns.model.physical(some, numbers)] = np.inf  # the implicit integrator would damp them
         best = int(np.nanargmin(np.where(np.isfinite(costs), costs, np.inf)))
         if not costs[best] < now:
             if damping > 1e3:
@@ -128,6 +133,34 @@ def solved(twins: Twins, unknowns: Unknowns, start: Array, rounds: int = ROUNDS)
         empty = np.full_like(log.q, np.inf)
         return Fit(unknowns, theta, np.eye(len(theta)), empty, np.ones(unknowns.model.n))
     return fit
+
+
+def difference(log: Log, q: Array) -> Array:
+    """Recorded minus simulated positions; zero for samples that are not compared."""
+    found = log.q - q
+    return found if log.hidden is None else np.where(log.hidden[:, None], 0.0, found)
+
+
+def total(twins: Twins, unknowns: Unknowns, theta: Array) -> float:
+    """Sum of the joints' logarithms of the residual; infinite after a divergence."""
+    log, delay = unknowns.log, float(theta[unknowns.places["delay"].start]) * unknowns.log.period
+    q = twins.positions(schedule(log, delay), unknowns.numbers(theta[:, None], delay))
+    found = float(np.sum(np.log(np.sqrt(np.mean(difference(log, q[:, :, 0]) ** 2, axis=0)))))
+    return found if np.isfinite(found) else np.inf
+
+
+def fine_step(twins: Twins, fit: Fit, floor: Array) -> float:
+    """Step of the integrator whose error is a small fraction of the floor, by halving it [s]."""
+    unknowns, step = fit.unknowns, LONGEST
+    delay = float(fit.theta[unknowns.places["delay"].start]) * unknowns.log.period
+    numbers = unknowns.numbers(fit.theta[:, None], delay)
+    before = twins.positions(schedule(unknowns.log, delay, step), numbers)
+    while step > FINEST and np.all(np.isfinite(before)):
+        after = twins.positions(schedule(unknowns.log, delay, step / 2), numbers)
+        if np.all(np.sqrt(np.mean((after - before) ** 2, axis=0))[:, 0] < EXACT * floor):
+            break
+        step, before = step / 2, after
+    return step
 
 
 def _inverse(A: Array) -> Array:

@@ -11,13 +11,13 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from dmframe.block.port import Side
 from dmframe.catalogue import find_graph, graphs
+from dmframe.common.errors import UnknownNameError, ValueFault
 from dmframe.drive.drive import start_angles
-from dmframe.errors import UnknownNameError, ValueFault
 from dmframe.graph.first import first_graph, is_robot
 from dmframe.graph.graph import Graph
 from dmframe.identification.log import Array
-from dmframe.port import Side
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.convert import read_any
 from dmframe.robot.library import find_robot, robots
@@ -123,7 +123,7 @@ def _of_graph(
     start = start_angles(graph)
     assert start is not None  # a graph with a robot has joint angles
     file = origin or source.urdf
-    model, _ = read_urdf(source.urdf)
+    model, _ = read_urdf(source.urdf, free=chain.joint_names)
     names = [model.names[i] for i in range(1, model.njoints) if model.joints[i].nq == 1]
     held = dict(source.hold) | dict(section.hold)
     return Subject(

@@ -11,11 +11,11 @@ from typing import Final, final
 
 import numpy as np
 
-from dmframe.errors import MissingError, ValueFault
-from dmframe.files import expanded
+from dmframe.common.errors import MissingError, ValueFault
+from dmframe.common.files import expanded
+from dmframe.common.seal import digest
 from dmframe.identification.drive_log import drive_columns, is_drive
 from dmframe.identification.ros_log import bag_columns, bag_files, is_bag
-from dmframe.seal import digest
 
 LARGEST: Final = 2**30
 """Largest file that is read [bytes]."""

@@ -21,10 +21,18 @@ SERVOS: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """Candidates with their parameters [1/s, 1/s^2]; `p_pi_0` is a cascade without feed-forward, f = 0."""
 
+SLOWEST: Final = 0.05
+"""Smallest gain at which a candidate starts [1/s]."""
 SPREAD: Final = 0.3
 """Standard deviation of a link's mass relative to that of the robot's file."""
 LOAD: Final = 3.0
 """Standard deviation of a point mass at the tool [kg]."""
+ROTOR: Final = (0.3, 0.4)
+"""Mean and standard deviation of a rotor's inertia before the log is seen, relative to that of the links at a joint.
+
+Without the mean, half of the rotors would have a negative inertia, and a fit could end at a mass matrix that is not
+positive definite.
+"""
 _FRICTION: Final = {"B": 0.03, "D": 0.05, "S": 0.01}
 """Standard deviations of w B, w D [rad/s] and w S [rad/s] before the log is seen."""
 
@@ -54,6 +62,7 @@ class Unknowns:
             found[name], at = slice(at, at + n), at + n
         for name in ("v_0", "v_s", "delay"):
             found[name], at = slice(at, at + 1), at + 1
+        found["command"], at = slice(at, at + len(self.log.unknown)), at + len(self.log.unknown)
         found["beta"] = slice(at, at + self.model.base.count)
         return found
 
@@ -64,7 +73,7 @@ class Unknowns:
 
     @cached_property
     def bodies(self) -> Array:
-        """Square root L of the prior covariance of the base parameters, (count, count): beta = nominal + L z."""
+        """Square root L of the prior covariance of the base parameters, (count, count): beta = center + L z."""
         root = self.model.grouping @ self.full
         covariance = root @ root.T
         return np.linalg.cholesky(covariance + 1e-6 * np.diag(np.diag(covariance) + 1e-6))
@@ -85,8 +94,16 @@ class Unknowns:
         column[len(INERTIAL) * (self.model.n - 1) : len(INERTIAL) * self.model.n] = point
         columns.append(LOAD * column[:, None])
         rotors = np.zeros((len(values), self.model.n))
-        rotors[parameters.places("rotor")] = np.diag(np.maximum(0.5 * self.inertia, 1e-3))
+        rotors[parameters.places("rotor")] = np.diag(np.maximum(ROTOR[1] * self.inertia, 1e-3))
         return np.hstack([*columns, rotors])
+
+    @cached_property
+    def center(self) -> Array:
+        """Base parameters before the log is seen: links of the robot's file, with rotors."""
+        parameters = self.model.base.parameters
+        rotors = np.zeros(len(self.full))
+        rotors[parameters.places("rotor")] = np.maximum(ROTOR[0] * self.inertia, 1e-3)
+        return np.asarray(self.model.nominal + self.model.grouping @ rotors)
 
     @cached_property
     def inertia(self) -> Array:
@@ -108,6 +125,7 @@ class Unknowns:
         mean[self.places["v_0"]], deviation[self.places["v_0"]] = np.log(0.01), 1.0
         mean[self.places["v_s"]], deviation[self.places["v_s"]] = np.log(0.05), 0.7
         deviation[self.places["beta"]] = 1.0
+        deviation[self.places["command"]] = [part.deviation for part in self.log.unknown]
         if "f" in self.places:
             mean[self.places["f"]], deviation[self.places["f"]] = 0.5, 1.0
         return mean, deviation
@@ -126,8 +144,30 @@ class Unknowns:
         p[to["dq_0"]], p[to["e_0"]] = theta[at["dq_0"]], self.log.ahead[:, None]
         p[to["v_0"]], p[to["v_s"]] = np.exp(theta[at["v_0"]]), np.exp(theta[at["v_s"]])
         p[to["delay"]] = theta[at["delay"]] * self.log.period - delay
-        p[to["beta"]] = self.model.nominal[:, None] + self.bodies @ theta[at["beta"]]
+        p[to["command"].start : to["command"].start + len(self.log.unknown)] = theta[at["command"]]
+        p[to["beta"]] = self.center[:, None] + self.bodies @ theta[at["beta"]]
         return p
+
+    def carried(self, other: Unknowns, theta: Array) -> Array:
+        """Start values from the unknowns `theta` of another candidate: what both have, and gains that are nearest."""
+        found = self.prior[0].copy()
+        for name, place in self.places.items():
+            if name in other.places:
+                found[place] = theta[other.places[name]]
+        f, a, b, c = (row[:, 0] for row in other.family(theta[:, None]))
+        if self.kind == "pi":
+            found[self.places["k_I"]] = np.log(np.maximum(a, SLOWEST))
+        elif self.kind == "pid":
+            found[self.places["k_P"]], found[self.places["k_I"]] = np.log(a), np.log(np.maximum(c, SLOWEST**2))
+        elif not other.kind.startswith("p_pi"):
+            root = np.sqrt(np.maximum(b * b / 4 - c, 0.0))
+            found[self.places["k_p"]] = np.log(b / 2 + root)
+            found[self.places["k_i"]] = np.log(np.maximum(b / 2 - root, SLOWEST))
+            if "f" in self.places:
+                found[self.places["f"]] = f
+        elif "f" in self.places and "f" not in other.places:
+            found[self.places["f"]] = 0.0
+        return found
 
     def family(self, theta: Array) -> tuple[Array, Array, Array, Array]:
         """f, a, b and c of (1) and (2) of `dmframe.identification.model`."""

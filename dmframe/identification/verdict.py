@@ -12,8 +12,9 @@ from typing import Final
 import numpy as np
 
 from dmframe.build.compiler import find_compiler
-from dmframe.errors import DisagreementError, DmframeError, OutputError, ValueFault
-from dmframe.files import write_text
+from dmframe.common.errors import DisagreementError, DmframeError, OutputError, ValueFault
+from dmframe.common.files import write_text
+from dmframe.common.units import plain
 from dmframe.identification.answer import (
     BY_PATH,
     NOT_WORTH_IT,
@@ -25,7 +26,7 @@ from dmframe.identification.answer import (
 )
 from dmframe.identification.found import Identified
 from dmframe.identification.race_text import FIT, noise_of, not_applicable, place_in, race_text
-from dmframe.identification.write import ROBOT, robot_text, written
+from dmframe.identification.write import RACE, ROBOT, VERDICT, robot_text, written
 from dmframe.race.compute import Heat
 from dmframe.race.plan import Run
 from dmframe.race.protocol import Row
@@ -34,7 +35,6 @@ from dmframe.race.run import Finished, run_race
 from dmframe.study.execute import State
 from dmframe.study.executor import Executor
 from dmframe.study.packing import write_graph
-from dmframe.units import plain
 
 DRAWS: Final = 20
 LEAST_DRAWS: Final = 8
@@ -43,8 +43,6 @@ WORTH: Final = 0.2
 """Least decrease of the error, relative to that of the best rival, that is worth an adaptive law."""
 LEAST: Final = 1e-3
 """Smallest resolution: of a log without noise [mm]."""
-RACE: Final = "verdict.yaml"
-FOLDER: Final = "verdict"
 
 
 def with_verdict(
@@ -94,12 +92,12 @@ def verdict_of(
         write_text(where / ROBOT, robot_text(found))
         write_text(where / RACE, race_text(found, draws, place))
         try:
-            finished = run_race(load_race(where / RACE), where / FOLDER, executor=executor, report=report)
+            finished = run_race(load_race(where / RACE), where / VERDICT, executor=executor, report=report)
         except OutputError:
             raise
         except DmframeError as error:
             return Verdict(f"not computed: the race of the laws failed: {error}")
-        _write_graphs(finished, where / FOLDER)
+        _write_graphs(finished, where / VERDICT)
     return decided(finished, max(LEAST, 1000 * place.spread * noise_of(found)))
 
 

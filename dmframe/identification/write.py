@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from dmframe.catalogue import find_twin
-from dmframe.files import write_text, writing
+from dmframe.common.files import write_text, writing
 from dmframe.identification.drawn import Plant, periods, plain, thetas, whole
 from dmframe.identification.found import Identified
 from dmframe.identification.model import Array
@@ -20,7 +21,13 @@ from dmframe.identification.robot_file import TOOL, urdf_text
 RESULT: Final = "identified.json"
 ROBOT: Final = "twin.urdf"
 GRAPH: Final = "twin.yaml"
+ADAPTIVE: Final = "adaptive.yaml"
 PAGE: Final = "report.html"
+RACE: Final = "verdict.yaml"
+VERDICT: Final = "verdict"
+PREVIOUS: Final = "previous"
+LEAST_FEED_FORWARD: Final = 0.05
+"""Least feed-forward of a cascade for which the adaptive law is written: it divides by it."""
 DRAWS: Final = 200
 """For the intervals of the graph."""
 
@@ -29,13 +36,44 @@ def written(found: Identified, folder: Path) -> tuple[Path, ...]:
     """Write the numbers, the page and, for a known servo, the robot and the graph of its twin; returns their paths."""
     with writing(folder, "folder"):
         folder.mkdir(parents=True, exist_ok=True)
+    if not found.known or _digest(folder) not in ("", found.record.get("sha256")):
+        set_aside(folder)
     texts = {RESULT: json.dumps({**found.summary, "record": found.record}, indent=2) + "\n"}
     if found.known:
         texts |= {ROBOT: robot_text(found), GRAPH: graph_text(found)}
+        if adaptive := adaptive_text(found):
+            texts[ADAPTIVE] = adaptive
+        else:
+            (folder / ADAPTIVE).unlink(missing_ok=True)
     texts[PAGE] = as_html(found)
     for name, text in texts.items():
         write_text(folder / name, text)
     return tuple(folder / name for name in texts)
+
+
+def set_aside(folder: Path) -> None:
+    """Move the files of an earlier identification, and its verdict, to the folder ``previous``.
+
+    They are not of the present log: no twin of another log remains where a program expects that of this one.
+    """
+    if not (folder / RESULT).is_file():
+        return
+    with writing(folder, "folder"):
+        shutil.rmtree(folder / PREVIOUS, ignore_errors=True)
+        (folder / PREVIOUS).mkdir()
+        for name in (RESULT, ROBOT, GRAPH, ADAPTIVE, PAGE, RACE, VERDICT):
+            if (folder / name).exists():
+                (folder / name).rename(folder / PREVIOUS / name)
+
+
+def _digest(folder: Path) -> str:
+    """SHA-256 of the log of an earlier identification; empty if there is none, other if it cannot be read."""
+    if not (folder / RESULT).is_file():
+        return ""
+    try:
+        return str(json.loads((folder / RESULT).read_text(encoding="utf-8"))["record"]["sha256"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return "other"
 
 
 def robot_text(found: Identified) -> str:
@@ -49,27 +87,12 @@ def graph_text(found: Identified) -> str:
 
     They are two standard deviations of draws at the scale of the torques that the robot of the graph has.
     """
-    from ruamel.yaml import YAML
-
-    yaml = YAML()
-    yaml.default_flow_style, yaml.width = None, 140
-    data = yaml.load(find_twin(found.kind).read_text(encoding="utf-8"))
+    data = _template(found, found.kind)
     unknowns = found.fit.unknowns
     plant, log, count = Plant.of(unknowns, found.fit.theta), unknowns.log, periods(found)
     blocks, stribeck = data["blocks"], bool(np.any(found.friction["sticking"][1][:, 0] > 0))
     data["title"] = f"Identified {unknowns.model.chain.name}, which follows a joint path"
-    data["robot"] = {
-        "model": ROBOT,
-        "tool": TOOL,
-        "axes": unknowns.model.chain.axes,
-        "friction_velocity": float(found.friction["friction_velocity"][0][0]),
-    }
     data["clock"] = float(round(count * log.period, 9))
-    blocks["path"]["center"] = plain(log.q[0])
-    named = _numbers(plant)
-    for label, value in named.items():
-        block, _, name = label.partition(".")
-        blocks[block][name] = plain(value)
     samples, share = divmod(whole(plant.delay / count), 1)
     blocks["delay"] |= {"samples": int(samples), "share": share}
     if not share:
@@ -80,12 +103,100 @@ def graph_text(found: Identified) -> str:
         blocks["rubbing"] |= {"sticking": plain(plant.sticking), "velocity": plant.velocity}
     else:
         del blocks["rubbing"]
+    return _yaml(_with_numbers(data, found))
+
+
+def adaptive_text(found: Identified) -> str | None:
+    """The twin as a graph with an adaptive law in continuous time, whose proof `verify` checks.
+
+    The law has columns of links, rotors and friction. Its boxes contain the identified values. Delay and Stribeck
+    friction are left out, since the proof excludes them. None for a cascade without feed-forward, for which there is no
+    such law.
+    """
+    unknowns = found.fit.unknowns
+    plant, data = Plant.of(unknowns, found.fit.theta), _template(found, f"adaptive_{found.kind}")
+    servo = plant.servo
+    if found.kind == "p_pi" and np.min(servo["feed_forward"]) < LEAST_FEED_FORWARD:
+        return None
+    data["title"] = (
+        f"Identified {unknowns.model.chain.name} without delay and Stribeck friction, which follows a joint path with "
+        "an adaptive law"
+    )
+    data["clock"] = float(round(unknowns.log.period, 9))
+    data["start"]["q"] = plain(unknowns.log.q[0])
+    speed = servo["K_P" if found.kind == "pi" else "K_D" if found.kind == "pid" else "K_v"]
+    numbers, inverse = (plant.bodies, plant.rotors, plant.viscous, plant.coulomb), data["blocks"]["inverse"]
+    most = 2 * max(float(np.max(np.abs(values))) for values in numbers)
+    data["blocks"]["dynamics"]["a_d_hat_box"] = plain([-most, most])
+    inverse["w_box"] = plain([0.0, 2 * float(np.max(1 / speed))])
+    if found.kind != "pi":
+        linear = servo["K_P"] / speed if found.kind == "pid" else servo["k_p"] + servo["K_i"] / speed
+        constant = servo["K_I"] / speed if found.kind == "pid" else servo["k_p"] * servo["K_i"] / speed
+        least = np.max(np.sqrt(linear**2 / 4 + constant) - linear / 2)  # K_c^2 + k_P K_c - k_I >= 0: M-bar
+        inverse["K_c"] = plain([max(1.0, 1.2 * float(least))])[0]
+    if found.kind == "p_pi":
+        f, position, integral = servo["feed_forward"], servo["k_p"], servo["K_i"] / speed
+        inverse["w_box"] = plain([0.0, 2 * float(np.max(1 / (f * speed)))])
+        turned = position / f + integral
+        ratios = {"w_f": 1 / f, "w_r": turned, "w_c": turned}  # the true w_r would command a jump at the start
+        inverse |= {name: plain(own) for name, own in (ratios | {"w_z": position * integral / f}).items()}
+    for name, gain in {"pi": {"w_I": "K_I"}, "pid": {"w_P": "K_P", "w_I": "K_I"}}.get(found.kind, {}).items():
+        ratio = servo[gain] / speed
+        inverse |= {name: plain(ratio), f"{name}_box": plain([0.5 * np.min(ratio), 1.5 * np.max(ratio)])}
+    return _yaml(_with_numbers(data, found))
+
+
+def _template(found: Identified, name: str) -> Any:
+    """A packaged graph with the robot and the path of a result."""
+    data, unknowns = _reader().load(find_twin(name).read_text(encoding="utf-8")), found.fit.unknowns
+    data["robot"] = {
+        "model": ROBOT,
+        "tool": TOOL,
+        "axes": unknowns.model.chain.axes,
+        "friction_velocity": float(found.friction["friction_velocity"][0][0]),
+    }
+    data["blocks"]["path"]["center"] = plain(unknowns.log.q[0])
+    return data
+
+
+def _with_numbers(data: Any, found: Identified) -> Any:
+    """The graph with the identified numbers and their intervals."""
+    unknowns = found.fit.unknowns
+    named = _numbers(Plant.of(unknowns, found.fit.theta))
+    for label, value in named.items():
+        block, _, name = label.partition(".")
+        data["blocks"][block][name] = plain(value)
     drawn = [_numbers(Plant.of(unknowns, theta)) for theta in thetas(found, DRAWS).T]
     for label, value in named.items():
         spread = 2 * np.std([numbers[label] for numbers in drawn], axis=0)
+        if label == "arm.rotor":
+            spread = 2 * _rotor_deviation(found)
         data.setdefault("uncertain", {})[label] = [plain(np.maximum(value - spread, 0.0)), plain(value + spread)]
+    return data
+
+
+def _rotor_deviation(found: Identified) -> Array:
+    """Standard deviations of the rotors' inertia with the links of the graph, whose inertia is not known apart."""
+    unknowns = found.fit.unknowns
+    model, parameters = unknowns.model, unknowns.model.base.parameters
+    beta = unknowns.numbers(thetas(found, DRAWS), 0.0)[model.places["beta"]]
+    root = np.linalg.svd(beta - np.mean(beta, axis=1)[:, None], full_matrices=False)
+    size = np.maximum(root.S, 1e-9 * root.S[0]) / np.sqrt(DRAWS)
+    white = (root.U / size).T @ model.grouping[:, parameters.places("rotor")]
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(white.T @ white))))
+
+
+def _reader() -> Any:
+    from ruamel.yaml import YAML
+
+    yaml = YAML()
+    yaml.default_flow_style, yaml.width = None, 140
+    return yaml
+
+
+def _yaml(data: Any) -> str:
     stream = io.StringIO()
-    yaml.dump(data, stream)
+    _reader().dump(data, stream)
     return stream.getvalue()
 
 

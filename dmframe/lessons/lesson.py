@@ -11,7 +11,7 @@ from typing import Any, Final, final
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 
 HOMES: Final = (Path(__file__).with_name("course"), Path(__file__).parents[2] / "docs" / "course")
 """Folders of lessons, of an installed package and of a checkout; the first existing one is used."""

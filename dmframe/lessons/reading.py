@@ -8,11 +8,11 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from dmframe.columns import columns
+from dmframe.common.columns import columns
+from dmframe.common.names import LETTERS
 from dmframe.formula.latex import in_unicode
 from dmframe.lessons.lesson import Lesson, Piece
 from dmframe.lessons.notebook import LINK, unlinked
-from dmframe.names import LETTERS
 
 _DISPLAYED: Final = re.compile(r"\$\$(.*?)\$\$", re.DOTALL)
 _MARKED: Final = re.compile(r"(\$[^$]+\$|`[^`]+`)")

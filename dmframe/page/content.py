@@ -12,12 +12,14 @@ import numpy as np
 from dmframe.certify import Verdict
 from dmframe.certify.checked import Checked
 from dmframe.codegen.wasm import loop_module
+from dmframe.common.errors import ValueFault
+from dmframe.common.names import unicode_name
+from dmframe.common.text import text_of
+from dmframe.common.version import version
 from dmframe.config import BaseGraph
 from dmframe.config.resolved import resolved_text, robot_source
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import ValueFault
-from dmframe.names import unicode_name
 from dmframe.page.functions import Functions, Group, Place, functions_of, place_of
 from dmframe.page.origin import origin_of
 from dmframe.page.periods import Periods
@@ -29,8 +31,6 @@ from dmframe.results.dataset import axis_labels, elements
 from dmframe.simulate.bounds import bounds_of
 from dmframe.simulate.start import start_state
 from dmframe.simulate.step import MOST_SUBSTEPS, PLAIN_STEP, RK4_STABLE
-from dmframe.text import text_of
-from dmframe.version import version
 
 HORIZON = 20.0
 """Maximum simulated time of a page [s]."""

@@ -9,18 +9,18 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX
+from dmframe.block.certificate import SX
 from dmframe.certify import Verdict
 from dmframe.certify.checked import Checked
 from dmframe.certify.claim import Claim
-from dmframe.certify.elsewhere import Elsewhere, Intervals, elsewhere, least_kappa
+from dmframe.certify.parameter_margins import Intervals, ParameterMargin, least_kappa, parameter_margins
 from dmframe.certify.true_values import estimated
 from dmframe.diagram import ClosedLoop, Diagram, Variable
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.parts import Parts
 from dmframe.results.metrics import TurnError, goal_of, turn_of
 from dmframe.robot.frames import frames, tool
-from dmframe.simulate.keep import apart_of
+from dmframe.simulate.keep import rotation_distance_of
 from dmframe.simulate.start import NEAR, turned
 from dmframe.simulate.start_expressions import symbolic_start
 from dmframe.simulate.step import build_parts
@@ -102,7 +102,7 @@ class Functions:
     groups: tuple[Group, ...]
     conditions: tuple[Checked, ...]
     margins: tuple[Place | None, ...]
-    tacit: tuple[tuple[Elsewhere, Place | None], ...]
+    tacit: tuple[tuple[ParameterMargin, Place | None], ...]
     reads: tuple[tuple[int, ...] | None, ...]
     kappa: int | None
     starts: tuple[tuple[int, ...], tuple[int, ...]] = ((), ())
@@ -143,10 +143,10 @@ def functions_of(
     loop, posed, followed = diagram.loop, _posed(diagram), goal_of(diagram.loop)
     units = {signal.label: signal.unit for signal in loop.outputs}
     claim = verdict.claim
-    said, begun = symbolic_start(diagram, start, posed)
+    started, initial = symbolic_start(diagram, start, posed)
     known, reach = [_pose(posed), loop.period, loop.p], _reach(diagram, posed, start)
-    starts, labels = _starts(loop, _function("said", known, [said]), reach)
-    everything = elsewhere(verdict.conditions, claim, uncertain or {}, labels)
+    starts, labels = _starts(loop, _function("start", known, [started]), reach)
+    everything = parameter_margins(verdict.conditions, claim, uncertain or {}, labels)
     judged, places = _margins(everything)
     count, kappa, least = len(verdict.conditions), None, None
     if verdict.outcome == "proved" and verdict.flow_claim is not None and verdict.flow_claim.cascaded:
@@ -167,9 +167,9 @@ def functions_of(
         unit = units[followed.actual]
         goal = add("goal", followed.desired, unit, ca.vec(followed.wanted))
         groups.append(add("error", followed.actual, unit, ca.vec(followed.found) - ca.vec(followed.wanted)))
-    turn, apart = turn_of(loop), apart_of(loop)
-    if turn is not None and apart is not None:
-        groups.append(add("turn", apart, TurnError.unit, turn))
+    turn, distance = turn_of(loop), rotation_distance_of(loop)
+    if turn is not None and distance is not None:
+        groups.append(add("turn", distance, TurnError.unit, turn))
     operations = 0
     if verdict.outcome == "proved" and verdict.flow_claim is not None:
         stored = _terms(verdict, least)
@@ -200,10 +200,10 @@ def functions_of(
     return Functions(
         parts=build_parts(loop, clock, ca.SX(0, 1)),
         posed=posed,
-        begin=_function("begin", known, [begun]),
+        begin=_function("begin", known, [initial]),
         reach=reach,
         shown=_function("shown", reads, [ca.substitute(shown, loop.drawn, ca.SX.zeros(loop.drawn.numel()))]),
-        judged=_function("judged", known, [_started(claim, judged, said)]),
+        judged=_function("judged", known, [_started(claim, judged, started)]),
         scene=scene.numel(),
         goal=goal,
         groups=tuple(groups),
@@ -217,23 +217,23 @@ def functions_of(
     )
 
 
-def _starts(loop: ClosedLoop, said: Any, reach: Any) -> tuple[tuple[tuple[int, ...], tuple[int, ...]], set[str]]:
+def _starts(loop: ClosedLoop, started: Any, reach: Any) -> tuple[tuple[tuple[int, ...], tuple[int, ...]], set[str]]:
     """`Functions.starts`, and the labels of the states of these rows."""
-    patterns = [np.asarray(said.jac_sparsity(0, i).row()) for i in (0, 2)]
+    patterns = [np.asarray(started.jac_sparsity(0, i).row()) for i in (0, 2)]
     rows = sorted({int(row) for pattern in patterns for row in pattern})
-    read = set(said.jac_sparsity(0, 2).get_col())
+    read = set(started.jac_sparsity(0, 2).get_col())
     if reach is not None:
         read |= set(reach.jac_sparsity(0, 1).get_col())
     owners = [variable.label for variable in loop.variables for _ in range(variable.symbol.numel())]
     return (tuple(rows), tuple(sorted(int(place) for place in read))), {owners[row] for row in rows}
 
 
-def _started(claim: Claim | None, judged: SX, said: SX) -> SX:
+def _started(claim: Claim | None, judged: SX, started: SX) -> SX:
     """Substitute the initial state into margins."""
     if claim is None:
         return judged
     names = stack(claim.starts[variable.label] for variable in claim.loop.variables)
-    return ca.substitute(judged, names, said)
+    return ca.substitute(judged, names, started)
 
 
 def _function(name: str, reads: Sequence[SX], gives: Sequence[SX]) -> Any:
@@ -280,7 +280,7 @@ def _reach(diagram: Diagram, posed: Variable | None, start: Mapping[str, Any]) -
     return None
 
 
-def _margins(everything: Sequence[Elsewhere]) -> tuple[SX, tuple[Place | None, ...]]:
+def _margins(everything: Sequence[ParameterMargin]) -> tuple[SX, tuple[Place | None, ...]]:
     """Margins as one column, with the position of each."""
     column, places = ca.SX(0, 1), list[Place | None]()
     for item in everything:
@@ -293,7 +293,7 @@ def _margins(everything: Sequence[Elsewhere]) -> tuple[SX, tuple[Place | None, .
 
 
 def _reads(
-    loop: ClosedLoop, claim: Claim | None, everything: Sequence[Elsewhere]
+    loop: ClosedLoop, claim: Claim | None, everything: Sequence[ParameterMargin]
 ) -> tuple[tuple[int, ...] | None, ...]:
     """Elements of (p, initial state) on which requirements without margins depend."""
     starts = [] if claim is None else [claim.starts[variable.label] for variable in claim.loop.variables]

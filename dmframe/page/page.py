@@ -12,12 +12,12 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final, final
 
-from dmframe import notebook
 from dmframe.certify import Verdict
+from dmframe.common import notebook
+from dmframe.common.errors import OutputError
+from dmframe.common.files import check_place, expanded, is_file, write_text, writing
 from dmframe.config import BaseGraph
 from dmframe.config.about import AboutGraph
-from dmframe.errors import OutputError
-from dmframe.files import check_place, expanded, is_file, write_text, writing
 from dmframe.page.content import content_of
 from dmframe.page.periods import Periods
 

@@ -11,8 +11,8 @@ import numpy as np
 from dmframe.analysis import linearise, linearised_period
 from dmframe.analysis.set_point import LARGE
 from dmframe.certify import Verdict
+from dmframe.common.errors import DmframeError
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError
 
 
 @final

@@ -70,7 +70,7 @@ def _bodies(chain: SerialChain, urdf: Path, hold: dict[str, float]) -> list[tupl
     folders = [str(folder) for folder in (urdf.parent, *urdf.parents)]
     geometry = pin.buildGeomFromUrdf(model, str(urdf), pin.GeometryType.COLLISION, package_dirs=folders)
     locked = [i for i, name in enumerate(model.names) if i and name not in chain.joint_names]
-    places = with_mimics(read_urdf(urdf)[1], hold, chain.joint_names, chain.name)
+    places = with_mimics(read_urdf(urdf, free=chain.joint_names)[1], hold, chain.joint_names, chain.name)
     _, reduced = pin.buildReducedModel(model, geometry, locked, model_configuration(model, places))
     meshes = [body for body in reduced.geometryObjects if hasattr(body.geometry, "vertices")]
     if sum(body.geometry.num_tris for body in meshes) > MOST:

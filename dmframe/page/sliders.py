@@ -8,19 +8,19 @@ from typing import Any, final
 
 import numpy as np
 
+from dmframe.block.parameter import specs
+from dmframe.block.port import Side
 from dmframe.block.prose import about
 from dmframe.block.symmetric import lower_triangle
 from dmframe.certify import Verdict
-from dmframe.certify.elsewhere import claims_alike
+from dmframe.certify.parameter_margins import claims_alike
+from dmframe.common.errors import DmframeError
+from dmframe.common.names import unicode_name
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Parameter
 from dmframe.diagram.knowledge import known_truths
 from dmframe.diagram.values import with_values
-from dmframe.errors import DmframeError
 from dmframe.formula.unmarked import unmarked
-from dmframe.names import unicode_name
-from dmframe.parameter import specs
-from dmframe.port import Side
 
 GROUPS = {Side.CONTROLLER: "controller", Side.PLANT: "hidden", Side.SOURCE: "path"}
 ROBOT = {
@@ -67,7 +67,7 @@ class Slider:
     group: str
     block: str
     name: str
-    says: str
+    description: str
     unit: str
     kind: str
     at: int
@@ -111,13 +111,13 @@ def _of(diagram: Diagram, parameter: Parameter, at: int, size: int, known: Colle
     block, _, name = parameter.label.partition(".")
     values, unit = parameter.value.ravel(order="F"), parameter.unit
     if parameter.label in ROBOT:
-        says = ROBOT[parameter.label] + KNOWN * (name in known) + "."
-        return [Slider(parameter.label, "hidden", block, name, says, unit, "factor", at, size, NARROW, at, 0)]
+        description = ROBOT[parameter.label] + KNOWN * (name in known) + "."
+        return [Slider(parameter.label, "hidden", block, name, description, unit, "factor", at, size, NARROW, at, 0)]
     if block not in diagram.blocks:
         return []
     kind = type(diagram.blocks[block])
     group, spec = GROUPS[kind.side], specs(kind).get(name)
-    says = unmarked(about(kind).parameters.get(name, ""))
+    description = unmarked(about(kind).parameters.get(name, ""))
     shown, written = unicode_name(name), _written(diagram, parameter)
     if group == "path" and unit in REACHES and (spec is None or not spec.sign):
         if size > MOST:
@@ -129,7 +129,7 @@ def _of(diagram: Diagram, parameter: Parameter, at: int, size: int, known: Colle
                 group,
                 block,
                 f"{shown} {axes[k]}" if size > 1 else shown,
-                says,
+                description,
                 unit,
                 "shift",
                 at + k,
@@ -143,7 +143,7 @@ def _of(diagram: Diagram, parameter: Parameter, at: int, size: int, known: Colle
     if not np.any(values) or (spec is not None and spec.form in ("box", "ball")):
         return []
     most = NARROW if group == "path" else WIDE
-    return [Slider(parameter.label, group, block, shown, says, unit, "factor", at, size, most, at, written)]
+    return [Slider(parameter.label, group, block, shown, description, unit, "factor", at, size, most, at, written)]
 
 
 def _written(diagram: Diagram, parameter: Parameter) -> Any:

@@ -10,7 +10,7 @@ example writes WebAssembly text for sums, products and roots (`dmframe.codegen.w
 
 .. code-block:: python
 
-    from dmframe.errors import EngineError
+    from dmframe.common.errors import EngineError
     from dmframe.program import CONST, INPUT, by_code, read, run
 
     RULES = by_code(
@@ -66,7 +66,19 @@ from dmframe.program.operations import (
     by_code,
     sign_of,
 )
-from dmframe.program.program import CONST, INPUT, TO_READ, Node, Pattern, Program, codes, instructions, read, run
+from dmframe.program.program import (
+    CONST,
+    INPUT,
+    TO_READ,
+    Node,
+    Pattern,
+    Program,
+    codes,
+    instructions,
+    read,
+    run,
+    shared,
+)
 
 __all__ = [
     "BY_NAME",
@@ -89,5 +101,6 @@ __all__ = [
     "instructions",
     "read",
     "run",
+    "shared",
     "sign_of",
 ]

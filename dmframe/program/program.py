@@ -9,7 +9,7 @@ from itertools import count
 from operator import itemgetter
 from typing import Any, Final, NamedTuple, TypeVar, final
 
-from dmframe.program.operations import OPERATIONS
+from dmframe.program.operations import BY_NAME, OPERATIONS
 
 V = TypeVar("V")
 
@@ -21,6 +21,7 @@ CONST: Final = 44
 _OUTPUT: Final = 46
 _COPIES: Final = frozenset((0, 88))  # assign, lift
 _CODE: Final = itemgetter(0)
+_SYMMETRIC: Final = frozenset(BY_NAME[name].code for name in ("add", "mul"))
 _ARITY: Final = {code: operation.arity for code, operation in OPERATIONS.items()}
 
 
@@ -135,6 +136,31 @@ def read(f: Any) -> Program:
         [Pattern(name, x.size1(), x.numel(), _places(x)) for name, x in found] for found in (given, results)
     )
     return Program(f.name(), nodes, inputs, outputs, sources)
+
+
+def shared(program: Program) -> Program:
+    """The same program with each value computed once: of equal operations on equal operands the first is kept.
+
+    CasADi builds an expression anew wherever blocks are put together, so that two of three values may be repeated.
+    """
+    first, place, nodes = dict[tuple[Any, ...], int](), list[int](), list[Node]()
+    new = tuple.__new__  # as in `read`
+    for node in program.nodes:
+        code, a, b, constant, line = node
+        if code in _ARITY:
+            a, b = place[a], place[b]
+            key: tuple[Any, ...] = (code, b, a) if a > b and code in _SYMMETRIC else (code, a, b)
+            node = new(Node, (code, a, b, constant, line))
+        elif code == CONST:
+            key = (code, constant)
+        else:
+            key = (code, a, b) if code == INPUT else (len(nodes),)
+        known = first.setdefault(key, len(nodes))
+        if known == len(nodes):
+            nodes.append(node)
+        place.append(known)
+    sources = [[place[source] for source in output] for output in program.sources]
+    return Program(program.name, nodes, program.inputs, program.outputs, sources)
 
 
 def codes(f: Any) -> set[int]:

@@ -11,7 +11,7 @@ import secrets
 import sys
 from pathlib import Path
 
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.exact import ZeroDivision
 from dmframe.prove.export import digest, read_file
 from dmframe.prove.faults import inject_faults

@@ -8,7 +8,7 @@ a derivative or a difference of V: the checker forms them (`dmframe.prove.point`
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from typing import Literal, final
@@ -16,7 +16,7 @@ from typing import Literal, final
 from dmframe.exact import Tape
 from dmframe.exact.ring import needed
 from dmframe.exact.tangent import Tangents, between
-from dmframe.program import Program
+from dmframe.program import Program, shared
 from dmframe.prove.rules import Rule
 
 Out = str
@@ -173,6 +173,11 @@ class Claim:
     def tape(self) -> Tape:
         """The program with exact numbers."""
         return Tape(self.program)
+
+    @cached_property
+    def shared(self) -> Claim:
+        """The same claim, its program with each value once; error bounds are those of the program as it is."""
+        return replace(self, program=shared(self.program))
 
     @cached_property
     def outputs(self) -> Mapping[Out, int]:

@@ -19,7 +19,7 @@ from hashlib import sha256
 from types import UnionType
 from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact.literal import exact
 from dmframe.program import BY_NAME, CONST, INPUT, OPERATIONS, Node, Pattern, Program
 from dmframe.prove.claim import Claim

@@ -7,12 +7,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
+from dmframe.common.text import Label, Text
 from dmframe.exact import Evaluation, Trial, ZeroDivision, random_prime
 from dmframe.prove.claim import Claim
 from dmframe.prove.identity import ATTEMPTS, BITS, inputs_at
 from dmframe.prove.point import Equality, Point, equalities
-from dmframe.text import Label, Text
 
 
 @final
@@ -34,7 +34,7 @@ def inject_faults(claim: Claim, *, seed: int) -> tuple[Control, ...]:
     zero for this robot. This is read from the moves, never from the residual: a change of the moves that the residual
     does not show is a fault that was missed.
     """
-    faults = _Faults(claim, random.Random(seed + 1))
+    faults = _Faults(claim.shared, random.Random(seed + 1))
     return (*faults.reversed(), *faults.dropped(), *faults.changed())
 
 

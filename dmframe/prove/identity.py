@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, Final, final
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact import Evaluation, Trial, Witness, ZeroDivision, ZeroTest, random_prime
 from dmframe.exact.identity import log2_error
 from dmframe.exact.ring import evaluated
@@ -126,7 +126,7 @@ class Points:
 
     def at(self, place: int) -> ZeroTest:
         """The test at one point. Raises `ValueFault` where what is claimed is nowhere defined."""
-        prime, witness = _trial(self.claim, random.Random(f"{self.seed}:{place}"), self.bits)
+        prime, witness = _trial(self.claim.shared, random.Random(f"{self.seed}:{place}"), self.bits)
         error = self.error if witness is None else -math.inf
         return ZeroTest(witness is None, 1, (prime,), self.degree, error, witness, self.seed)
 
@@ -175,7 +175,7 @@ def _trial(claim: Claim, rng: random.Random, bits: int) -> tuple[int, Witness | 
 
 def empty(claim: Claim, seed: int) -> list[str]:
     """What is identically zero: V, D V, or the vector of a term, so that nothing would be proved of it."""
-    rng = random.Random(seed + 3)
+    rng, claim = random.Random(seed + 3), claim.shared
     for _ in range(ATTEMPTS):
         trial = Trial(random_prime(rng, BITS), rng)
         try:

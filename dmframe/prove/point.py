@@ -10,14 +10,14 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple, final
 
+from dmframe.common.text import UNNAMED, Text, sentence, text_of
 from dmframe.exact import Tape, Trial
 from dmframe.exact.ring import compute
 from dmframe.prove.claim import Claim, Line, Out, Part, Steps, Term, made_of
-from dmframe.prove.rules import Taken, form, pushed, taken
-from dmframe.text import UNNAMED, Text, sentence, text_of
+from dmframe.prove.rules import Moved, Own, Taken, form, pushed, taken
 
 Numbers = Sequence[Any]
-Known = dict[tuple[str, int], tuple[dict[str, list[Any]], Taken]]
+Known = dict[tuple[str, int], dict[int, tuple[Own, Moved]]]
 
 
 class Summand(NamedTuple):
@@ -58,7 +58,7 @@ class Point:
     values
         Those of all instructions.
     known
-        What steps came to at other points, which is read again where their parts are the same; it is added to.
+        What steps came to at other points, output by output, which is read again where it is the same; it is added to.
     """
 
     def __init__(
@@ -131,9 +131,7 @@ class Point:
 
     def _taken(self, key: tuple[str, int], steps: Steps) -> Taken:
         parts = {name: self.out(out) for name, out in steps.parts.items()}
-        if key not in self._known or self._known[key][0] != parts:
-            self._known[key] = parts, taken(self.ring, steps, parts)
-        return self._known[key][1]
+        return taken(self.ring, steps, parts, self._known.setdefault(key, {}))
 
     def half(self, value: Any) -> Any:
         """Half of a number."""
@@ -225,8 +223,8 @@ def _of_a_sample(point: Point, moves: Mapping[str, Numbers], part: Part) -> Iter
     """The moves of estimates and delay lines, the plant's identities, and what the block's output solves."""
     block = part.block
     for steps in point.taken[block]:
-        for name, said in steps.moves.items():
-            yield _equal(block, f"what {name} becomes", moves[f"{block}.{name}"], said)
+        for name, stated in steps.moves.items():
+            yield _equal(block, f"what {name} becomes", moves[f"{block}.{name}"], stated)
     for line in part.lines:
         yield _equal(block, f"what {line.state} keeps", moves[f"{block}.{line.state}"], _kept(point, line))
     if part.plant:

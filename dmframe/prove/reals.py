@@ -14,13 +14,13 @@ from typing import Final, final
 
 from flint import arb
 
+from dmframe.common.text import DV, UNNAMED, Piece, Text, sentence
 from dmframe.exact.balls import ONE, RULES, ZERO, UndecidedError, ball, precise
 from dmframe.exact.literal import computed
 from dmframe.exact.ring import evaluated
 from dmframe.program import BY_NAME
 from dmframe.prove.claim import Claim, Symbol
 from dmframe.prove.point import Point, equalities
-from dmframe.text import DV, UNNAMED, Piece, Text, sentence
 
 POINTS = 4
 """Points of each kind at which a residual is looked at."""

@@ -46,6 +46,7 @@ class Refutation:
 
 def refute(claim: Claim, *, seed: int) -> Refutation:
     """Locate a failure among what a claim says to be zero."""
+    claim = claim.shared
     found_false = failing(claim, seed=seed)
     blame = dict.fromkeys(block for _, block in found_false if block)
     says, rng = found_false[0][0], random.Random(seed + 2)

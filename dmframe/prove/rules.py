@@ -5,9 +5,9 @@ All is written for numbers of any ring (`dmframe.exact.ring`): residues, sizes, 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal, final
+from typing import Any, Final, Literal, NamedTuple, final
 
 Column = Sequence[Any]
 
@@ -63,13 +63,67 @@ class Taken:
     gained: Any
 
 
-def taken(ring: Any, steps: Rule, parts: Mapping[str, Column]) -> Taken:
-    """Take the steps; raises where a divisor vanishes."""
-    return _RULES[steps.rule](ring, steps, parts)
+class Own(NamedTuple):
+    """What the steps of one output read; `G` is the triangle of its information matrix, `rows` are pairs h, y."""
+
+    theta: Column
+    true: Column
+    gain: Column
+    rows: list[tuple[Column, Any]]
+    floor: Any
+    box: tuple[Column, Column] | None
+    G: Column
+    retention: Any
+
+
+class Moved(NamedTuple):
+    """What the steps of one output come to: its next parameters and matrix, and the summands of the totals, doubled."""
+
+    theta: list[Any]
+    G: list[Any]
+    moved: list[Any]
+    lost: list[Any]
+    gained: list[Any]
+
+
+def taken(
+    ring: Any, steps: Rule, parts: Mapping[str, Column], known: dict[int, tuple[Own, Moved]] | None = None
+) -> Taken:
+    """Take the steps; raises where a divisor vanishes.
+
+    `known` has what outputs came to before, which is used again where they read the same; it is added to.
+    """
+    known, found = {} if known is None else known, list[Moved]()
+    for j, own in enumerate(_own(steps, parts)):
+        if j not in known or known[j][0] != own:
+            known[j] = own, _RULES[steps.rule](ring, own)
+        found.append(known[j][1])
+    moves = {steps.estimate: [x for item in found for x in item.theta]}
+    if steps.rule == "least_squares":
+        moves[steps.memory] = [x for item in found for x in item.G]
+    totals = ([x for item in found for x in getattr(item, name)] for name in ("moved", "lost", "gained"))
+    return Taken(moves, *(_half(ring, ring.reduced(sum(total, ring.number(0)))) for total in totals))
 
 
 def _half(ring: Any, value: Any) -> Any:
     return value * ring.inverse(ring.number(2))
+
+
+def _own(steps: Rule, parts: Mapping[str, Column]) -> Iterator[Own]:
+    """What each output reads."""
+    squares = steps.rule == "least_squares"
+    (floor,), (retention,) = parts["floor"], parts["retention"] if squares else (0,)
+    pieces = {
+        name: _pieces(steps.sizes, parts[name])
+        for name in ("theta", "true", "gain", *(("lower", "upper") if steps.box else ()))
+    }
+    triangles = _pieces([n * (n + 1) // 2 for n in steps.sizes], parts["gathered"]) if squares else []
+    rows = [(_pieces(steps.sizes, parts[f"h{k}"]), parts[f"y{k}"]) for k in range(steps.rows)]
+    for j in range(len(steps.sizes)):
+        theta, true, gain = (pieces[name][j] for name in ("theta", "true", "gain"))
+        box = (pieces["lower"][j], pieces["upper"][j]) if steps.box else None
+        own = [(h[j], y[j]) for h, y in rows]
+        yield Own(theta, true, gain, own, floor, box, triangles[j] if squares else (), retention)
 
 
 def _pieces(sizes: Sequence[int], column: Column) -> list[Column]:
@@ -77,79 +131,58 @@ def _pieces(sizes: Sequence[int], column: Column) -> list[Column]:
     return [column[end - size : end] for end, size in zip(ends, sizes, strict=True)]
 
 
-def _rows(steps: Rule, parts: Mapping[str, Column]) -> list[tuple[list[Column], Column]]:
-    return [(_pieces(steps.sizes, parts[f"h{k}"]), parts[f"y{k}"]) for k in range(steps.rows)]
-
-
 def _into_box(ring: Any, value: Any, lower: Any, upper: Any) -> Any:
     return ring.call("fmin", ring.call("fmax", value, lower), upper)
 
 
-def _normalised(ring: Any, steps: Rule, parts: Mapping[str, Column]) -> Taken:
+def _normalised(ring: Any, own: Own) -> Moved:
     r"""For each row :math:`\theta \leftarrow \theta + \Gamma h \varepsilon / n`, :math:`n = \nu + h' \Gamma h`."""
-    found, moved, lost, gained = list[Any](), ring.number(0), ring.number(0), ring.number(0)
-    (floor,), rows = parts["floor"], _rows(steps, parts)
-    columns = [_pieces(steps.sizes, parts[name]) for name in ("theta", "true", "gain")]
-    boxes = [_pieces(steps.sizes, parts[name]) for name in (("lower", "upper") if steps.box else ())]
-    for j in range(len(steps.sizes)):
-        theta, true, gain = (list(column[j]) for column in columns)
-        inverses = [ring.inverse(g) for g in gain]
-        for h, y in rows:
-            learnt = [ring.reduced(g * x) for g, x in zip(gain, h[j], strict=True)]
-            inverse = ring.inverse(floor + dot(ring, h[j], learnt))
-            missed = ring.reduced(y[j] - dot(ring, h[j], theta))
-            error = dot(ring, h[j], [a - b for a, b in zip(theta, true, strict=True)])
-            share = ring.reduced(missed * inverse)
-            lost = lost + ring.reduced(error * error) * inverse + floor * ring.reduced(share * share)
-            gained = gained + ring.reduced((missed + error) * (missed + error)) * inverse
-            after = [ring.reduced(now + step * share) for now, step in zip(theta, learnt, strict=True)]
-            moved = moved + dot(
-                ring,
-                [ring.reduced((new - now) * w) for new, now, w in zip(after, theta, inverses, strict=True)],
-                [new + now - 2 * own for new, now, own in zip(after, theta, true, strict=True)],
-            )
-            theta = after
-            if boxes:
-                theta = [_into_box(ring, x, a, b) for x, a, b in zip(after, boxes[0][j], boxes[1][j], strict=True)]
-        found += theta
-    return Taken({steps.estimate: found}, *(_half(ring, ring.reduced(total)) for total in (moved, lost, gained)))
+    moved, lost, gained = list[Any](), list[Any](), list[Any]()
+    theta, true, gain, floor = list(own.theta), own.true, own.gain, own.floor
+    inverses = [ring.inverse(g) for g in gain]
+    for h, y in own.rows:
+        learnt = [ring.reduced(g * x) for g, x in zip(gain, h, strict=True)]
+        inverse = ring.inverse(floor + dot(ring, h, learnt))
+        missed = ring.reduced(y - dot(ring, h, theta))
+        error = dot(ring, h, [a - b for a, b in zip(theta, true, strict=True)])
+        share = ring.reduced(missed * inverse)
+        lost += [ring.reduced(error * error) * inverse, floor * ring.reduced(share * share)]
+        gained.append(ring.reduced((missed + error) * (missed + error)) * inverse)
+        after = [ring.reduced(now + step * share) for now, step in zip(theta, learnt, strict=True)]
+        steps = [ring.reduced((new - now) * w) for new, now, w in zip(after, theta, inverses, strict=True)]
+        sums = [new + now - 2 * x for new, now, x in zip(after, theta, true, strict=True)]
+        moved.append(dot(ring, steps, sums))
+        theta = after
+        if own.box:
+            theta = [_into_box(ring, x, a, b) for x, a, b in zip(after, *own.box, strict=True)]
+    return Moved(theta, [], moved, lost, gained)
 
 
-def _least_squares(ring: Any, steps: Rule, parts: Mapping[str, Column]) -> Taken:
+def _least_squares(ring: Any, own: Own) -> Moved:
     r"""For each row :math:`\theta \leftarrow \theta + W^{-1} h \varepsilon / n`, :math:`G \leftarrow G + h h'/\nu`."""
-    found, kept = list[Any](), list[Any]()
-    moved, lost, gained = ring.number(0), ring.number(0), ring.number(0)
-    (floor,), (retention,), rows = parts["floor"], parts["retention"], _rows(steps, parts)
-    by_floor = ring.inverse(floor)
-    columns = [_pieces(steps.sizes, parts[name]) for name in ("theta", "true", "gain")]
-    boxes = [_pieces(steps.sizes, parts[name]) for name in (("lower", "upper") if steps.box else ())]
-    triangles = _pieces([n * (n + 1) // 2 for n in steps.sizes], parts["gathered"])
-    for j, n in enumerate(steps.sizes):
-        theta, true, gain = (list(column[j]) for column in columns)
-        metric = [ring.inverse(g) for g in gain]
-        G = _unpacked(n, triangles[j])
-        for h, y in ((h[j], y[j]) for h, y in rows):
-            W = _plus_diagonal(G, metric)
-            learnt = [dot(ring, row, h) for row in inverse_of(ring, W)]
-            share = ring.inverse(floor + dot(ring, h, learnt))
-            missed = ring.reduced(y - dot(ring, h, theta))
-            error = [a - b for a, b in zip(theta, true, strict=True)]
-            step = ring.reduced(missed * share)
-            after = [ring.reduced(now + part * step) for now, part in zip(theta, learnt, strict=True)]
-            G = [[ring.reduced(G[i][k] + ring.reduced(h[i] * h[k]) * by_floor) for k in range(n)] for i in range(n)]
-            next_W = _plus_diagonal(G, metric)
-            wrong = [a - b for a, b in zip(after, true, strict=True)]
-            moved = moved + _quadratic(ring, wrong, next_W) - _quadratic(ring, error, W)
-            lost = lost + missed * step
-            left = missed + dot(ring, h, error)
-            gained = gained + ring.reduced(left * left) * by_floor
-            theta = after
-            if boxes:
-                theta, G = _put_back(ring, theta, G, inverse_of(ring, next_W), boxes[0][j], boxes[1][j])
-        found += theta
-        kept += [ring.reduced(retention * G[row][column]) for column in range(n) for row in range(column, n)]
-    totals = (_half(ring, ring.reduced(total)) for total in (moved, lost, gained))
-    return Taken({steps.estimate: found, steps.memory: kept}, *totals)
+    moved, lost, gained = list[Any](), list[Any](), list[Any]()
+    theta, true, floor, n = list(own.theta), own.true, own.floor, len(own.theta)
+    by_floor, metric, G = ring.inverse(floor), [ring.inverse(g) for g in own.gain], _unpacked(n, own.G)
+    for h, y in own.rows:
+        W = _plus_diagonal(G, metric)
+        learnt = [dot(ring, row, h) for row in inverse_of(ring, W)]
+        share = ring.inverse(floor + dot(ring, h, learnt))
+        missed = ring.reduced(y - dot(ring, h, theta))
+        error = [a - b for a, b in zip(theta, true, strict=True)]
+        step = ring.reduced(missed * share)
+        after = [ring.reduced(now + part * step) for now, part in zip(theta, learnt, strict=True)]
+        G = [[ring.reduced(G[i][k] + ring.reduced(h[i] * h[k]) * by_floor) for k in range(n)] for i in range(n)]
+        next_W = _plus_diagonal(G, metric)
+        wrong = [a - b for a, b in zip(after, true, strict=True)]
+        moved += [_quadratic(ring, wrong, next_W), -_quadratic(ring, error, W)]
+        lost.append(missed * step)
+        left = missed + dot(ring, h, error)
+        gained.append(ring.reduced(left * left) * by_floor)
+        theta = after
+        if own.box:
+            theta, G = _put_back(ring, theta, G, inverse_of(ring, next_W), *own.box)
+    kept = [ring.reduced(own.retention * G[row][column]) for column in range(n) for row in range(column, n)]
+    return Moved(theta, kept, moved, lost, gained)
 
 
 _RULES: Final = {"normalised": _normalised, "least_squares": _least_squares}
@@ -174,7 +207,10 @@ def _unpacked(n: int, triangle: Column) -> list[list[Any]]:
 
 
 def inverse_of(ring: Any, W: Sequence[Column]) -> list[list[Any]]:
-    """The inverse of a matrix whose leading minors do not vanish, by elimination without pivoting."""
+    """The inverse of a matrix whose leading minors do not vanish: the ring's, or by elimination without pivoting."""
+    if own := getattr(ring, "inverse_matrix", None):
+        found: list[list[Any]] = own(W)
+        return found
     n = len(W)
     rows = [[*row, *(ring.number(int(i == k)) for k in range(n))] for i, row in enumerate(W)]
     for k in range(n):
@@ -197,10 +233,10 @@ def _put_back(
         theta = [ring.reduced(x - P[k][i] * share) for k, x in enumerate(theta)]
         theta[i] = face
     cut = [_into_box(ring, x, low, high) for x, low, high in zip(theta, lower, upper, strict=True)]
+    kept = ring.number(1)
     for i in range(len(theta) - 1):  # the last one is on its face or inside
-        inside = ring.call("eq", theta[i], cut[i])
-        G = [[ring.reduced(x * inside) for x in row] for row in G]
-    return cut, G
+        kept = ring.reduced(kept * ring.call("eq", theta[i], cut[i]))
+    return cut, [[ring.reduced(x * kept) for x in row] for row in G]
 
 
 def pushed(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Final, final
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact.ring import evaluated, needed
 from dmframe.program import INPUT
 from dmframe.prove.claim import Claim, Out, Part

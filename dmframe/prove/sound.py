@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Final, final
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact.ring import needed
 from dmframe.exact.tangent import between
 from dmframe.program import CONST, INPUT, JUMPS, sign_of

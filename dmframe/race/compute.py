@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Final, final
 
 from dmframe.batch.columns import Columns
-from dmframe.batch.figures import ERROR, Wanted
+from dmframe.batch.figures import ERROR, MeasuredSignals
 from dmframe.batch.runner import Runner, Runs
-from dmframe.errors import DmframeError, EngineError, OutputError, raise_all
-from dmframe.files import append, writing
+from dmframe.common.errors import DmframeError, EngineError, OutputError, raise_all
+from dmframe.common.files import append, writing
 from dmframe.graph.graph import Graph
 from dmframe.race.plan import Race, Run
 from dmframe.study.chunks import Chunk
@@ -31,7 +31,7 @@ JOURNAL: Final = "runs.jsonl"
 CHUNK: Final = 240
 """Largest number of runs between two entries of the journal."""
 MOST: Final = 5
-"""Different faults of runs that an error lists."""
+"""Largest number of different faults in an error message."""
 
 Errors = Mapping[Run, float]
 """RMS of the tool's error over the last eighth of a run [mm]; infinite for a run that diverged."""
@@ -40,7 +40,7 @@ Errors = Mapping[Run, float]
 @final
 @dataclass(frozen=True)
 class Heat:
-    """Some runs of a race, as an executor of a study computes them: a point is a run."""
+    """Runs of a race in the form that the executors of a study compute; each point is one run."""
 
     race: Race
     runs: Sequence[Run]
@@ -51,11 +51,11 @@ class Heat:
 
     @property
     def engine(self) -> str:
-        """What ran the last runs of this process."""
+        """Runner of the last chunk in this process, reused for the next one."""
         return self._runner.engine
 
     def band(self, point: int, end: int, first: int, stop: int) -> Columns:
-        """Errors of the runs [point, end) [mm]: infinite after a divergence; nan with the reason if one cannot run."""
+        """Errors of the runs [point, end) [mm]: infinite for divergence; NaN, with the reason, for an invalid run."""
         like: Graph | None = None
         graphs = list[Graph]()
         for run in self.runs[point:end]:
@@ -75,7 +75,7 @@ class Heat:
 
     def _measured(self, graphs: Sequence[Graph]) -> list[tuple[float, str]]:
         found = list[tuple[float, str]]()
-        for measured in self._runner.measure([Runs(graph) for graph in graphs], lambda _: Wanted(), threads=1):
+        for measured in self._runner.measure([Runs(graph) for graph in graphs], lambda _: MeasuredSignals(), threads=1):
             figures = measured.signals.get(ERROR)
             if fault := measured.faults.get(0):
                 found.append((math.nan, str(fault)))
@@ -87,13 +87,13 @@ class Heat:
         return found
 
     def _final(self, error: float) -> float:
-        """The error, infinite where the loop diverged or the tool is farther away than the race's limit."""
+        """Error [mm]; infinite if the loop diverged or the tool exceeded the distance limit of the race."""
         return error if error <= 1000 * self.race.file.limit else math.inf
 
 
 @final
 class Kept:
-    """The journal of a race's folder: a line per run, by the digest of everything that decides its result."""
+    """Journal in the folder of a race: one line per run, with the digest of all its inputs."""
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / JOURNAL
@@ -113,7 +113,7 @@ class Kept:
                     self.errors[key] = math.inf if error is None else error
 
     def write(self, keys: Sequence[str], errors: Sequence[float]) -> None:
-        """Append some runs."""
+        """Append runs to the journal."""
         rows = [
             {"key": key, "error": error if math.isfinite(error) else None}
             for key, error in zip(keys, errors, strict=True)
@@ -170,13 +170,13 @@ def computed(
 
 
 def _listed(fault: str, runs: Sequence[Run]) -> str:
-    """A fault with the first of its runs."""
+    """Fault with the first run in which it occurred."""
     more = f" and {len(runs) - 1} more runs" if len(runs) > 1 else ""
     return f"{runs[0].law} in {runs[0].cell.name}{more}: {fault}"
 
 
 def _chunks(race: Race, runs: Sequence[Run]) -> list[Chunk]:
-    """Chunks of runs with one structure, which a worker compiles once."""
+    """Chunks of runs with one loop structure, which a worker compiles once."""
     found, first = list[Chunk](), 0
     for _, group in groupby(runs, race.structure):
         end = first + len(list(group))

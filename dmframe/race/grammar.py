@@ -9,13 +9,13 @@ from typing import Annotated, Any, Final, Literal, TypeAlias, final
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, PlainValidator, WithJsonSchema
 
+from dmframe.common.errors import DmframeError, Faults
+from dmframe.common.units import plain, to_unit
 from dmframe.config.document import Document, Kind
 from dmframe.config.grammar import Length, Path, RobotSection, Seconds, Section, Speed, robot_name, seed_of, shown
 from dmframe.config.grammar import version as checked_version
 from dmframe.config.places import placed
-from dmframe.errors import DmframeError, Faults
 from dmframe.study.grammar import Labels, counted
-from dmframe.units import plain, to_unit
 
 RACE: Final = Kind("race", "dmframe-race: 1")
 VERSION: Final = "dmframe-race"
@@ -77,13 +77,13 @@ Candidates: TypeAlias = Annotated[int, counted(MOST)]
 
 @final
 class RangeSection(Section):
-    """Range in which a parameter is searched, evenly in its logarithm; one of the two keys."""
+    """Search range of a parameter, uniform in its logarithm; one of the two keys."""
 
     between: Bounds | None = Field(None, description="bounds of the value, in the parameter's own unit")
     per_clock: Bounds | None = Field(None, description="bounds of the value times the sampling period in seconds")
 
     def at(self, clock: float) -> Sequence[float]:
-        """The bounds of the value at a sampling period."""
+        """Bounds of the value at a sampling period."""
         return self.between or [bound / clock for bound in self.per_clock or ()]
 
 
@@ -105,7 +105,7 @@ Range: TypeAlias = Annotated[
 
 
 def _graphs(value: Any) -> Any:
-    """Graphs by the longest sampling period in s; one alone is for all."""
+    """Graphs by largest sampling period [s]; a single graph is for all periods."""
     if isinstance(value, str):
         return {math.inf: value}
     if not isinstance(value, dict) or not value or not all(isinstance(name, str) for name in value.values()):
@@ -128,7 +128,7 @@ Graphs: TypeAlias = Annotated[
 
 @final
 class LawSection(Section):
-    """One law: a graph whose controller takes part, and what is searched."""
+    """Control law: a graph that contains the controller, and the searched parameters."""
 
     graph: Graphs = Field(
         description="name of a packaged graph, or path of a graph file relative to the race; or several, each by the "
@@ -143,7 +143,7 @@ class LawSection(Section):
     seed: Names = Field((), description="parameters that are given the seed of the run, such as that of an excitation")
 
     def graph_at(self, clock: float) -> str:
-        """The graph for a sampling period: the first whose longest period reaches it, else the last."""
+        """Graph for a sampling period: the first whose largest period is not below it, else the last."""
         return next((name for most, name in sorted(self.graph.items()) if clock <= most), self.graph[max(self.graph)])
 
 
@@ -161,13 +161,13 @@ class PlantSection(BaseModel):
 
     @property
     def blocks(self) -> dict[str, dict[str, Any]]:
-        """By name."""
+        """Block by name."""
         return dict(self.__pydantic_extra__ or {})
 
 
 @final
 class PathSection(BaseModel):
-    """The source of a path with its parameters."""
+    """Source block of a path, with its parameters."""
 
     model_config = ConfigDict(frozen=True, extra="allow")
 
@@ -176,13 +176,13 @@ class PathSection(BaseModel):
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Of the source, by name."""
+        """Parameters of the source, by name."""
         return dict(self.__pydantic_extra__ or {})
 
 
 @final
 class TrainingSection(Section):
-    """The cells on which the laws are tuned; other plants and paths are held out."""
+    """Training cells, on which the laws are tuned; other plants and paths are held out."""
 
     plants: Names = Field(min_length=1, description="names of plants")
     paths: Names = Field(min_length=1, description="names of paths")
@@ -191,7 +191,7 @@ class TrainingSection(Section):
 
 @final
 class MarginsSection(Section):
-    """The perturbation under which a candidate must not diverge on the training cells."""
+    """Margins: perturbations under which a candidate must not diverge on the training cells."""
 
     gain: Annotated[float, Field(strict=True, gt=0)] = Field(1.3, description="factor of its command")
     delay: Annotated[int, Field(strict=True, ge=0)] = Field(1, description="further samples of transport delay")
@@ -199,7 +199,7 @@ class MarginsSection(Section):
 
 @final
 class QuickSection(Section):
-    """A part of the race for ``--quick``."""
+    """Subset of the race for ``--quick``."""
 
     clocks: Clocks | None = Field(None, description="some of the sampling periods")
     plants: Names = Field((), description="names of plants, those of training included or not")
@@ -211,7 +211,7 @@ class QuickSection(Section):
 
 @final
 class RaceFile(Section):
-    """The keys of a race file."""
+    """Keys of a race file."""
 
     version: Annotated[Literal[1], BeforeValidator(checked_version)] = Field(
         alias=VERSION, description="version of this format"
@@ -252,14 +252,14 @@ _SECTIONS: Final[Mapping[str, type[BaseModel]]] = {
 
 
 def race_schema() -> dict[str, Any]:
-    """The JSON Schema of race files, for an editor."""
+    """JSON Schema of race files, for editors."""
     schema = RaceFile.model_json_schema(by_alias=True)
     schema["properties"]["robot"] = {"anyOf": [{"type": "string"}, schema["properties"]["robot"]]}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": "dmframe race"}
 
 
 def keys_at(path: Path) -> Sequence[str]:
-    """Keys that a section of a race file may have."""
+    """Allowed keys of a section of a race file."""
     if not path:
         return KEYS
     if path[0] == "laws":
@@ -268,6 +268,6 @@ def keys_at(path: Path) -> Sequence[str]:
 
 
 def raise_placed(faults: Sequence[DmframeError], document: Document) -> None:
-    """Raise the faults, if there are any, at their places in the race's file."""
+    """Raise faults with their places in the race file."""
     if faults:
         raise placed(faults[0] if len(faults) == 1 else Faults(faults), document, KEYS)

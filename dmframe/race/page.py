@@ -1,4 +1,4 @@
-"""Page of a race: the answer, the table, the choice of values, and the worst cells."""
+"""HTML page of a race: result, table, tuned values, and worst cells."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
+from dmframe.common.units import plain
 from dmframe.race.plan import listed
 from dmframe.race.protocol import QUANTILES, RESAMPLES, Row, Spread, spread
 from dmframe.race.run import Finished
 from dmframe.report.parts import Bullets, Cell, Lead, Marked, Paragraph, Section, Subsection, Table, Word
 from dmframe.study.pages import study_page
-from dmframe.units import plain
 
 NEAR: Final = 1.15
-"""A ratio up to this counts as nearly as good."""
+"""Largest ratio that counts as nearly equal."""
 
 
 def as_html(found: Finished) -> str:
-    """The page, as one self-contained file."""
+    """Page as one self-contained HTML file."""
     race = found.race
     note = (
         f"{len(race.file.laws)} laws, {len(found.rows)} held-out cells, runs of {plain(race.file.duration, 's')}; the "
@@ -31,7 +31,7 @@ def as_html(found: Finished) -> str:
 
 
 def lead(found: Finished) -> Lead:
-    """The answer in one sentence."""
+    """Result of the race in one sentence."""
     rows, race = found.rows, found.race
     ratios = [row.ratio for row in rows]
     median = spread(ratios, race.file.seed)
@@ -67,7 +67,7 @@ def _bootstrap() -> Paragraph:
 
 
 def _laws(found: Finished) -> Table:
-    """A row for each law, the best first."""
+    """Row for each law, in increasing order of error."""
     rows = list[tuple[float, list[Cell]]]()
     for law in found.race.file.laws:
         errors = [row.errors[law] for row in found.rows]

@@ -11,20 +11,20 @@ from typing import Any, Final, final
 
 import scipy
 
+from dmframe.common.errors import DmframeError, ValueFault
+from dmframe.common.units import plain, to_unit
 from dmframe.config.document import Document, Node, mapping_of
 from dmframe.config.given import node_of
-from dmframe.errors import DmframeError, ValueFault
 from dmframe.graph.graph import Graph
 from dmframe.race.grammar import LawSection, RaceFile
 from dmframe.study.identity import key_of
-from dmframe.units import plain, to_unit
 
 Entries = Mapping[str, tuple[Node, Node]]
 Values = tuple[tuple[str, float], ...]
 """Labels ``block.parameter`` and their values."""
 
 SEEDS: Final = 1_000_000
-"""Different seeds that a law's parameters are given, from 1 on."""
+"""Number of seeds for laws with a parameter `seed`; the seeds start at 1."""
 PATH: Final = "path"
 """Name of the source in each graph."""
 REPEATS: Final = "repeats"
@@ -39,7 +39,7 @@ DIGITS: Final = 5
 @final
 @dataclass(frozen=True, order=True)
 class Cell:
-    """A sampling period [s], a path, a plant and a reality."""
+    """Cell of a race: sampling period [s], path, plant and set of channel models."""
 
     clock: float
     path: str
@@ -55,7 +55,7 @@ class Cell:
 @final
 @dataclass(frozen=True)
 class Run:
-    """One run: a law with some values in a cell; `margin`: with the perturbation of the margins."""
+    """Run of a law with parameter values in a cell; `margin`: with the perturbations of the margins."""
 
     law: str
     cell: Cell
@@ -67,7 +67,7 @@ class Run:
 @final
 @dataclass(frozen=True)
 class Law:
-    """A law: the controller's blocks and the wires of its graph.
+    """Control law: controller blocks and wires of its graph.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ class Race:
 
     @property
     def quick(self) -> Race:
-        """The part of the race that its section ``quick`` selects; the training cells stay."""
+        """Subset of the race in its section ``quick``, with all training cells."""
         file, chosen = self.file, self.file.quick
         plants = {name: file.plants[name] for name in (*file.training.plants, *(chosen.plants or file.plants))}
         paths = {name: file.paths[name] for name in (*file.training.paths, *(chosen.paths or file.paths))}
@@ -149,12 +149,12 @@ class Race:
         return replace(self, name=name, command=command, file=file.model_copy(update=changes))
 
     def corners(self, law: str, clock: float) -> list[Values]:
-        """The graph's own values, the lower bounds and the upper bounds."""
+        """Values of the graph, lower bounds and upper bounds."""
         bounds = [(label, section.at(clock)) for label, section in self.file.laws[law].tune.items()]
         return [self.laws[law, clock].own, *(tuple((label, ends[k]) for label, ends in bounds) for k in (0, 1))]
 
     def candidates(self, law: str, clock: float) -> list[Values]:
-        """The values that are tried: the graph's own, then a Halton sequence, log-uniform over the ranges."""
+        """Candidates: the values of the graph, then a Halton sequence, log-uniform over the ranges."""
         own, tune = self.laws[law, clock].own, self.file.laws[law].tune
         halton = scipy.stats.qmc.Halton(len(tune), scramble=False)
         halton.fast_forward(1)  # the first point is the lower corner
@@ -169,14 +169,14 @@ class Race:
         return found
 
     def trials(self, law: str, clock: float, values: Values) -> Iterator[Run]:
-        """The runs that decide about a candidate: on each training cell, without and with the margins."""
+        """Runs that score a candidate: each training cell, without and with the margins."""
         for cell in self.training:
             if cell.clock == clock:
                 yield Run(law, cell, values, self.file.seed)
                 yield Run(law, cell, values, self.file.seed, margin=True)
 
     def structure(self, run: Run) -> str:
-        """Runs with the same text differ in numbers, so that they share machine code."""
+        """Key of the loop structure: runs with the same key differ in numbers and share compiled code."""
         plant = mapping_of(self._entry("plants", run.cell.plant))
         kinds = [block.get("type") for block in plant.values() if isinstance(block, dict)]
         path = mapping_of(self._entry("paths", run.cell.path)).get("type")
@@ -184,18 +184,18 @@ class Race:
         return repr((run.law, law, kinds, path, run.cell.reality))
 
     def key(self, run: Run) -> str:
-        """Digest of everything that decides the result of a run."""
+        """Digest of all inputs of a run."""
         cell = run.cell
         parts = (("plants", cell.plant), ("paths", cell.path), ("realities", cell.reality))
         sources = [self.laws[run.law, cell.clock].sources, *(self.sources[part] for part in parts)]
         return key_of({"graph": self.document_of(run).data, "sources": sources})
 
     def graph(self, run: Run, like: Graph | None = None) -> Graph:
-        """A run as a graph of its own; `like` is one whose robot it may share."""
+        """Graph of a run; `like` is a graph with the same robot, which is then shared."""
         return Graph.of(self.document_of(run), like)
 
     def document_of(self, run: Run) -> Document:
-        """The document of a run's graph; each value names its place in the race's file or in the law's."""
+        """Document of a run's graph, with the place of each value in the race file or in the file of the law."""
         law, plant = self.laws[run.law, run.cell.clock], dict(_entries(self._entry("plants", run.cell.plant)))
         wires = {**law.wires, **_entries(plant.pop("wires", (None, _node({})))[1])}
         plant.pop(DELAY, None)
@@ -226,7 +226,7 @@ class Race:
         return Document(law.document, mapping_of(root), root)
 
     def transport_delays(self) -> dict[str, int]:
-        """Whole samples of transport delay of each reality, read from the blocks of a graph in it."""
+        """Whole samples of transport delay of each set of channel models, read from a graph with it."""
         law, first, found = self.file.entrant, self.training[0], dict[str, int]()
         like: Graph | None = None
         for reality in self.file.realities:
@@ -243,7 +243,7 @@ class Race:
         return _entries(self.sections[section])[name][1]
 
     def _reality(self, run: Run) -> Node:
-        """The channel models of a run, with a delay and a gain that are those of the margins or have no effect.
+        """Channel models of a run; a delay and a gain have the values of the margins, or no effect.
 
         The margins then differ in numbers alone, and need no machine code of their own.
         """
@@ -273,11 +273,11 @@ class Race:
         return _node({}, models)
 
     def _stamped(self, value: Any, *path: str) -> Node:
-        """A value that the race sets, with the place in its file that decides it."""
+        """Value set by the race, with its place in the race file."""
         return node_of(value, (), self.document.locate(path))
 
     def _fitting(self, wires: Entries, blocks: Entries, plant: str) -> Entries:
-        """The wires between blocks of the graph; those of the law's own plant are left out."""
+        """Wires between blocks of the graph, without those of the plant in the graph of the law."""
         found = dict[str, tuple[Node, Node]]()
         for end, (at, node) in wires.items():
             names = [str(label).partition(".")[0] for label in (end, node.value)]
@@ -286,7 +286,7 @@ class Race:
                 raise ValueFault(
                     f"wires.{end}: {node.value}: expected a block {absent[0]} in plants.{plant}, found none; name the "
                     "blocks as the law's graph does",
-                    location=node.said,
+                    location=node.origin,
                 )
             if not absent:
                 found[end] = at, node
@@ -299,7 +299,7 @@ def listed(values: Values) -> str:
 
 
 def _node(value: Any, entries: Entries | None = None) -> Node:
-    """A node of plain data, or of entries."""
+    """Document node of plain data or of entries."""
     return node_of(value, ()) if entries is None else Node(0, 0, dict(entries))
 
 

@@ -9,23 +9,23 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from dmframe.errors import DisagreementError
+from dmframe.common.errors import DisagreementError
 from dmframe.race.compute import Errors
 from dmframe.race.plan import Cell, Race, Run, Values
 from dmframe.study.statistics import quantile
 
 RESAMPLES: Final = 2000
 LEVEL: Final = 0.95
-"""Of the bootstrap intervals."""
+"""Confidence level of the bootstrap intervals."""
 QUANTILES: Final = (0.05, 0.25, 0.5, 0.75, 0.95)
 LEAST: Final = 1e-9
-"""Errors below this count as this, whose logarithm is finite [mm]."""
+"""Lower limit of errors, for a finite logarithm [mm]."""
 
 
 @final
 @dataclass(frozen=True)
 class Tried:
-    """A candidate on the training cells.
+    """Result of a candidate on the training cells.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class Tried:
 @final
 @dataclass(frozen=True)
 class Choice:
-    """The candidates of a law at a sampling period, in their order."""
+    """Results of the candidates of a law at a sampling period, in their order."""
 
     law: str
     clock: float
@@ -51,13 +51,13 @@ class Choice:
 
     @property
     def best(self) -> Tried | None:
-        """The first candidate with the least score; None if all are rejected."""
+        """First candidate with the lowest score; None if all are rejected."""
         found = min(self.tried, key=lambda each: each.score)
         return found if math.isfinite(found.score) else None
 
 
 def tuning_runs(race: Race) -> list[Run]:
-    """The runs of all candidates of all laws on the training cells, with and without the margins."""
+    """Runs of all candidates of all laws on the training cells, with and without the margins."""
     return [
         run
         for law in race.file.laws
@@ -68,7 +68,7 @@ def tuning_runs(race: Race) -> list[Run]:
 
 
 def chosen(race: Race, errors: Errors) -> list[Choice]:
-    """The values that each law gets at each sampling period.
+    """Choose the parameter values of each law at each sampling period.
 
     A candidate is rejected if it diverges on a training cell, without or with the margins. Of the others, that with the
     least median of log error over the training cells wins, without the margins.
@@ -101,7 +101,7 @@ def _tried(race: Race, law: str, clock: float, values: Values, errors: Errors) -
 
 
 def judged_runs(race: Race, choices: Sequence[Choice]) -> list[Run]:
-    """Each law with its chosen values on the held-out cells; a law whose candidates are all rejected has no run."""
+    """Runs of each law with its chosen values on the held-out cells; none for a law without an accepted candidate."""
     best = {(choice.law, choice.clock): choice.best for choice in choices}
     found = list[Run]()
     for cell in race.held_out:
@@ -114,7 +114,7 @@ def judged_runs(race: Race, choices: Sequence[Choice]) -> list[Run]:
 @final
 @dataclass(frozen=True)
 class Row:
-    """The entrant and its rivals in a cell; errors in mm, infinite for a law that diverged or has no values."""
+    """Errors of the entrant and its rivals in a cell [mm]; infinite for a law that diverged or has no values."""
 
     cell: Cell
     law: str
@@ -127,18 +127,18 @@ class Row:
 
     @property
     def best_rival(self) -> str:
-        """The other law with the least error."""
+        """Rival with the lowest error."""
         rivals = [law for law in self.errors if law != self.law]
         return min(rivals, key=lambda law: self.errors[law])
 
     @property
     def rival_error(self) -> float:
-        """Its error."""
+        """Error of the best rival."""
         return self.errors[self.best_rival]
 
     @property
     def ratio(self) -> float:
-        """Error of the entrant over that of the best rival; infinite if the entrant diverged."""
+        """Ratio of the error of the entrant to that of the best rival; infinite if the entrant diverged."""
         if math.isinf(self.error) or math.isinf(self.rival_error):
             return math.inf if math.isinf(self.error) else 0.0
         return self.error / self.rival_error if self.rival_error else math.inf
@@ -153,7 +153,7 @@ class Row:
 
 
 def rows_of(race: Race, errors: Errors) -> list[Row]:
-    """The table: a row for each held-out cell."""
+    """Comparison on each held-out cell."""
     found = {cell: dict.fromkeys(race.file.laws, math.inf) for cell in race.held_out}
     for run, error in errors.items():
         found[run.cell][run.law] = error
@@ -163,7 +163,7 @@ def rows_of(race: Race, errors: Errors) -> list[Row]:
 @final
 @dataclass(frozen=True)
 class Spread:
-    """Quantiles of some numbers, and the bootstrap interval [low, high] of their median over cells."""
+    """Quantiles, and the bootstrap interval [low, high] of the median over cells."""
 
     quantiles: Mapping[float, float]
     low: float
@@ -190,7 +190,7 @@ def spread(values: Sequence[float], seed: int) -> Spread:
 
 
 def _medians(values: np.ndarray) -> np.ndarray:
-    """The median along the last axis, as of the logarithms."""
+    """Median along the last axis, of the logarithms."""
     ordered, count = np.sort(values, axis=-1), values.shape[-1]
     lower, upper = ordered[..., (count - 1) // 2], ordered[..., count // 2]
     product = np.prod([np.where(np.isfinite(each), each, 0) for each in (lower, upper)], axis=0)

@@ -12,7 +12,11 @@ from typing import Any, Final
 from pydantic import ValidationError
 
 from dmframe.block import AbstractBlock, type_name
+from dmframe.block.parameter import specs
+from dmframe.block.port import Side
 from dmframe.catalogue import find_graph, find_race, find_reality
+from dmframe.common.errors import DmframeError, MissingError, UnknownNameError, ValueFault
+from dmframe.common.units import to_unit
 from dmframe.config.document import Document, Node, mapping_of, read_file
 from dmframe.config.grammar import KEYS as GRAPH_KEYS
 from dmframe.config.grammar import fault_of, shown
@@ -21,19 +25,15 @@ from dmframe.config.reality import KEY as REALITY
 from dmframe.config.reality import LIKE, NONE, models_of
 from dmframe.config.sections import kinds_of
 from dmframe.diagram.diagram import doubtful
-from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault
-from dmframe.parameter import specs
-from dmframe.port import Side
 from dmframe.race.grammar import RACE, LawSection, RaceFile, keys_at, raise_placed
 from dmframe.race.plan import PATH, Law, Race, Run, listed
 from dmframe.race.sources import Sources
-from dmframe.units import to_unit
 
 SECTIONS: Final = ("robot", "start", "plants", "paths", "realities")
 
 
 def load_race(source: str | Path) -> Race:
-    """A race from its file, or from the name of a packaged one.
+    """Read a race from a file, or by the name of a packaged race.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def load_race(source: str | Path) -> Race:
     document = read_file(path, RACE)
     file = _checked(document)
     faults = [*_unknown_names(file), *_misplaced(file, path.parent)]
-    sections = {name: _absolute(_said(_node(document, name), document.name), path.parent) for name in SECTIONS}
+    sections = {name: _absolute(_with_origin(_node(document, name), document.name), path.parent) for name in SECTIONS}
     laws, sources = dict[tuple[str, float], Law](), Sources()
     for name, clock in itertools.product(file.laws, file.clocks):
         try:
@@ -65,7 +65,7 @@ def load_race(source: str | Path) -> Race:
 
 
 def _digests(race: Race, sources: Sources, folder: Path) -> dict[tuple[str, str], str]:
-    """Digests of the code of plants, paths and realities, and of the packaged sets that realities name."""
+    """Digests of the code of plants, paths and channel models, and of packaged sets of channel models."""
     found = dict[tuple[str, str], str]()
     for name, plant in race.file.plants.items():
         found["plants", name] = sources.digest(kinds_of(plant.blocks, folder).values())
@@ -90,7 +90,7 @@ def _checked(document: Document) -> RaceFile:
 
 
 def _unknown_names(file: RaceFile) -> Iterable[DmframeError]:
-    """Faults of names that are not defined, and of a race that holds out nothing."""
+    """Faults of undefined names, and of a race without held-out cells."""
     known: dict[str, Sequence[str]] = {name: list(getattr(file, name)) for name in ("plants", "paths", "realities")}
     for section in ("training", "quick"):
         for kind, names in known.items():
@@ -122,7 +122,7 @@ def _unknown_names(file: RaceFile) -> Iterable[DmframeError]:
 
 
 def _misplaced(file: RaceFile, folder: Path) -> Iterable[DmframeError]:
-    """Faults of plants without blocks, and of blocks that are not of their section's side."""
+    """Faults of plants without blocks, and of blocks on the wrong side for their section."""
     for name, plant in file.plants.items():
         where, at = f"plants.{name}", ("plants", name)
         if not plant.blocks:
@@ -142,7 +142,7 @@ def _misplaced(file: RaceFile, folder: Path) -> Iterable[DmframeError]:
 
 
 def _shared_names(file: RaceFile, laws: Mapping[tuple[str, float], Law]) -> Iterable[DmframeError]:
-    """Faults of blocks of a law that have the name of the path's block, or of a plant's."""
+    """Faults of law blocks with the name of the path block or of a plant block."""
     owners = {
         PATH: "the path's block",
         **{block: f"a block of plants.{name}" for name, plant in file.plants.items() for block in plant.blocks},
@@ -156,7 +156,7 @@ def _shared_names(file: RaceFile, laws: Mapping[tuple[str, float], Law]) -> Iter
 
 
 def _law(name: str, clock: float, section: LawSection, race: Document, folder: Path, sources: Sources) -> Law:
-    """The controller's blocks of a law's graph at a sampling period, with the values that the race sets."""
+    """Controller blocks of a law at a sampling period, with the values set by the race."""
     where = f"laws.{name}"
     document = _graph_of(where, section.graph_at(clock), folder, ("laws", name, "graph"))
     for label in section.set:
@@ -188,13 +188,13 @@ def _law(name: str, clock: float, section: LawSection, race: Document, folder: P
         if (searched.between is None) == (searched.per_clock is None):
             raise ValueFault(f"{where}.tune.{label}: expected one of between and per_clock", path=at)
         own.append((label, _own(f"{where}.tune.{label}", mine[block], parameter, values[block], at)))
-    stamped = {block: (key, _said(node, document.name)) for block, (key, node) in blocks.items()}
-    wires = {end: (key, _said(node, document.name)) for end, (key, node) in _entries(document, "wires").items()}
+    stamped = {block: (key, _with_origin(node, document.name)) for block, (key, node) in blocks.items()}
+    wires = {end: (key, _with_origin(node, document.name)) for end, (key, node) in _entries(document, "wires").items()}
     return Law(section, document.name, stamped, wires, tuple(own), sources.digest(mine.values()))
 
 
 def _graph_of(where: str, graph: str, folder: Path, at: tuple[str, ...]) -> Document:
-    """The document of a law's graph: a file if its name ends like one, or a packaged graph."""
+    """Document of the graph of a law: a file (by its ending) or a packaged graph."""
     path = folder / graph
     try:
         document = read_file(path if path.suffix in (".yaml", ".yml") else find_graph(graph))
@@ -207,15 +207,15 @@ def _graph_of(where: str, graph: str, folder: Path, at: tuple[str, ...]) -> Docu
 
 
 def _set(document: Document, label: str, race: Document, law: str) -> Document:
-    """The law's document with one of its values under ``set``."""
+    """Document of the law with a value of its key ``set``."""
     at = ("laws", law, "set", label)
-    said = race.locate(at)
+    origin = race.locate(at)
     try:
-        return put_at(document, label, race.node(at), said, GRAPH_KEYS)
+        return put_at(document, label, race.node(at), origin, GRAPH_KEYS)
     except DmframeError as error:
         for fault in error.faults:
-            fault.text = f"laws.{law}.set: {fault.text.removeprefix(f'{said}: ')}"
-            fault.path, fault.location = at, said
+            fault.text = f"laws.{law}.set: {fault.text.removeprefix(f'{origin}: ')}"
+            fault.path, fault.location = at, origin
         raise
 
 
@@ -230,7 +230,7 @@ def _check_parameter(where: str, label: str, kinds: Mapping[str, type[AbstractBl
 def _own(
     where: str, kind: type[AbstractBlock], parameter: str, values: Mapping[str, Any], path: tuple[str, ...]
 ) -> float:
-    """The graph's own value of a searched parameter, in the parameter's unit."""
+    """Value of a searched parameter in the graph, in the unit of the parameter."""
     value, spec = values.get(parameter, kind.model_fields[parameter].default), specs(kind).get(parameter)
     if spec is None:
         raise ValueFault(f"{where}: expected a parameter that is a real number, found a choice or a count", path=path)
@@ -241,7 +241,7 @@ def _own(
 
 
 def _check_graphs(race: Race) -> None:
-    """Read graphs of each law, plant, path and reality, to find their faults before any run.
+    """Read graphs with each law, plant, path and set of channel models, to report faults before any run.
 
     One graph of each sampling period is flattened, which also checks the times and the start.
     """
@@ -283,18 +283,20 @@ def _entries(document: Document, key: str) -> dict[str, tuple[Node, Node]]:
     return value if isinstance(value, dict) else {}
 
 
-def _said(node: Node, file: str) -> Node:
-    """The node, each value of which names its place in a file, so that a graph made of several files names it too."""
+def _with_origin(node: Node, file: str) -> Node:
+    """Node with the file and place of each value, for messages about graphs composed of several files."""
     value = node.value
     if isinstance(value, dict):
-        value = {key: (replace(at, said=at.place(file)), _said(item, file)) for key, (at, item) in value.items()}
+        value = {
+            key: (replace(at, origin=at.place(file)), _with_origin(item, file)) for key, (at, item) in value.items()
+        }
     elif isinstance(value, list):
-        value = [_said(item, file) for item in value]
-    return replace(node, value=value, said=node.place(file))
+        value = [_with_origin(item, file) for item in value]
+    return replace(node, value=value, origin=node.place(file))
 
 
 def _absolute(node: Node, folder: Path) -> Node:
-    """The node, in which texts that name files of a folder have their absolute paths: a graph is in another folder."""
+    """Node with absolute paths for files of a folder, since the graph is in another folder."""
     value = node.value
     if isinstance(value, dict):
         return replace(node, value={key: (at, _absolute(item, folder)) for key, (at, item) in value.items()})

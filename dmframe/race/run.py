@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, final
 
-from dmframe.errors import OutputError
-from dmframe.files import write_text, writing
+from dmframe.common.errors import OutputError
+from dmframe.common.files import write_text, writing
 from dmframe.race.compute import JOURNAL, Heat, Kept, computed
 from dmframe.race.plan import Race, Run
 from dmframe.race.protocol import Choice, Row, chosen, judged_runs, rows_of, tuning_runs
 from dmframe.study.execute import State
 from dmframe.study.executor import Executor
-from dmframe.study.kernel_lock import alone_in
+from dmframe.study.kernel_lock import exclusive
 from dmframe.study.packing import write_graph
 
 WORST: Final = 6
@@ -23,7 +23,7 @@ WORST: Final = 6
 TABLE, CHOICES, PAGE, FILE = "table.json", "tuned.json", "report.html", "race.yaml"
 
 Report = Callable[[str, State], None]
-"""(stage, state), called whenever the state changes, and twice a second."""
+"""Callback (stage, state), called at each change and twice a second."""
 
 
 @final
@@ -52,7 +52,7 @@ def run_race(
     executor: Callable[[Heat], Executor] | None = None,
     report: Report = lambda stage, state: None,
 ) -> Finished:
-    """Compute the runs that the folder lacks, and write the results.
+    """Compute the missing runs, and write the results.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def run_race(
     folder = Path(out)
     with writing(folder, "folder"):
         folder.mkdir(parents=True, exist_ok=True)
-    with alone_in(folder):
+    with exclusive(folder):
         _check_folder(folder)
         kept = Kept(folder)
 
@@ -90,7 +90,7 @@ def run_race(
 
 
 def _check_folder(folder: Path) -> None:
-    """Raise `OutputError` for a folder with other files: those of a race would replace them."""
+    """Raise `OutputError` for a folder with other files, which the files of the race would replace."""
     with writing(folder, "folder"):
         others = sorted(item.name for item in folder.iterdir() if not item.name.startswith("."))
     if others and JOURNAL not in others:
@@ -136,5 +136,5 @@ def _choice(choice: Choice) -> dict[str, Any]:
 
 
 def _json(rows: Any) -> str:
-    """JSON, in which an infinite number is null."""
+    """JSON with null for infinite numbers."""
     return json.dumps(json.loads(json.dumps(rows), parse_constant=lambda _: None), indent=1) + "\n"

@@ -1,4 +1,4 @@
-"""Sources of blocks: their modules, and what these import from the block packages or from their own folder."""
+"""Source files of blocks: their modules, and imports from block packages or from their own folder."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from typing import final
 
 from dmframe.block import AbstractBlock
 from dmframe.catalogue import packages
-from dmframe.version import version
+from dmframe.common.version import version
 
 
 @final
 @dataclass(frozen=True)
 class Module:
-    """A file of Python code; the name is empty for a user's file, which may import its neighbours."""
+    """Python file; the module name is empty for a user's file, which may import from its folder."""
 
     name: str
     path: Path
@@ -29,7 +29,7 @@ class Module:
 
 @final
 class Sources:
-    """Digests of the code of blocks; each file is read once, so that all digests are of one moment."""
+    """Digests of the code of blocks; each file is read once, so that all digests are consistent."""
 
     def __init__(self) -> None:
         self._folders = {package.__name__: [Path(folder) for folder in package.__path__] for package in packages()}
@@ -38,7 +38,7 @@ class Sources:
         self._version = version()
 
     def digest(self, kinds: Iterable[type[AbstractBlock]], files: Iterable[Path] = ()) -> str:
-        """Digest of dmframe's version, of the modules of some blocks with all that they import, and of other files."""
+        """Digest of the version of dmframe, of the modules of blocks with their imports, and of other files."""
         digest = hashlib.sha256(self._version.encode())
         contents = {(module.name, module.path.name, self._content(module.path)) for module in self.modules(kinds)}
         for name, file, content in sorted(contents | {("", path.name, self._content(path)) for path in files}):
@@ -46,7 +46,7 @@ class Sources:
         return digest.hexdigest()
 
     def modules(self, kinds: Iterable[type[AbstractBlock]]) -> set[Module]:
-        """The modules of some blocks, and those of the block packages or of the own folder that they import."""
+        """Modules of blocks, with their imports from block packages or from their folder."""
         found, left = set[Module](), [module for kind in kinds for module in self._defining(kind)]
         while left:
             if (module := left.pop()) not in found:

@@ -8,17 +8,17 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Final, final
 
-from dmframe.errors import RobotError
+from dmframe.common.errors import RobotError
 from dmframe.exact import Echelon, NoRationalError, Trial, ZeroDivision, random_prime, rational_reconstruction
 from dmframe.regressor.full import Sampler, full_regressor
 from dmframe.regressor.groupings import symbolic_groupings
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.parameters import DynamicParameters, Inertial
 
-# Mersenne primes: large ones carry the long fractions that general rotations bring, and need no search.
+# Mersenne primes: large enough for the long fractions of general rotations, and known without a search.
 _EXPONENTS: Final = (127, 521, 1279, 2203, 4423, 9689, 19937)
-# The textbooks' choice: inertias before first moments before masses, and I_xx before I_yy, so that a link's mass
-# moves to its parent and I_xx - I_yy stays [GautierKhalil1990].
+# Textbook order: inertias before first moments before masses, and I_xx before I_yy, so that a link's mass is grouped
+# with its parent and I_xx - I_yy remains [GautierKhalil1990].
 _RANK: Final = Inertial(I_xx=0, I_xy=1, I_xz=2, I_yy=3, I_yz=4, I_zz=5, mc_x=6, mc_y=7, mc_z=8, m=9)
 _CALM: Final = 3
 
@@ -26,7 +26,7 @@ _CALM: Final = 3
 @final
 @dataclass(frozen=True)
 class BaseParameters:
-    r"""Independent columns of a regressor, and the linear combinations of parameters that belong to them.
+    r"""Independent columns of a regressor, and the linear combinations of parameters that they multiply.
 
     .. math:: Y_d\, a = Y_d[:, independent]\, \beta, \qquad \beta = grouping \cdot a
 
@@ -82,7 +82,7 @@ def base_parameters(chain: SerialChain, friction: Collection[str] = (), *, symbo
 
     References
     ----------
-    [GautierKhalil1990]_, with a prime field's null space in place of rules or of a numerical rank.
+    [GautierKhalil1990]_, with the null space over a prime field instead of rules or a numerical rank.
     """
     regressor = full_regressor(chain, friction)
     sampler = Sampler(regressor)

@@ -11,15 +11,15 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from dmframe.errors import ShapeError
-from dmframe.files import write_text
+from dmframe.common.errors import ShapeError
+from dmframe.common.files import write_text
+from dmframe.common.version import version
 from dmframe.regressor.base_parameters import base_parameters
 from dmframe.regressor.full import KINEMATIC_SIGNALS, SIGNALS, full_regressor
 from dmframe.robot.chain import SerialChain, pin_configuration
 from dmframe.robot.symbolic import SymbolicRobot
-from dmframe.version import version
 
-# A fixed name of our own: a function called y0, exp or read would collide with the C library's.
+# A fixed, prefixed name: a function called y0, exp or read would collide with the C library's.
 _INNER: Final = "dmframe_regressor_casadi"
 
 _DYNAMIC: Final = """
@@ -77,7 +77,7 @@ def kinematic_function(chain: SerialChain) -> ca.Function:
 
 
 def kinematic_names(chain: SerialChain) -> tuple[str, ...]:
-    """The elements of a_k: p_y3 is the y component of joint 3's place in the frame of joint 2, n + 1 being the tool."""
+    """The elements of a_k: p_y3 is the y component of joint 3's position in the frame of joint 2; n + 1 is the tool."""
     return tuple(f"p_{axis}{place}" for place in range(1, chain.n + 2) for axis in "xyz")
 
 
@@ -100,7 +100,7 @@ def export_c(
     names, robot = full_regressor(chain, friction).parameters.names, chain.name
     if base:
         names = base_parameters(chain, friction, symbolic=False).kept
-        robot += " in base parameters, each named after the one that it keeps"
+        robot += " in base parameters, each named after its kept parameter"
     write_c(regressor_function(chain, friction, base), path, robot=robot, parameters=names)
     return names
 
@@ -118,7 +118,7 @@ def write_c(function: ca.Function, path: str | Path, *, robot: str = "", paramet
     if found not in (SIGNALS, KINEMATIC_SIGNALS) or function.n_out() != 1:
         raise ShapeError(
             f"C source of {function.name()}: expected inputs {', '.join(SIGNALS)} and one output, found "
-            f"{', '.join(found)} and {function.n_out()}; regressor_function makes one"
+            f"{', '.join(found)} and {function.n_out()}; use regressor_function"
         )
     n, p = function.size_out(0)
     if parameters and len(parameters) != p:
@@ -160,7 +160,7 @@ def _kinematic_about(robot: str, n: int, m: int, k: int) -> list[str]:
     return [
         f"Kinematic regressor Y_k(q, psi) of {_plain(robot) or 'a robot'}, written by dmframe {version()}.",
         "",
-        "J(q) psi = Y_k a_k, and what no parameter scales: the travel of prismatic joints.",
+        "J(q) psi = Y_k a_k, except for the travel of prismatic joints, which no parameter scales.",
         f"q, psi: {n} doubles each, joints from the base to the tool; rad, rad/s.",
         f"Y_k: {m} x {k} doubles, row-major.",
         "Compile as C99 and link the mathematics library (-lm).",
@@ -244,7 +244,7 @@ def polarised_regressor(
 
     def standard(v: NDArray[np.float64], a: NDArray[np.float64]) -> NDArray[np.float64]:
         found = pin.computeJointTorqueRegressor(chain.model, data, configuration, v, a)
-        return np.array(found).reshape(chain.n, -1)  # of one joint, Pinocchio returns a row without its axis
+        return np.array(found).reshape(chain.n, -1)  # for one joint, Pinocchio returns a row without the first axis
 
     products = standard(dq + dq_ref, zero) - standard(dq, zero) - standard(dq_ref, zero) + standard(zero, zero)
     return standard(zero, ddq_ref) + products / 2

@@ -31,7 +31,7 @@ _FRESH: Final = 2
 _MOTIONS: Final = 30
 
 Monomial = tuple[int, ...]
-"""The translations that are multiplied, ascending, as places in a_k."""
+"""Indices in a_k of the multiplied translations, ascending."""
 Polynomial = tuple[tuple[Monomial, Fraction], ...]
 
 
@@ -45,7 +45,7 @@ class _Entry(NamedTuple):
 @final
 @dataclass(frozen=True)
 class _Shape:
-    """The monomials that a coefficient may have: those of one degree in some translations."""
+    """Possible monomials of a coefficient: those of one degree in some translations."""
 
     variables: tuple[int, ...]
     degree: int
@@ -93,7 +93,7 @@ def symbolic_groupings(
 def _support(
     sampler: Sampler, trial: Trial, independent: Sequence[int], grouping: Sequence[Sequence[Fraction]]
 ) -> set[_Entry]:
-    """Coefficients that are not 0 at random translations: two of this robot's may cancel, as Panda's do."""
+    """Coefficients that are not 0 at random translations; at the robot's values terms may cancel, as for the Panda."""
     constants = _random_translations(sampler, trial)
     order = [*independent, *sorted(set(range(sampler.columns)) - set(independent))]
     echelon = Echelon(trial.prime, sampler.columns)
@@ -127,7 +127,7 @@ def _shapes(
             if _Entry(row, column) not in support or column == kept or kept >= inertial:
                 continue
             degree = powers[kept] - powers[column]
-            # Only the joints between the two links move one's parameters to the other.
+            # Only the joints between the two links affect the coefficient.
             between = range(3 * (parameters.link_of(kept) + 1), 3 * (parameters.link_of(column) + 1))
             shape = _Shape(tuple(place for place in between if lengths[place]) if degree else (), degree)
             if degree >= 0 and 0 < len(shape.monomials) <= _MOST_MONOMIALS:
@@ -219,7 +219,7 @@ def _coefficient(polynomial: Polynomial | None, value: Fraction, names: Mapping[
     if polynomial is None:
         magnitude = abs(value)
         number = f"{float(magnitude):.6g}"
-        # Nearly 1 is not 1: a rotation by 1.5708 leaves 0.999999999993.
+        # Nearly 1 is not 1: a rotation by 1.5708 gives 0.999999999993.
         return (1 if value > 0 else -1), "" if magnitude == 1 else "1.00000" if number == "1" else number
     sign = 1 if polynomial[0][1] > 0 else -1
     terms = [(sign * number, _monomial(monomial, names)) for monomial, number in polynomial]

@@ -25,11 +25,11 @@ def listing(chain: SerialChain, base: BaseParameters) -> str:
     if base.translations:
         lengths = "\n".join(f"  {name} = {float(length):.10g} m" for name, length in base.translations)
         parts.append(
-            "Translations, p_y3 being the y component of joint 3's place in the frame of joint 2 (1 is nearest the "
+            "Translations; p_y3 is the y component of joint 3's position in the frame of joint 2 (1 is nearest the "
             f"base):\n{lengths}"
         )
     if base.unidentifiable:
-        parts.append("No motion shows " + ", ".join(base.unidentifiable) + ".")
+        parts.append("Not identifiable from any motion: " + ", ".join(base.unidentifiable) + ".")
     return "\n\n".join(parts) + "\n"
 
 

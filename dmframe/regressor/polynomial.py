@@ -1,7 +1,7 @@
 """Equations of motion expanded: polynomials in named symbols and in sines and cosines of sums of joint angles.
 
-A sum of such terms is unique, so that equal expressions look alike: products of sines and cosines become sines and
-cosines of sums, within a group of parallel joints, where the sums mean something.
+A sum of such terms is unique, so that equal expressions have equal texts: within a group of parallel joints, products
+of sines and cosines become sines and cosines of sums of angles.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Final, NamedTuple, final
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact.arithmetic import ARITHMETIC
 from dmframe.program import DIVISIONS, by_code, read, run
 
@@ -46,7 +46,7 @@ class Polynomial:
 
     @classmethod
     def of(cls, terms: Iterable[tuple[Key, Fraction]]) -> Polynomial:
-        """Equal keys are added up."""
+        """Sum of terms; coefficients of equal keys are added."""
         total: defaultdict[Key, Fraction] = defaultdict(Fraction)
         for key, value in terms:
             total[key] += value

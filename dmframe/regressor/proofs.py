@@ -87,14 +87,14 @@ def prove(
 ) -> tuple[Proof, ...]:
     r"""Prove the structural properties of a chain's model.
 
-    Linearity of the Slotine-Li form in a_d, and in a_d only; that it is M ddq_ref + C dq_ref + g; M symmetric;
+    Linearity of the Slotine-Li form in a_d, and in a_d only; its equality with M ddq_ref + C dq_ref + g; M symmetric;
     :math:`\sigma^\top(\dot M - 2C)\sigma = 0`; J the derivative of f; :math:`J\psi = Y_k a_k` and dJ/dt that of a
     Jacobian.
 
     Parameters
     ----------
     trials, seed
-        Of the exact tests; each draws random primes and points.
+        Number of trials and seed of the exact tests; each trial draws random primes and points.
     robot
         Another symbolic model of the chain, for tests with a faulty one.
 

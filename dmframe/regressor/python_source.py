@@ -9,8 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from dmframe.errors import ValueFault
-from dmframe.files import write_text
+from dmframe.common.errors import ValueFault
+from dmframe.common.files import write_text
+from dmframe.common.version import version
 from dmframe.program import CONST, Node, by_code, read, run
 from dmframe.regressor.base_parameters import base_parameters
 from dmframe.regressor.export import (
@@ -24,7 +25,6 @@ from dmframe.regressor.export import (
 )
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.parameters import DynamicParameters
-from dmframe.version import version
 
 RULES: Final = by_code(
     {
@@ -80,7 +80,7 @@ def python_source(
 ) -> str:
     """A module with a function ``Y_d(q, dq, dq_ref, ddq_ref)``, or ``Y_k(q, psi)``, and its parameters.
 
-    It is the instruction tape of the CasADi function, one line an operation, and works on whole arrays of motions.
+    It is the instruction tape of the CasADi function, one line per operation, and works on whole arrays of motions.
     With `base`, the columns and values are those of the base parameters.
 
     Raises `UnknownNameError` for another kind of friction.

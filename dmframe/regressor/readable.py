@@ -1,4 +1,4 @@
-"""Expanded equations in the form in which textbooks print them."""
+"""Expanded equations of motion in textbook form."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ class Factor(NamedTuple):
 @final
 @dataclass(frozen=True)
 class Term:
-    """A coefficient, symbols, and sines and cosines, multiplied."""
+    """Product of a coefficient, symbols, sines and cosines."""
 
     value: Fraction
     symbols: tuple[str, ...]
     factors: tuple[Factor, ...]
 
     def at(self, numbers: Mapping[str, float], q: np.ndarray) -> float:
-        """Its value, for the check of what is printed."""
+        """Numeric value, for the check of the printed equations."""
         result = float(self.value)
         for symbol in self.symbols:
             result *= numbers[symbol]
@@ -43,7 +43,7 @@ class Term:
 @final
 @dataclass(frozen=True)
 class Groups:
-    """Joints whose axes stay parallel, next to one another: (first joint, signs of their axes) of each group."""
+    """Groups of adjacent joints with parallel axes: (first joint, signs of their axes) of each group."""
 
     members: tuple[tuple[int, tuple[int, ...]], ...]
     n: int
@@ -56,7 +56,7 @@ class Groups:
         return Factor(wave.sine, tuple(k))
 
     def nice(self, group: int, k: Sequence[int]) -> bool:
-        """True for one angle, or that of a link: the sum over a stretch of parallel joints."""
+        """True for one joint angle, or the angle of a link: the signed sum over adjacent parallel joints."""
         signs = self.members[group][1]
         used = [place for place, number in enumerate(k) if number]
         if not used or used[-1] - used[0] != len(used) - 1:
@@ -97,7 +97,7 @@ def _folded(waves: Mapping[tuple[Wave, ...], Fraction], groups: Groups) -> _Sum:
 
 
 def _fold(sums: Mapping[Wave, Fraction], zero: Wave, groups: Groups) -> _Sum:
-    """Sums as products where that leaves single angles, cos(2a + b) + cos b = 2 cos(a + b) cos a; the rest stays."""
+    """Sums as products if that leaves single angles, cos(2a + b) + cos b = 2 cos(a + b) cos a; others are unchanged."""
     left, found = dict(sums), list[tuple[Fraction, tuple[Factor, ...]]]()
     awkward = [wave for wave in left if wave != zero and not groups.nice(zero.group, wave.k)]
     for wave in sorted(awkward, key=lambda w: [-abs(x) for x in w.k]):
@@ -114,7 +114,7 @@ def _fold(sums: Mapping[Wave, Fraction], zero: Wave, groups: Groups) -> _Sum:
 
 
 def _partner(wave: Wave, left: Mapping[Wave, Fraction], zero: Wave, groups: Groups) -> Wave | None:
-    """What makes a pair with a wave whose halves are single angles: another one, or zero."""
+    """Partner of a wave whose half sum and half difference are single angles: another wave, or zero."""
     alike = [w for w in left if w not in (wave, zero) and w.sine == wave.sine and abs(left[w]) == abs(left[wave])]
     if wave.sine:
         alike.append(zero._replace(sine=True))
@@ -137,7 +137,7 @@ def _halves(a: Wave, b: Wave, groups: Groups) -> tuple[Wave, Wave] | None:
 def _product_form(a: Wave, b: Wave, value: Fraction, sign: int, groups: Groups) -> tuple[Fraction, tuple[Factor, ...]]:
     """The value of (cos a + sign cos b), or (sin a + sign sin b), as a product."""
     halves = _halves(a, b, groups)
-    assert halves is not None  # `_partner` saw to it
+    assert halves is not None  # ensured by `_partner`
     sines = {(False, 1): (False, False), (False, -1): (True, True), (True, 1): (True, False), (True, -1): (False, True)}
     value = -2 * value if (a.sine, sign) == (False, -1) else 2 * value
     factors = []
@@ -152,7 +152,7 @@ def _product_form(a: Wave, b: Wave, value: Fraction, sign: int, groups: Groups) 
 @final
 @dataclass(frozen=True)
 class Style:
-    """How terms are written: plain text, or LaTeX."""
+    """Output format of terms: plain text or LaTeX."""
 
     latex: bool
 
@@ -210,7 +210,7 @@ _GREEK = {"psi": r"\psi", "phi": r"\varphi"}
 
 
 def _moves(name: str) -> bool:
-    """True for a rate, which is written after sines and cosines."""
+    """True for a rate, which is printed after sines and cosines."""
     return name.rpartition("_")[0] in (*_ACCENTS, *_GREEK)
 
 

@@ -1,4 +1,4 @@
-"""M, C, g, Y_d and Y_k of a small robot, written out entry by entry."""
+"""Print M, C, g, Y_d and Y_k of a small robot entry by entry."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.regressor.export import kinematic_names, kinematic_values
 from dmframe.regressor.full import full_regressor
 from dmframe.regressor.polynomial import Polynomial, expand
@@ -26,7 +26,7 @@ _FRICTION: Final[dict[Part, str]] = {"rotor": "ddq_ref", "viscous": "dq_ref", "c
 @final
 @dataclass(frozen=True)
 class Matrix:
-    """A matrix of readable sums; `entries` row by row. `columns` names its columns where they have names."""
+    """Matrix of readable sums; `entries` by row. `columns` are the column names, if any."""
 
     name: str
     arguments: str
@@ -42,13 +42,13 @@ class WrittenOut:
     Parameters
     ----------
     M, C, g
-        Of M ddq + C(q, dq) dq + g; parameters that are zero in the robot's model are left out.
+        Matrices of M ddq + C(q, dq) dq + g; parameters that are zero in the robot's model are omitted.
     Y_d
-        The regressor's columns that are not zero; likewise `Y_k`, whose product with a_k is J psi.
+        Nonzero columns of the regressor; likewise `Y_k`, whose product with a_k is J psi.
     numbers
         Translations, inertial parameters and gravity by name, in SI units.
     left_out
-        Parameters left out of M, C and g.
+        Parameters omitted from M, C and g.
     """
 
     chain: SerialChain
@@ -62,7 +62,7 @@ class WrittenOut:
 
     @property
     def matrices(self) -> tuple[Matrix, ...]:
-        """All five."""
+        """All five matrices."""
         return self.M, self.C, self.g, self.Y_d, self.Y_k
 
 
@@ -80,7 +80,7 @@ def write_out(chain: SerialChain, friction: Collection[str] = (), keep: Sequence
     if chain.n > MOST_JOINTS:
         raise ValueFault(
             f"{chain.name}: expected at most {MOST_JOINTS} joints to write out, found {chain.n}, whose Y_d takes "
-            f"{regressor.function.n_instructions()} operations; free fewer joints, or write code (--c, --python)"
+            f"{regressor.function.n_instructions()} operations; fix some joints, or generate code (--c, --python)"
         )
     return _Writer(chain).whole(friction, keep)
 
@@ -187,7 +187,7 @@ def parallel_groups(chain: SerialChain) -> Groups:
 
 
 def _parallel(before: Any, joint: Any) -> int:
-    """1 or -1 where the joint's axis is, or opposes, the axis before it; 0 otherwise."""
+    """1 or -1 if the joint's axis is parallel or antiparallel to the previous one; 0 otherwise."""
     if before.kind != "revolute":
         return 0
     turned = tuple(sum((r * a for r, a in zip(row, joint.axis, strict=True)), Fraction(0)) for row in joint.rotation)
@@ -197,7 +197,7 @@ def _parallel(before: Any, joint: Any) -> int:
 
 
 def _with_friction(Y_d: Matrix, parameters: DynamicParameters) -> Matrix:
-    """With the columns diag(dq_ref) and diag(phi(dq_ref)) too, where there are such parameters."""
+    """Y_d with the columns diag(dq_ref) and diag(phi(dq_ref)) of friction parameters, if any."""
     n, rows = parameters.chain.n, []
     for i, inertial in enumerate(Y_d.entries):
         parts: dict[Part, list[tuple[Term, ...]]] = {"inertial": [*inertial]}
@@ -215,7 +215,7 @@ def _named_columns(matrix: Matrix, names: Sequence[str], keep: Sequence[int] | N
 
 
 def plain_text(matrix: Matrix) -> str:
-    """A matrix entry by entry, one a line; zeros are left out."""
+    """Matrix as text, one entry per line without zeros."""
     style = Style(latex=False)
     lines = [f"{matrix.name}({matrix.arguments})"]
     lines += [f"  {label} = {style.sum(terms)}" for label, terms in _labelled(matrix, latex=False) if terms]
@@ -270,7 +270,7 @@ def _comment(name: str) -> str:
 
 
 def largest_difference(written: WrittenOut) -> float:
-    """How far what is printed for M, C dq and g is from Pinocchio, relative to the largest entry."""
+    """Largest difference of the printed M, C dq and g from Pinocchio, relative to the largest entry."""
     import pinocchio as pin
 
     from dmframe.robot.chain import pin_configuration
@@ -294,5 +294,5 @@ def largest_difference(written: WrittenOut) -> float:
 
 
 def evaluate(matrix: Matrix, numbers: dict[str, float], q: np.ndarray) -> np.ndarray:
-    """What is printed, in numbers."""
+    """Numeric values of a printed matrix."""
     return np.array([[sum(term.at(numbers, q) for term in terms) for terms in row] for row in matrix.entries])

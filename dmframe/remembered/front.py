@@ -17,53 +17,65 @@ from dmframe.remembered.inputs import digest, unchanged
 
 WIDEST: Final = 116
 """Columns of a verdict's text where there is no terminal, and at most."""
-_VALUES: Final = ("--set", "--seed")
+_VALUES: Final = {"verify": ("--set", "--seed"), "run": ("--set", "--until", "--reality")}
+"""Options with a value that a verdict, or what a run concludes from its graphs, depends on."""
+_FLAGS: Final = {"verify": ("--json", "--fresh"), "run": ("--json", "--fresh", "--no-plots", "--page", "--force")}
+_APART: Final = {"verify": (), "run": ("--out", "--engine", "--figures")}
+"""Flags and options with a value that it does not depend on."""
 
 
 @final
 @dataclass(frozen=True)
 class Call:
-    """A call of ``verify`` whose verdict may be kept.
+    """A call of ``verify`` whose verdict may be kept, or of ``run`` whose conclusions may be.
 
     Parameters
     ----------
+    command
+        ``verify`` or ``run``.
     words
         Graphs and options as given, but for those of how it is shown.
     as_json, fresh
         Whether `--json` and `--fresh` were given.
     """
 
+    command: str
     words: tuple[str, ...]
-    as_json: bool
-    fresh: bool
+    as_json: bool = False
+    fresh: bool = False
 
     @property
     def key(self) -> str:
         """Under which its verdict is kept: the words, and where and by what they are read."""
         flags = (sys.flags.optimize, sys.flags.isolated, sys.flags.no_site, sys.flags.dont_write_bytecode)
         where = (os.getcwd(), sys.executable, sys.version, sys.path, flags, __file__, _columns())  # noqa: PTH109
-        return digest(repr((store.FORMAT, self.words, where)).encode("utf-8", "surrogateescape"))
+        return digest(repr((store.FORMAT, self.command, self.words, where)).encode("utf-8", "surrogateescape"))
 
 
 def call_of(arguments: Sequence[str]) -> Call | None:
     """The call that a command line's words make; None for one whose verdict is not kept, as with `--report`."""
-    if not arguments or arguments[0] != "verify":
+    command = arguments[0] if arguments else ""
+    if command not in _VALUES:
         return None
+    values, apart = _VALUES[command], _APART[command]
     words, given = list[str](), set[str]()
     rest = iter(arguments[1:])
     for word in rest:
-        if word in ("--json", "--fresh"):
+        option = word.partition("=")[0]
+        if word in _FLAGS[command]:
             given.add(word)
-        elif word in _VALUES:
+        elif word in values or word in apart:
             value = next(rest, None)
             if value is None:
                 return None
-            words += [word, value]
-        elif word.startswith("-") and word.partition("=")[0] not in _VALUES:
-            return None
-        else:
+            words += [word, value] if word in values else []
+        elif word == "--baseline" and command == "run":
             words.append(word)
-    return Call(tuple(words), "--json" in given, "--fresh" in given) if words else None
+        elif word.startswith("-") and option not in (*values, *apart):
+            return None
+        elif option not in apart:
+            words.append(word)
+    return Call(command, tuple(words), "--json" in given, "--fresh" in given) if words else None
 
 
 def found(call: Call) -> dict[str, Any] | None:

@@ -13,10 +13,10 @@ import sys
 import sysconfig
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from typing import Any, Final, final
 
-from dmframe import copies
+from dmframe.common import copies
 from dmframe.remembered import store
 from dmframe.remembered.front import Call
 from dmframe.remembered.inputs import ABSENT, states_of
@@ -63,7 +63,7 @@ class Recorder:
     """The inputs of one call, from `begin` on."""
 
     def __init__(self, call: Call, place: str) -> None:
-        self.call, self.place, self._process = call, place, os.getpid()
+        self.call, self.place, self.process = call, place, os.getpid()
         self.refused = ""
         self.aside = list[str]()
         self._began = time.time_ns()
@@ -82,8 +82,17 @@ class Recorder:
 
     def _end_copy(self) -> None:
         """End a copy of the process: what it would record is lost, and its work is repeated by the process itself."""
-        if os.getpid() != self._process:
+        if os.getpid() != self.process:
             os._exit(1)
+
+    def start_in_copy(self) -> None:
+        """Record in a copy of the process, whose job returns what it read; see `dmframe.remembered.conclusions`."""
+        self.process = os.getpid()
+        self._seen.clear()
+
+    def names(self) -> Iterator[tuple[str, str]]:
+        """Kind and name of all that was read, as it is recorded."""
+        yield from (*self._seen, *_loaded(self._cache))
 
     def opened(self, path: Any, flags: int) -> None:
         """A file was opened; descriptors were opened before under a name."""
@@ -97,7 +106,7 @@ class Recorder:
 
     def entry(self) -> dict[str, Any] | None:
         """The inputs in their present states; None where they are not all known."""
-        names = dict.fromkeys(name for key in (*self._seen, *_loaded(self._cache)) for name in self._named(*key))
+        names = dict.fromkeys(name for key in self.names() for name in self._named(*key))
         names |= dict.fromkeys(("variable", name) for name in VARIABLES)
         for kind, name in names:
             if kind == "content" and not self.refused:
@@ -239,6 +248,22 @@ def begin(call: Call) -> Recorder | None:
     return recorder
 
 
+def current() -> Recorder | None:
+    """The recorder that watches this process."""
+    return _watching[-1] if _watching else None
+
+
+@contextmanager
+def paused() -> Iterator[None]:
+    """Context for what this process reads only to write its results."""
+    watching = _watching[:]
+    _watching.clear()
+    try:
+        yield
+    finally:
+        _watching[:] = watching
+
+
 def end() -> Recorder | None:
     """Stop watching; returns what was recorded, None where nothing was."""
     os.environ.__class__ = _Watched.__base__
@@ -255,4 +280,4 @@ def finish(text: str, summaries: list[dict[str, Any]], status: int, proved_at: s
     return store.keep(recorder.place, recorder.call.key, entry)
 
 
-__all__ = ["ABSENT", "PROBE", "Recorder", "begin", "end", "finish"]
+__all__ = ["ABSENT", "PROBE", "Recorder", "begin", "current", "end", "finish", "paused"]

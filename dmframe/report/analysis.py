@@ -9,18 +9,18 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, final
 
-from dmframe import notebook
-from dmframe.columns import columns
+from dmframe.common import notebook
+from dmframe.common.columns import columns
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
 from dmframe.config.about import AboutGraph
 from dmframe.report.linear import EMULATION_HEADS, JOINT_HEADS, LinearView, rows_of
-from dmframe.units import plain
 
 if TYPE_CHECKING:
-    from dmframe.analysis import LoopAnalysis, TieGain
+    from dmframe.analysis import LoopAnalysis, ReferenceGain
 
 LOOP_HEADS: Final = ("", "at rest", "moving (no slope of Coulomb friction)")
-TIE_HEADS: Final = ("joint", "K_c of the graph", "least K_c", "least without friction")
+GAIN_HEADS: Final = ("joint", "K_c of the graph", "least K_c", "least without friction")
 
 
 @final
@@ -101,6 +101,7 @@ class Analysis(AboutGraph):
             f"{self.name}: {self.graph.file.title}".rstrip(": "),
             "",
             "joint loops: servo, motor, diagonal of M and viscous friction at the set-point, other joints locked",
+            *(line for friction in self.found.left_out for line in textwrap.wrap(str(friction), 112)),
             columns([JOINT_HEADS, *view.joints]),
             "",
             "closed loop, linearised at the set-point, estimates at their true values",
@@ -120,7 +121,7 @@ class Analysis(AboutGraph):
         return "\n".join(parts)
 
     def _repr_html_(self) -> str:
-        view, ties = self._view, self.found.ties
+        view, gains = self._view, self.found.reference_gains
         return (
             notebook.heading(self.name, self.graph.file.title)
             + notebook.paragraphs([self.conclusion])
@@ -128,7 +129,7 @@ class Analysis(AboutGraph):
             + notebook.table(view.loop, LOOP_HEADS)
             + notebook.table(view.joints, JOINT_HEADS)
             + (notebook.table(view.emulation, EMULATION_HEADS) if view.emulation else "")
-            + (notebook.table(map(_tie, ties), TIE_HEADS) if ties else "")
+            + (notebook.table(map(_gain, gains), GAIN_HEADS) if gains else "")
         )
 
     def _proofs(self) -> Iterator[str]:
@@ -147,14 +148,14 @@ class Analysis(AboutGraph):
             yield ""
 
     def _least_K_c(self) -> Iterator[str]:
-        ties: Sequence[TieGain] = self.found.ties
-        if ties:
+        gains: Sequence[ReferenceGain] = self.found.reference_gains
+        if gains:
             over = "the intervals of uncertain:" if self.graph.file.uncertain else "the graph's own servo gains"
             yield f"K_c of the PID inverse [1/s]: the least that makes M̄ ≥ 0 over {over}, rounded upwards"
-            yield columns([TIE_HEADS, *map(_tie, ties)])
+            yield columns([GAIN_HEADS, *map(_gain, gains)])
             yield ""
 
 
-def _tie(tie: TieGain) -> tuple[str, ...]:
-    own = f"{float(tie.own):.6g}" + ("" if tie.holds else ", too small")
-    return tie.joint, own, f"{float(tie.least):g}", f"{float(tie.least_without_friction):g}"
+def _gain(gain: ReferenceGain) -> tuple[str, ...]:
+    own = f"{float(gain.own):.6g}" + ("" if gain.holds else ", too small")
+    return gain.joint, own, f"{float(gain.least):g}", f"{float(gain.least_without_friction):g}"

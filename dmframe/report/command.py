@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from dmframe.catalogue import graphs
+from dmframe.common.files import is_file
 from dmframe.config import BaseGraph
-from dmframe.files import is_file
 
 ENDINGS = (".yaml", ".yml")
 

@@ -7,24 +7,24 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, final
 
+from dmframe.block.parameter import specs
 from dmframe.block.prose import About, about
 from dmframe.certify import Verdict
 from dmframe.certify.checked import Checked
 from dmframe.certify.statements import Statement
 from dmframe.certify.summary import summary
+from dmframe.common.text import Text, text_of
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.formula import PrintedLaw, laws_of
 from dmframe.formula.where import where
-from dmframe.parameter import specs
 from dmframe.report.linear import LinearView, linear_view
 from dmframe.report.measured import Measured, measure
 from dmframe.report.parts import Row
 from dmframe.report.planar import RobotModel, robot_model
 from dmframe.report.terms import Terms, parameter_text, rows_of_lines, terms_of
 from dmframe.report.words import Meaning, meaning_of
-from dmframe.text import Text, text_of
-from dmframe.units import plain
 
 
 @final
@@ -247,8 +247,8 @@ def _law(diagram: Diagram, name: str, printed: PrintedLaw) -> BlockLaw:
 
 def _condition(checked: Checked) -> Condition:
     margin = f"{checked.value:.4g}" if checked.value is not None else "" if checked.holds else "not found"
-    said = "" if checked.expression in checked.name else Text(": ", checked.expression)
-    text, source = Text(checked.name, said), text_of(checked.source)
+    detail = "" if checked.expression in checked.name else Text(": ", checked.expression)
+    text, source = Text(checked.name, detail), text_of(checked.source)
     return Condition(text.marked, margin, checked.holds, checked.how, source.marked)
 
 

@@ -9,17 +9,17 @@ from typing import final
 import numpy as np
 
 from dmframe.block import AbstractBlock
+from dmframe.block.port import Side
 from dmframe.block.prose import about
 from dmframe.certify import Verdict
 from dmframe.certify.true_values import estimates_of
+from dmframe.common.errors import DmframeError, visible
 from dmframe.config import BaseGraph
 from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import WORDS, known_truths
 from dmframe.diagram.pieces import rows_of
-from dmframe.errors import DmframeError, visible
 from dmframe.formula import Formula, PrintedLaw, laws_of
 from dmframe.formula.unmarked import unmarked
-from dmframe.port import Side
 from dmframe.report.exchange import Exchange, exchange_of
 from dmframe.report.flow import Given, Taken, given, order, taken
 from dmframe.simulate.start import start_state

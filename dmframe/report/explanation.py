@@ -10,26 +10,26 @@ from functools import cached_property
 from html import escape
 from typing import Any, Final, NamedTuple, final
 
-from dmframe import notebook
+from dmframe.block.parameter import specs
+from dmframe.block.port import Access, Side
 from dmframe.certify import Verdict
-from dmframe.columns import page_width
+from dmframe.common import notebook
+from dmframe.common.columns import page_width
+from dmframe.common.errors import listed
+from dmframe.common.names import unicode_name
+from dmframe.common.text import text_of
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
 from dmframe.config.about import AboutGraph
 from dmframe.diagram.knowledge import WORDS
-from dmframe.errors import listed
 from dmframe.exact.rational import as_float
 from dmframe.formula.unmarked import unmarked
 from dmframe.formula.wrap import wrapped
-from dmframe.names import unicode_name
-from dmframe.parameter import specs
-from dmframe.port import Access, Side
 from dmframe.report.command import command
 from dmframe.report.explained import BlockFacts, exchange, facts_of
-from dmframe.report.sentences import Said, described, signal, supplies
+from dmframe.report.sentences import Sentence, described, signal, supplies
 from dmframe.report.verdict_text import HARD
 from dmframe.report.words import everywhere, meaning_of
-from dmframe.text import text_of
-from dmframe.units import plain
 
 _INDENT: Final = 2
 _UNIT: Final = re.compile(r" \[[^\]]*\]")
@@ -43,7 +43,7 @@ class Section(NamedTuple):
     """Heading with its sentences and formulas."""
 
     heading: str
-    said: tuple[Said, ...]
+    sentences: tuple[Sentence, ...]
 
 
 @final
@@ -75,12 +75,12 @@ class Explanation(AboutGraph):
             for place, block in enumerate(self.blocks, start=1)
         ]
         head = f"{self.name}: {self.graph.file.title}".rstrip(": ")
-        seen = Section("Signals of the plant that the controller reads", tuple(map(Said, self._seen())))
+        seen = Section("Signals of the plant that the controller reads", tuple(map(Sentence, self._seen())))
         return (
-            Section(head, tuple(map(Said, self._whole()))),
+            Section(head, tuple(map(Sentence, self._whole()))),
             *blocks,
-            *[seen] * bool(seen.said),
-            Section("What the certificate says", tuple(self._certificate())),
+            *[seen] * bool(seen.sentences),
+            Section("Certificate", tuple(self._certificate())),
         )
 
     @property
@@ -94,7 +94,8 @@ class Explanation(AboutGraph):
             "verdict": self.verdict.outcome,
             "command": self.command,
             "sections": [
-                {"heading": section.heading, "text": [item.text for item in section.said]} for section in self.sections
+                {"heading": section.heading, "text": [item.text for item in section.sentences]}
+                for section in self.sections
             ],
         }
 
@@ -152,26 +153,26 @@ class Explanation(AboutGraph):
             and any(sides[reader] is Side.CONTROLLER for reader, _ in item.readers) is read
         ]
 
-    def _certificate(self) -> Iterator[Said]:
+    def _certificate(self) -> Iterator[Sentence]:
         verdict = self.verdict
-        yield from map(Said, self._energy())
-        said = command(self.graph, "verify")
-        given = f", with {said.before}" if said.before else ""
-        yield Said(f"Verdict: {verdict.headline} ({said.text}{given}).".replace("`", ""))
+        yield from map(Sentence, self._energy())
+        shown = command(self.graph, "verify")
+        given = f", with {shown.before}" if shown.before else ""
+        yield Sentence(f"Verdict: {verdict.headline} ({shown.text}{given}).".replace("`", ""))
         clock = self.graph.file.clock
         meaning = unmarked(meaning_of(verdict, clock).sentence).replace(_RATE, "d/dt ")
-        yield Said(meaning[:1].upper() + meaning[1:])
+        yield Sentence(meaning[:1].upper() + meaning[1:])
         if clock is not None and verdict.outcome == "proved" and verdict.samples is None:
-            yield Said(
+            yield Sentence(
                 f"The proof holds in continuous time; the effect of sampling every {plain(clock, 's')} is not proved."
             )
         if verdict.conditions:
             failing = [item.name.unicode for item in verdict.conditions if not item.holds]
             met = f"All {len(verdict.conditions)} conditions hold {unmarked(everywhere(verdict))}."
-            yield Said(f"Conditions that fail: {listed(failing)}." if failing else met)
+            yield Sentence(f"Conditions that fail: {listed(failing)}." if failing else met)
         if verdict.assumptions:
-            yield Said("Assumptions:")
-            yield from (Said(f"- {text_of(item.text).unicode}") for item in verdict.assumptions)
+            yield Sentence("Assumptions:")
+            yield from (Sentence(f"- {text_of(item.text).unicode}") for item in verdict.assumptions)
 
     def _energy(self) -> Iterator[str]:
         claim = self.verdict.flow_claim
@@ -208,7 +209,7 @@ class Explanation(AboutGraph):
         for section in self.sections:
             parts.append(notebook.heading(section.heading))
             parts += [f"<p><code>{escape(s.text)}</code></p>" if s.formula else f"<p>{escape(s.text)}</p>"
-                      for s in section.said]  # fmt: skip
+                      for s in section.sentences]  # fmt: skip
         return "".join(parts)
 
 
@@ -221,7 +222,7 @@ def _storages(blocks: list[str]) -> str:
 def _lines(section: Section, wide: int) -> Iterator[str]:
     yield from textwrap.wrap(section.heading, wide, subsequent_indent=" " * _INDENT)
     lead, deep = " " * _INDENT, " " * 2 * _INDENT
-    for item in section.said:
+    for item in section.sentences:
         if item.formula:
             first, *more = wrapped(item.text, wide - 3 * _INDENT)
             yield from (f"{deep}{first}", *(f"{deep}{lead}{text}" for text in more))

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
+from dmframe.block.port import ANY, Access, Side
 from dmframe.diagram import Diagram
 from dmframe.diagram.wiring import Ahead, Derived, Drawn, End, Period, Time, Wire, Zero
-from dmframe.port import ANY, Access, Side
 
 SIDES: Final = (Side.SOURCE, Side.CONTROLLER, Side.PLANT)
 """Sides in signal-flow order."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final, assert_never, final
 
-from dmframe.notebook import embedded
+from dmframe.common.notebook import embedded
 from dmframe.report.mathml import breakable, mathml, terms
 from dmframe.report.parts import (
     MARKED,
@@ -114,7 +114,7 @@ class Writer:
         """One part."""
         match part:
             case Paragraph():
-                return tag("p", cell(part.says), class_="note" if part.note else "")
+                return tag("p", cell(part.text), class_="note" if part.note else "")
             case Bullets():
                 items = [
                     tag("li", cell(item), class_="fails" if place in part.failing else "")

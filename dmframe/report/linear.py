@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, final
 
+from dmframe.common.errors import DmframeError, listed
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
 from dmframe.diagram.fingerprint import short
-from dmframe.errors import DmframeError, listed
-from dmframe.units import plain
 
 if TYPE_CHECKING:
     from dmframe.analysis import Bracket, EmulationLimit, JointLoop, Linear, LoopAnalysis, StabilityProof
@@ -130,8 +130,12 @@ def _loop(found: LoopAnalysis) -> Iterator[tuple[str, str, str]]:
         yield name, slow, fast
     resting = "eigenvalues at one" if sampled else "poles at zero"
     yield f"{resting}, free equilibrium coordinates", str(both[0].at_rest), str(both[1].at_rest)
-    if both[0].drifting or both[1].drifting:
-        yield "Jordan blocks there: ramp modes without a restoring term", str(both[0].drifting), str(both[1].drifting)
+    if both[0].ramp_modes or both[1].ramp_modes:
+        yield (
+            "Jordan blocks there: ramp modes without a restoring term",
+            str(both[0].ramp_modes),
+            str(both[1].ramp_modes),
+        )
     if found.clock is not None:
         at_rest, moving = (f"{linear.spectral_radius(found.clock):.6f}" for linear in both)
         yield f"spectral radius of the loop sampled every {plain(found.clock, 's')}; stable below 1", at_rest, moving
@@ -166,7 +170,7 @@ def _model(found: LoopAnalysis) -> str:
 def _meaning(proof: StabilityProof, found: LoopAnalysis, moving: bool) -> str:
     """Statement and assumptions of the proof."""
     if proof.period is None:
-        return f"nothing is proved: {proof.reason}" if proof.reason else "nothing is proved"
+        return f"no stability proof: {proof.reason}" if proof.reason else "no stability proof"
     rests = f"; {proof.resting} more directions are exact equilibria" if proof.resting else ""
     if proof.kept:
         rests += f"; {proof.kept} sums of states are invariant and keep their values there"

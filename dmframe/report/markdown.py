@@ -42,7 +42,7 @@ def blocks(parts: Sequence[Part]) -> list[str]:
 def _part(part: Part) -> list[str]:
     match part:
         case Paragraph():
-            return [cell(part.says)]
+            return [cell(part.text)]
         case Bullets():
             return ["\n".join(f"- {cell(item)}" for item in part.items)]
         case Table():

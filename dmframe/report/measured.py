@@ -9,15 +9,15 @@ from typing import Any, final
 import numpy as np
 
 from dmframe.certify import Verdict
+from dmframe.common.errors import DmframeError
+from dmframe.common.plotting import figure_svg
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
-from dmframe.errors import DmframeError
 from dmframe.exact.rational import as_float
-from dmframe.plotting import figure_svg
-from dmframe.results.along import Along, along
+from dmframe.results.along import StorageTrace, along
 from dmframe.results.metrics import tracking_error, turn_error
-from dmframe.results.storage_figure import storage_picture
+from dmframe.results.storage_figure import StoragePicture, storage_picture
 from dmframe.simulate import Log, Recording
-from dmframe.units import plain
 
 ROUNDING = 1e-6
 """Relative increase of V, of its initial value, that the integration error explains."""
@@ -69,11 +69,12 @@ def measure(graph: BaseGraph, verdict: Verdict, tell: Callable[[str], None] = la
     more, v_numbers = _v_facts(found, clock)
     over = verdict.samples is not None
     kept = np.unique(np.linspace(0, found.time.size - 1, INSTANTS).astype(int))
+    names = [rf"${term.of.latex}$ ({term.block})" for term in found.terms]
     return Measured(
         sentence=f"{_sentence(clock, verdict)} {_judged_over_samples(found) if over else _judged(found, clock)}",
         facts=(*facts, *more),
         numbers={**numbers, **v_numbers},
-        figure=figure_svg(storage_picture(found, [rf"${term.of.latex}$ ({term.block})" for term in found.terms], run)),
+        figure=figure_svg(storage_picture(StoragePicture(found, names), run)),
         caption="$V$ along the simulated run (above), and its largest terms, each with its weight (below).",
         table=tuple((float(found.time[k]), float(found.V[k])) for k in kept),
     )
@@ -82,8 +83,8 @@ def measure(graph: BaseGraph, verdict: Verdict, tell: Callable[[str], None] = la
 def _sentence(clock: float | None, verdict: Verdict) -> str:
     if verdict.samples is not None:
         return (
-            "The theorem is one over samples, of the estimates alone: that the robot follows its path is not part of "
-            "it. The figures below are measured on one simulation, from one start, along one path."
+            "The theorem is in discrete time and covers the estimates, not the distance of the robot from its path. "
+            "The figures below are measured on one simulation, from one start, along one path."
         )
     if clock is None:
         return (
@@ -97,7 +98,7 @@ def _sentence(clock: float | None, verdict: Verdict) -> str:
     )
 
 
-def _judged(found: Along, clock: float | None) -> str:
+def _judged(found: StorageTrace, clock: float | None) -> str:
     if not found.largest_increase:
         return "Along the run $V$ never rose from one sample to the next."
     ratio = found.largest_increase / found.V[0] if found.V[0] else float("inf")
@@ -115,7 +116,7 @@ def _judged(found: Along, clock: float | None) -> str:
     )
 
 
-def _judged_over_samples(found: Along) -> str:
+def _judged_over_samples(found: StorageTrace) -> str:
     """Rises of V against what the claim over samples allows."""
     which = f"$V$ is evaluated {found.about}. " if found.about else ""
     rose = f"Along the run $V$ rose from one sample to the next in {found.rises} of {found.steps.size} cases. "
@@ -130,12 +131,12 @@ def _judged_over_samples(found: Along) -> str:
     )
 
 
-def _climbed(found: Along) -> str:
+def _climbed(found: StorageTrace) -> str:
     """Largest rise of V above an earlier value, as a fraction of its fall."""
     climb = found.climb
     if climb.since is None or climb.until is None:
         return "That is within rounding. "
-    fraction = "" if climb.share is None else f", which is {100 * climb.share:.3g} % of its fall"
+    fraction = "" if climb.fraction is None else f", which is {100 * climb.fraction:.3g} % of its fall"
     between = f"between {plain(climb.since, 's')} and {plain(climb.until, 's')}"
     jumps = f"; its {len(found.jumps)} jumps at the steps of a source are excluded" if found.jumps else ""
     return f"It rose by {climb.rise:.3g} {between}{fraction}{jumps}. "
@@ -151,6 +152,10 @@ def _run_facts(run: Recording) -> tuple[list[tuple[str, str]], dict[str, Any]]:
         rms = [f"{value:.3g}" if value is not None else "-" for value in error.rms_by_eighth]
         facts.append((f"RMS of $|{error.signal.latex}|$ over each eighth of the run, {error.unit}", ", ".join(rms)))
         numbers["rms_by_eighth"] = list(error.rms_by_eighth)
+        if (prismatic := error.prismatic) is not None:
+            rms = [f"{value:.3g}" if value is not None else "-" for value in prismatic.rms_by_eighth]
+            facts.append((f"the same of the prismatic joints, {prismatic.unit}", ", ".join(rms)))
+            numbers["prismatic_rms_by_eighth"] = list(prismatic.rms_by_eighth)
     if turn is not None:
         rms = [f"{value:.3g}" if value is not None else "-" for value in turn.rms_by_eighth]
         about = f"RMS of the angle between $R$ and $R_d$ over each eighth of the run, {turn.unit}"
@@ -160,7 +165,7 @@ def _run_facts(run: Recording) -> tuple[list[tuple[str, str]], dict[str, Any]]:
     return facts, numbers
 
 
-def _along(verdict: Verdict, run: Recording) -> tuple[Along | None, str]:
+def _along(verdict: Verdict, run: Recording) -> tuple[StorageTrace | None, str]:
     claim = verdict.claim
     if claim is None:
         return None, "A graph without a certificate has no $V$."
@@ -177,7 +182,7 @@ def _along(verdict: Verdict, run: Recording) -> tuple[Along | None, str]:
         return None, f"$V$ is not shown: {error.text}."
 
 
-def _v_facts(found: Along, clock: float | None) -> tuple[list[tuple[str, str]], dict[str, Any]]:
+def _v_facts(found: StorageTrace, clock: float | None) -> tuple[list[tuple[str, str]], dict[str, Any]]:
     every, climb = "sample" if clock is not None else "recorded instant", found.climb
     facts = [
         ("$V$ at the start and at the end", f"{found.V[0]:.6g} and {found.V[-1]:.6g}"),
@@ -196,7 +201,7 @@ def _v_facts(found: Along, clock: float | None) -> tuple[list[tuple[str, str]], 
         "rises": found.rises,
         "steps": int(found.steps.size),
         "rise": climb.rise,
-        "rise_share": climb.share,
+        "rise_share": climb.fraction,
         "rise_from": climb.since,
         "rise_until": climb.until,
         "fall": climb.fall if np.isfinite(climb.fall) else None,
@@ -210,7 +215,7 @@ def _v_facts(found: Along, clock: float | None) -> tuple[list[tuple[str, str]], 
     return facts, numbers
 
 
-def _increase(found: Along) -> str:
+def _increase(found: StorageTrace) -> str:
     if found.increase_at is None:
         return "none"
     return f"{found.largest_increase:.3g}, at t = {plain(found.increase_at, 's')}"

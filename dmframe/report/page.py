@@ -88,8 +88,8 @@ def as_markdown(contents: Sequence[Content]) -> str:
 
 def first_page(opening: Opening) -> str:
     """First page of a report as an HTML fragment for a notebook."""
-    said = f": {opening.title}" if opening.title else ""
-    name = tag("p", tag("b", plain(opening.name)), plain(said))
+    title = f": {opening.title}" if opening.title else ""
+    name = tag("p", tag("b", plain(opening.name)), plain(title))
     writer = html.Writer("first")
     parts = [tag("style", _NARROW), name, html.lead(sections.lead(opening))]
     return tag("div", joined([*parts, *map(writer.part, sections.first_page(opening))]), class_="dmframe")

@@ -83,7 +83,7 @@ Cell: TypeAlias = Piece | tuple[Piece, ...]
 class Paragraph:
     """Paragraph; a note is set in small type."""
 
-    says: Cell
+    text: Cell
     note: bool = False
 
 

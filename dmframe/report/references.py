@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from dmframe.catalogue import packages
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 
 _ENTRY: Final = re.compile(r"^@\w+\{\s*([^,\s]+)\s*,(.*?)^\}", re.MULTILINE | re.DOTALL)
 _FIELD: Final = re.compile(r"^\s*(\w+)\s*=\s*\{(.*)\},?\s*$", re.MULTILINE)

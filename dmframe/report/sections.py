@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from dmframe.plotting import unit_text
+from dmframe.common.plotting import unit_text
 from dmframe.report.content import BlockLaw, Content, Follows, Opening
 from dmframe.report.linear import EMULATION_HEADS, JOINT_HEADS
 from dmframe.report.parts import (
@@ -61,7 +61,7 @@ def lead(r: Opening | Content) -> Lead:
 
 def meaning(r: Opening | Content) -> list[Part]:
     """Meaning of the verdict, and its limits."""
-    lists = (("It says", r.meaning.means), ("It does not say", r.meaning.means_not))
+    lists = (("Statement", r.meaning.means), ("Not covered", r.meaning.means_not))
     return [Columns([Titled(title, Bullets([*map(Marked, texts)])) for title, texts in lists])]
 
 
@@ -159,8 +159,8 @@ def _terms(r: Content) -> Iterator[Part]:
     yield Table(
         lost, _TERM_HEADS, (Marked(r"Dissipation: $\dot V$ is minus the sum of these"), *consumed, f"{projected}.")
     )
-    if found.excess:
-        left = [(row.block, (*_left(row), *_by(row)), *_weight(row)) for row in found.excess]
+    if found.residual:
+        left = [(row.block, (*_left(row), *_by(row)), *_weight(row)) for row in found.residual]
         caption = (
             r"Residual, positive or of either sign: $\dot V$ may exceed minus the dissipation by the sum of these."
         )
@@ -225,8 +225,8 @@ def _left(row: TermRow) -> tuple[str | Formula, ...]:
 
 
 def _projected(symbol: str, name: str, found: Terms) -> tuple[Cell, ...]:
-    says = ("projection of ", Word(name, "code"), " onto its set; not positive by the projection lemma")
-    return name.partition(".")[0], says, Formula(symbol), (), (), _KAPPA if found.consumption else "1"
+    text = ("projection of ", Word(name, "code"), " onto its set; not positive by the projection lemma")
+    return name.partition(".")[0], text, Formula(symbol), (), (), _KAPPA if found.consumption else "1"
 
 
 def _conditions(r: Content) -> Iterator[Part]:
@@ -342,13 +342,13 @@ def _model(r: Content) -> Iterator[Part]:
 
 
 def _provenance(r: Content) -> Iterator[Part]:
-    said, made, time = r.summary, r.provenance, r.summary["time"]
+    summary, made, time = r.summary, r.provenance, r.summary["time"]
     rows: list[tuple[Cell, Cell]] = [("command", Word(r.replay, "command")), ("written", made["time"])]
-    if said["primes"]:
-        test = f"{said['trials']} random points, seed {said['seed']}, degree at most {said['degree_bound']}"
-        bound = said["log2_error_bound"]
+    if summary["primes"]:
+        test = f"{summary['trials']} random points, seed {summary['seed']}, degree at most {summary['degree_bound']}"
+        bound = summary["log2_error_bound"]
         wrong = () if bound is None else (", error below ", Formula(f"2^{{{bound:.0f}}}"))
-        rows += [("exact test", (test, *wrong)), ("primes", Word(", ".join(said["primes"]), "long"))]
+        rows += [("exact test", (test, *wrong)), ("primes", Word(", ".join(summary["primes"]), "long"))]
     rows.append(("graph, SHA-256", Word(made["graph_sha256"], "long")))
     rows.append(("model, SHA-256", Word(made["field_hash"], "long")))
     if made.get("urdf"):

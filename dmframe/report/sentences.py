@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Final, NamedTuple, final
 
-from dmframe.errors import listed
+from dmframe.block.port import Side
+from dmframe.common.errors import listed
+from dmframe.common.names import unicode_name
 from dmframe.formula import Line, PrintedLaw
-from dmframe.names import unicode_name
-from dmframe.port import Side
 from dmframe.report.explained import BlockFacts, Estimated
 from dmframe.report.flow import Taken
 from dmframe.report.terms import names_in, shown
@@ -26,20 +26,20 @@ FROM: Final = {
 
 
 @final
-class Said(NamedTuple):
+class Sentence(NamedTuple):
     """Sentence, or displayed formula."""
 
     text: str
     formula: bool = False
 
 
-def described(block: BlockFacts) -> list[Said]:
+def described(block: BlockFacts) -> list[Sentence]:
     """Sentences about a block."""
-    said = [Said(block.does or "Its docstring has no summary.")]
-    said += [Said(text) for text in (*_takes(block), *_hands_on(block), *_keeps(block))]
+    sentences = [Sentence(block.does or "Its docstring has no summary.")]
+    sentences += [Sentence(text) for text in (*_takes(block), *_outputs(block), *_states(block))]
     if block.side is not Side.SOURCE:
-        said += _energy(block)
-    return said
+        sentences += _energy(block)
+    return sentences
 
 
 def signal(name: str, unit: str) -> str:
@@ -79,7 +79,7 @@ def _joined(clauses: Sequence[str]) -> str:
     return "; ".join([*clauses[:-1], f"and {clauses[-1]}"])
 
 
-def _hands_on(block: BlockFacts) -> Iterator[str]:
+def _outputs(block: BlockFacts) -> Iterator[str]:
     read = dict[tuple[str, ...], list[str]]()
     unread = list[str]()
     for item in block.given:
@@ -100,7 +100,7 @@ def _either(names: Sequence[str]) -> str:
     return f"{', '.join(most)} or {last}" if most else last
 
 
-def _keeps(block: BlockFacts) -> Iterator[str]:
+def _states(block: BlockFacts) -> Iterator[str]:
     if block.states:
         many = "states are" if len(block.states) > 1 else "state is"
         yield f"Its {many} {listed([signal(*state) for state in block.states])}."
@@ -118,31 +118,31 @@ def _estimate(item: Estimated) -> str:
     return f"{text}; the true value depends on signals." if item.of is not None else f"{text}."
 
 
-def _energy(block: BlockFacts) -> Iterator[Said]:
+def _energy(block: BlockFacts) -> Iterator[Sentence]:
     law = block.law
     if not block.certified:
-        yield Said("It has no certificate, so a graph with it cannot be proved.")
+        yield Sentence("It has no certificate, so a graph with it cannot be proved.")
     if law is None or not block.certified:
         return
     if law.S is not None:
-        yield Said("Storage function, its part of V:")
-        yield Said(f"S = {law.S.right.unicode}", formula=True)
+        yield Sentence("Storage function, its part of V:")
+        yield Sentence(f"S = {law.S.right.unicode}", formula=True)
     if law.dissipation:
-        yield Said("Dissipation, negative in dV/dt:")
-        yield Said(" + ".join(_bracketed(term.whole.unicode) for term in law.dissipation), formula=True)
-    if law.excess:
-        yield Said("Residual of the robust adaptation, which may increase dV/dt:")
-        yield Said(" + ".join(_bracketed(term.whole.unicode) for term in law.excess), formula=True)
+        yield Sentence("Dissipation, negative in dV/dt:")
+        yield Sentence(" + ".join(_bracketed(term.whole.unicode) for term in law.dissipation), formula=True)
+    if law.residual:
+        yield Sentence("Residual of the robust adaptation, which may increase dV/dt:")
+        yield Sentence(" + ".join(_bracketed(term.whole.unicode) for term in law.residual), formula=True)
     if supplies(law):
-        yield Said("Supply rate from other blocks, in dV/dt:")
-        yield Said(law.supply.unicode if law.supply is not None else "0", formula=True)
+        yield Sentence("Supply rate from other blocks, in dV/dt:")
+        yield Sentence(law.supply.unicode if law.supply is not None else "0", formula=True)
     if law.consumption is not None:
         by = f"the dissipation of {block.dominator} must dominate it" if block.dominator else "no block dominates it"
-        yield Said(f"Its cross term in dV/dt is {law.consumption.whole.unicode}; {by}.")
+        yield Sentence(f"Its cross term in dV/dt is {law.consumption.whole.unicode}; {by}.")
     if law.S is None and not law.dissipation and not supplies(law) and law.consumption is None:
-        yield Said("It has no term in V and dV/dt.")
+        yield Sentence("It has no term in V and dV/dt.")
     if parts := _parts(law):
-        yield Said(f"where {', '.join(line.whole.unicode for line in parts)}", formula=True)
+        yield Sentence(f"where {', '.join(line.whole.unicode for line in parts)}", formula=True)
 
 
 def supplies(law: PrintedLaw) -> bool:
@@ -157,7 +157,7 @@ def _bracketed(text: str) -> str:
 
 def _parts(law: PrintedLaw) -> list[Line]:
     """Definitions used, directly or not, in the energy terms of a law."""
-    formulas = [term.whole for term in (*law.storage, *law.dissipation, *law.excess)]
+    formulas = [term.whole for term in (*law.storage, *law.dissipation, *law.residual)]
     formulas += [item for item in (law.supply, law.consumption and law.consumption.whole) if item is not None]
     formulas += [line.right for line in law.estimates]
     used = set(_names(formula.node for formula in formulas))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Final, Literal, NamedTuple
 
-from dmframe.names import LETTERS
+from dmframe.common.names import LETTERS
 from dmframe.report.tags import Html, plain, tag
 
 Kind = Literal["ordinary", "function", "limits", "sign", "relation", "opening", "closing", "space"]

@@ -9,17 +9,17 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX, Clipped, Gathered, Lemma, LogDet, Potential
+from dmframe.block.certificate import SX, Clipped, InformationSquare, Lemma, LogDet, Potential
+from dmframe.block.parameter import Spec
+from dmframe.block.port import Signal, State
 from dmframe.certify.claim import Claim, Part
+from dmframe.common.names import latex_name
 from dmframe.diagram.closed_loop import Parameter
 from dmframe.diagram.truths import value_of
 from dmframe.diagram.view import owners_of
 from dmframe.formula import Line, PrintedLaw, PrintedTerm
 from dmframe.formula.robot import CONSTANTS
 from dmframe.formula.tree import Name, Node
-from dmframe.names import latex_name
-from dmframe.parameter import Spec
-from dmframe.port import Signal, State
 from dmframe.report.parts import Row
 
 FEW = 4
@@ -93,7 +93,7 @@ class Terms:
     rate: tuple[Row, ...]
     storage: tuple[TermRow, ...]
     dissipation: tuple[TermRow, ...]
-    excess: tuple[TermRow, ...]
+    residual: tuple[TermRow, ...]
     projections: tuple[tuple[str, str], ...]
     consumption: str
     definitions: tuple[Row, ...]
@@ -105,11 +105,11 @@ def terms_of(claim: Claim) -> Terms:
     laws = claim.laws
     storage = _numbered(claim, laws, "storage", "W")
     dissipation = _numbered(claim, laws, "dissipation", "D")
-    excess = _numbered(claim, laws, "excess", "E")
+    residual = _numbered(claim, laws, "residual", "E")
     projections = tuple((rf"\pi_{{{k}}}", p.name) for k, p in enumerate(claim.loop.projections, start=1))
     consumed = [law.consumption.whole.latex for law in laws.values() if law.consumption is not None]
     lost = [(row, _formula(row)) for row in dissipation]
-    left = [(row, _formula(row)) for row in excess]
+    left = [(row, _formula(row)) for row in residual]
     kappa = "" if claim.kappa.is_constant() else r"\kappa\,"
     gained = [rf"+ {kappa}{symbol}" for symbol, _ in projections] + [f"+ {term}" for term in consumed]
     named = _used(claim, laws)
@@ -118,7 +118,7 @@ def terms_of(claim: Claim) -> Terms:
         rate=(Row(r"\dot V", "= " + " ".join([_sum(lost, "-") or "0", *[_sum(left, "+")] * bool(left), *gained])),),
         storage=storage,
         dissipation=dissipation,
-        excess=excess,
+        residual=residual,
         projections=projections,
         consumption=" + ".join(consumed),
         definitions=tuple(
@@ -171,7 +171,7 @@ def _row(claim: Claim, part: Part, term: Any, printed: PrintedTerm, symbol: str)
         weight=printed.weight.latex,
         value=_value(claim, ca.SX(weight)),
         by=by,
-        metric=r"\, G" if isinstance(term, Gathered) else "",
+        metric=r"\, G" if isinstance(term, InformationSquare) else "",
         beside=printed.by.latex if isinstance(term, Potential | LogDet) and printed.by is not None else "",
     )
 
@@ -195,7 +195,7 @@ def _used(claim: Claim, laws: Mapping[str, PrintedLaw]) -> list[Used]:
     found = list[Used]()
     for part in claim.parts:
         law = laws[part.block]
-        formulas = [term.weight for term in (*law.storage, *law.dissipation, *law.excess)]
+        formulas = [term.weight for term in (*law.storage, *law.dissipation, *law.residual)]
         formulas += [] if law.consumption is None else [law.consumption.weight]
         names = list(dict.fromkeys(name for formula in formulas for name in names_in(formula.node)))
         for line in law.definitions[::-1]:

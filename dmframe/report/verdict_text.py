@@ -9,11 +9,11 @@ from typing import Any, Final
 
 from dmframe.certify import Verdict
 from dmframe.certify.checked import Checked
-from dmframe.columns import columns
+from dmframe.common.columns import columns
+from dmframe.common.names import unicode_name
+from dmframe.common.text import DV, KAPPA, Text, joined, text_of
 from dmframe.diagram.fingerprint import short
 from dmframe.diagram.wiring import Wire
-from dmframe.names import unicode_name
-from dmframe.text import DV, KAPPA, Text, joined, text_of
 
 HARD: Final = "\N{NO-BREAK SPACE}"
 WIDEST: Final = 116
@@ -55,8 +55,8 @@ def verdict_text(name: str, verdict: Verdict) -> str:
 
 def _followed(verdict: Verdict) -> Iterator[str]:
     """Signals by proved property, then the final conclusions with their proof steps."""
-    for says in dict.fromkeys(item.says for item in verdict.statements):
-        found = [item for item in verdict.statements if item.says == says and not item.concludes]
+    for statement in dict.fromkeys(item.says for item in verdict.statements):
+        found = [item for item in verdict.statements if item.says == statement and not item.concludes]
         grouped = dict[tuple[str, ...], list[str]]()
         for item in found:
             own = item.assumes == (f"the derivative of {item.signal} is bounded",)
@@ -64,7 +64,7 @@ def _followed(verdict: Verdict) -> Iterator[str]:
             grouped.setdefault(assumes, []).append(item.signal.unicode)
         for assumes, signals in grouped.items():
             given = f", each if {' and '.join(assumes)}" if assumes else ""
-            yield _items(f"{says.removeprefix('is ')}{given}: ", dict.fromkeys(signals))
+            yield _items(f"{statement.removeprefix('is ')}{given}: ", dict.fromkeys(signals))
     states = verdict.states
     if states is not None and states.unfelt:
         yield _items(
@@ -78,7 +78,7 @@ def _followed(verdict: Verdict) -> Iterator[str]:
         named = dict.fromkeys(
             line.whole.unicode + (f" ({block})" if len(meanings[line.name]) > 1 else "") for block, line in lines
         )
-        named |= dict.fromkeys(f"{name} of {block} is {goal}" for block, name, goal in _led(verdict))
+        named |= dict.fromkeys(f"{name} of {block} is {goal}" for block, name, goal in _renamed_goals(verdict))
         if named:
             yield _items("where ", named)
     for item in (item for item in verdict.statements if item.concludes):
@@ -86,7 +86,7 @@ def _followed(verdict: Verdict) -> Iterator[str]:
         yield _line(Text("=> ", item.signal, f" {item.says}: ", item.step, assumed))
 
 
-def _led(verdict: Verdict) -> Iterator[tuple[str, str, str]]:
+def _renamed_goals(verdict: Verdict) -> Iterator[tuple[str, str, str]]:
     """Inputs ``*_d`` that are wired to an output of another name, with that output."""
     diagram = verdict.flow_claim.diagram if verdict.flow_claim is not None else None
     for (block, port), source in diagram.sources.items() if diagram is not None else ():

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, final
 
 from dmframe.certify import Verdict
 from dmframe.certify.summary import summary
+from dmframe.common.files import expanded
 from dmframe.config import BaseGraph
 from dmframe.config.about import AboutGraph
-from dmframe.files import expanded
 from dmframe.report.verdict_text import verdict_text
 
 if TYPE_CHECKING:
-    from dmframe.certificate import Assumption
+    from dmframe.block.certificate import Assumption
     from dmframe.certify.checked import Checked
     from dmframe.certify.statements import Statement
 
@@ -113,7 +113,7 @@ class Verification(AboutGraph):
 
         with ca.global_pickle_context():  # margins are CasADi expressions
             verdict = pickle.dumps(self.verdict)
-        return _again, (self.graph, verdict, self.seed, self.label)
+        return _restored, (self.graph, verdict, self.seed, self.label)
 
     def __str__(self) -> str:
         return verdict_text(self.name, self.verdict)
@@ -142,11 +142,11 @@ def command(found: Sequence[Verification], path: Path) -> list[str]:
         for item in (found[:1] if same else found)
         for text in item.graph.overrides
     ]
-    said = [word for text in changes for word in ("--set", text)]
-    return ["dmframe", "verify", *map(place, found), *said, "--seed", str(found[0].seed), "--report", path.name]
+    options = [word for text in changes for word in ("--set", text)]
+    return ["dmframe", "verify", *map(place, found), *options, "--seed", str(found[0].seed), "--report", path.name]
 
 
-def _again(graph: BaseGraph, verdict: bytes, seed: int, label: str) -> Verification:
+def _restored(graph: BaseGraph, verdict: bytes, seed: int, label: str) -> Verification:
     """Restore a pickled verification."""
     import casadi as ca
 

@@ -8,8 +8,8 @@ from typing import Final, final
 from dmframe.certify import Verdict
 from dmframe.certify.claim import Claim
 from dmframe.certify.states import held_in_v
-from dmframe.errors import listed
-from dmframe.units import plain
+from dmframe.common.errors import listed
+from dmframe.common.units import plain
 
 _UNDER: Final = "under the conditions checked and the assumptions listed below."
 _MODEL: Final = "Effects outside the model, excluded by the assumptions, such as flexible joints or a saturated motor."

@@ -8,9 +8,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
-from dmframe.errors import OutputError
-from dmframe.files import check_place as check_file
-from dmframe.files import write_text
+from dmframe.common.errors import OutputError
+from dmframe.common.files import check_place as check_file
+from dmframe.common.files import write_text
 from dmframe.report.content import Content, gather
 from dmframe.report.page import as_html, as_markdown
 from dmframe.report.verification import Verification, command

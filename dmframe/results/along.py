@@ -1,8 +1,7 @@
-"""V along a run: the same expressions that were proved, evaluated at what was simulated.
+"""V along a run: the proved expressions evaluated at the simulated states.
 
-The true parameters in V are those of the plant as wired, and the states are those that the run kept. A source that
-steps, such as a load, makes V jump while no state moves: each such jump is computed and kept apart from what the loop
-does.
+The true parameters in V are those of the plant as wired; the states are those of the recording. A stepping source, such
+as a load, changes V at constant states: each such jump is computed separately from the rise of V in the loop.
 """
 
 from __future__ import annotations
@@ -15,23 +14,21 @@ from typing import final
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX, Square, Stored
-from dmframe.certify.assumed import assumed_positive
-from dmframe.certify.checked import Numbers
+from dmframe.block.certificate import SX, Square, Stored
 from dmframe.certify.claim import Claim, Part, total
+from dmframe.common.errors import ValueFault
+from dmframe.common.slices import slices
+from dmframe.common.text import UNNAMED, Text
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import ValueFault
 from dmframe.formula import Formula, tree
 from dmframe.formula.tree import SCALAR, Name
 from dmframe.results.at_instants import AtInstants
 from dmframe.results.climb import Climb, climb_of
-from dmframe.results.constants import determined, excess_of, notes_on
+from dmframe.results.constants import determined, notes_on, residual_of
 from dmframe.simulate import Recording
-from dmframe.slices import slices
-from dmframe.text import UNNAMED, Text
 
-LOOKED_AT = 128
-"""Instants at which the rounding error of V is bounded; between two of them the larger bound is taken."""
+ROUNDING_INSTANTS = 128
+"""Number of instants at which the rounding error of V is bounded; in between, the larger neighbouring bound applies."""
 
 
 def _none() -> np.ndarray:
@@ -54,7 +51,7 @@ class TermAlong:
 @final
 @dataclass(frozen=True)
 class Jump:
-    """A step of V at `time` [s], by which a source that steps changes it while every state stays."""
+    """Jump of V at `time` [s] by a stepping source, at constant states."""
 
     time: float
     change: float
@@ -62,31 +59,31 @@ class Jump:
 
 @final
 @dataclass(frozen=True)
-class Along:
-    """V and its terms at every sample of a run.
+class StorageTrace:
+    """V and its terms at every recorded instant of a run.
 
     Parameters
     ----------
     time
         (N,) [s].
     kappa
-        The weight of the servo level.
+        Weight of the servo level.
     dissipation
-        (N,) The dissipated squares, each with its weight; empty where they were not evaluated.
+        (N,) Weighted sum of the dissipated squares; empty if not evaluated.
     rate
-        (N,) dV/dt as the claim states it, of continuous time, at the same states; empty where it was not evaluated.
+        (N,) dV/dt of the continuous-time certificate at the same states; empty if not evaluated.
     rounding
-        (N,) How far V may be wrong by rounding; empty for exact numbers.
+        (N,) Bound on the rounding error of V; empty for exact numbers.
     jumps
-        What sources that step add to V at their steps.
-    crossings
-        Sentences on what the claim assumes and this run does not have: weights above zero, constants inside their box.
+        Jumps of V caused by stepping sources.
+    notes
+        Sentences on assumptions that this run violates: positive weights, constants inside their box.
     residual
-        (N,) What a claim over samples lets V gain from each sample to the next; empty where it was not evaluated.
+        (N,) Bound of the discrete-time certificate on the increase of V per sample; empty if not evaluated.
     constants
-        Unknown constants in V with the values that the run determines, by label ``block.name``.
+        Unknown constants in V as identified from the run, by label ``block.name``.
     about
-        Which constants these are, in words.
+        Description of these constants.
     """
 
     time: np.ndarray
@@ -97,14 +94,14 @@ class Along:
     rate: np.ndarray = field(default_factory=_none)
     rounding: np.ndarray = field(default_factory=_none)
     jumps: tuple[Jump, ...] = ()
-    crossings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     residual: np.ndarray = field(default_factory=_none)
     constants: Mapping[str, np.ndarray] = field(default_factory=dict)
     about: str = ""
 
     @cached_property
     def climb(self) -> Climb:
-        """How far V rose between its jumps, beyond what rounding explains."""
+        """Rise of V between its jumps, beyond the rounding error."""
         jumped = np.zeros_like(self.V)
         for jump in self.jumps:
             jumped[self.time >= jump.time] += jump.change
@@ -112,13 +109,13 @@ class Along:
 
     @property
     def steps(self) -> np.ndarray:
-        """(N - 1,) V at each sample minus V at the one before."""
+        """(N - 1,) increment of V per sample."""
         with np.errstate(over="ignore", invalid="ignore"):  # the last samples of a run that diverged
             return np.diff(self.V)
 
     @property
     def beyond(self) -> int:
-        """From how many samples to the next V rises by more than its claim over samples allows, and than rounding."""
+        """Number of samples over which V rises by more than the certificate's residual and rounding allow."""
         if not self.residual.size:
             return 0
         allowed = self.residual[:-1] + self.rounding[:-1] + self.rounding[1:]
@@ -126,55 +123,58 @@ class Along:
 
     @property
     def largest_increase(self) -> float:
-        """The most that V rises from one sample to the next; 0 where it never rises."""
+        """Largest increase of V over one sample; 0 if it never rises."""
         return float(max(0.0, np.max(self.steps, initial=0.0)))
 
     @property
     def increase_at(self) -> float | None:
-        """When the largest increase begins [s]; None where V never rises."""
+        """Start of the largest increase [s]; None if V never rises."""
         steps = self.steps
         return float(self.time[int(np.argmax(steps))]) if steps.size and np.max(steps) > 0 else None
 
     @property
     def rises(self) -> int:
-        """From how many samples to the next V rises."""
+        """Number of samples over which V rises."""
         return int(np.count_nonzero(self.steps > 0))
 
 
-def along(claim: Claim, run: Recording, kappa: float = 1.0) -> Along:
+def along(claim: Claim, run: Recording, kappa: float = 1.0, *, assumed: bool = True) -> StorageTrace:
     r"""Evaluate :math:`V = \kappa (S_1 + S_2 + \dots) + S_{cascade}` along a run.
 
-    Over samples, an unknown constant in V, such as where a servo's integrator started, has the value that the run
-    determines (`dmframe.results.constants`), and `residual` is what the claim lets V gain. It costs two passes over the
-    samples: 1.7 s of CPU for the 10001 samples of `ur10_fast_sampled`; writing the claim takes 1.1 s more.
+    In discrete time, an unknown constant in V, such as the initial state of a servo's integrator, is identified from
+    the run (`dmframe.results.constants`), and `residual` bounds the increase of V. The evaluation takes two passes over
+    the samples: 1.7 s of CPU for the 10001 samples of `ur10_fast_sampled`, and 1.1 s to assemble the certificate.
 
     Parameters
     ----------
     claim
-        Of the diagram that was run, or of one of the same blocks and parameters' sizes.
+        Certificate of the diagram that ran, or of one with the same blocks and parameter sizes.
     kappa
-        Above the least value of the small-gain condition (`Verdict.kappa`); without a cascade it has no effect.
+        Weight above the lower bound of the small-gain condition (`Verdict.kappa`); no effect without a cascade.
+    assumed
+        Whether the claim may assume that weights are positive; if not, none is looked for.
 
     Raises
     ------
     NotApplicableError
-        What V may gain is not quadratic in an unknown constant of V.
+        The residual is not quadratic in an unknown constant of V.
     ValueFault
-        A run whose states are not those of the claim, or that did not keep a state that V holds and that is not
+        The states of the run are not those of the certificate, or a state in V was not recorded and cannot be
         recomputed.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        return (_over_samples if claim.over_samples else _over_time)(claim, run, kappa)
+        return _over_samples(claim, run, kappa) if claim.over_samples else _over_time(claim, run, kappa, assumed)
 
 
-def _over_time(claim: Claim, run: Recording, kappa: float) -> Along:
+def _over_time(claim: Claim, run: Recording, kappa: float, assumed: bool) -> StorageTrace:
     _check_same(claim, run)
     own = AtInstants(claim, run)
     stored = [(part.block, term.of, claim.weight(part) * term.value / 2) for part, term in _terms(claim)]
     column, V = (_weighed(claim, x, kappa) for x in (stack(value for *_, value in stored), claim.V))
-    rows = own.of(column)
-    dissipation, rate = _rates(own, kappa)
-    return Along(
+    rates = _rates(claim, kappa)
+    found = own.of(stack([column, rates]))  # at once, since they share most of their operations
+    rows, (dissipation, rate) = found[: len(stored)], found[len(stored) :] if rates.numel() else (_none(), _none())
+    return StorageTrace(
         time=run.time,
         kappa=kappa,
         V=np.sum(rows, axis=0),
@@ -183,26 +183,26 @@ def _over_time(claim: Claim, run: Recording, kappa: float) -> Along:
         rate=rate,
         rounding=_rounding(own, V),
         jumps=_jumps(own, V),
-        crossings=tuple(_crossings(own)),
+        notes=tuple(_notes(own)) if assumed else (),
     )
 
 
-def _over_samples(claim: Claim, run: Recording, kappa: float) -> Along:
+def _over_samples(claim: Claim, run: Recording, kappa: float) -> StorageTrace:
     own, stored = AtInstants(claim, run), [(part.block, *term) for part in claim.parts for term in _stored(part)]
     column = stack(value / 2 for *_, value in stored)
     constants = determined(claim, column, own)
     column = constants.put(column)
-    gained = constants.put(excess_of(claim)) if own.whole else ca.SX(0, 1)
+    gained = constants.put(residual_of(claim)) if own.whole else ca.SX(0, 1)
     V = claim.loop.on_path(ca.sum1(column))
     found = own.of(stack([column, _size(claim, V), gained]))
     rows, (size, *residual) = found[: len(stored)], found[len(stored) :]
-    return Along(
+    return StorageTrace(
         time=run.time,
         kappa=kappa,
         V=np.sum(rows, axis=0),
         terms=_named(stored, rows),
-        rounding=_share(claim, V) * size,
-        crossings=tuple(notes_on(claim, constants, own)),
+        rounding=_relative_error(claim, V) * size,
+        notes=tuple(notes_on(claim, constants, own)),
         residual=residual[0] if residual else _none(),
         constants=constants.by_label,
         about=constants.text,
@@ -218,7 +218,7 @@ def _terms(claim: Claim) -> list[tuple[Part, Stored]]:
 
 
 def _stored(part: Part) -> Iterator[tuple[Text, SX]]:
-    """Names and values of what a block stores over samples; of steps, one for each output."""
+    """Names and values of a block's discrete-time storage terms; of steps, one per output."""
     for place, term in enumerate(part.certificate.storage, start=1):
         yield getattr(term, "of", UNNAMED) or Text(f"storage {place}"), term.value
     for item in part.certificate.steps:
@@ -230,8 +230,11 @@ def _stored(part: Part) -> Iterator[tuple[Text, SX]]:
             yield Text(error), Square(square.vector[rows], weight).value
 
 
-def _crossings(own: AtInstants) -> Iterator[str]:
-    """Where along the run a weight is not above zero that the claim assumes to be."""
+def _notes(own: AtInstants) -> Iterator[str]:
+    """Sentences on weights that are assumed positive but are not along the run."""
+    from dmframe.certify.assumed import assumed_positive  # most claims assume none
+    from dmframe.certify.checked import Numbers
+
     for item in assumed_positive(own.claim, Numbers(own.claim, {})):
         least = np.min(own.of(own.claim.loop.projected([item.column])[0]), axis=0)
         wrong = np.flatnonzero(~(least > 0))
@@ -239,12 +242,12 @@ def _crossings(own: AtInstants) -> Iterator[str]:
             first = int(wrong[0])
             yield (
                 f"{item.text} is {least[first]:.3g} at t = {own.run.time[first]:.6g} s; the proof assumes that it "
-                "stays above a positive constant, and does not apply from there on"
+                "stays above a positive constant, and does not apply after this time"
             )
 
 
 def _check_same(claim: Claim, run: Recording) -> None:
-    """The run has the states and parameters of the claim, each of its size."""
+    """Check that the run has the states and parameters of the claim, with the same sizes."""
     variables = claim.loop.variables
     wanted = {variable.label: variable.symbol.numel() for variable in variables}
     wanted |= {parameter.label: parameter.symbol.numel() for parameter in claim.loop.parameters}
@@ -254,54 +257,53 @@ def _check_same(claim: Claim, run: Recording) -> None:
         if wanted.get(label) != found.get(label):
             here, there = (f"{sizes[label]} of" if label in sizes else "no" for sizes in (wanted, found))
             raise ValueFault(
-                f"V along a run: expected a run of the claim's own blocks, with {here} {label}, found {there}"
+                f"V along a run: expected a run of the certificate's blocks, with {here} {label}, found {there}"
             )
 
 
-def _rates(own: AtInstants, kappa: float) -> tuple[np.ndarray, np.ndarray]:
-    """The dissipation, and dV/dt as claimed; empty where a derivative enters that this loop does not take.
+def _rates(claim: Claim, kappa: float) -> SX:
+    """Dissipation, and dV/dt by the certificate's identity; empty if a derivative is not available in this loop.
 
-    By the claim's identity this is dV/dt in continuous time, and much cheaper than its derivative.
+    Evaluating the identity is much cheaper than differentiating V.
     """
-    claim, loop = own.claim, own.claim.loop
+    loop = claim.loop
     spent = total([claim.weight(part) * part.dissipation for part in claim.parts])
-    left = total([claim.weight(part) * (part.excess + part.lemma) for part in claim.parts]) + claim.consumption
+    left = total([claim.weight(part) * (part.residual + part.lemma) for part in claim.parts]) + claim.consumption
     column = loop.projected([_weighed(claim, stack([spent, left - spent]), kappa)])[0]
     known = stack([loop.state, loop.time, loop.p])
     if ca.Function("rates", [known], [loop.on_path(column)], {"allow_free": True}).has_free():
-        return _none(), _none()
-    spent_rows, rate = own.of(column)
-    return spent_rows, rate
+        return ca.SX(0, 1)
+    return column
 
 
-def _share(claim: Claim, V: SX) -> float:
-    """N eps: each of the n operations of V, and each of the numbers that it reads, is rounded by a share eps."""
+def _relative_error(claim: Claim, V: SX) -> float:
+    """Relative rounding error N eps of V: eps for each of its n operations and inputs."""
     loop = claim.loop
     inputs = [loop.state, loop.time, loop.period, loop.p]
     return float(ca.Function("V", inputs, [ca.cse(V)]).n_instructions() * np.finfo(float).eps)
 
 
 def _size(claim: Claim, V: SX) -> SX:
-    """|V| + sum |dV/dz| |z|, z the states: the difference of two near numbers is as uncertain as the numbers are."""
+    """|V| + sum |dV/dz| |z| over the states z: scale of V's rounding error, including cancellation."""
     state = claim.loop.state
     return ca.fabs(V) + ca.dot(ca.fabs(ca.gradient(V, state)), ca.fabs(state))
 
 
 def _rounding(own: AtInstants, V: SX) -> np.ndarray:
-    """How far V may be wrong by rounding, to first order, from so many instants."""
+    """First-order bound on the rounding error of V, interpolated from `ROUNDING_INSTANTS` instants."""
     count, V = own.run.time.size, own.claim.loop.on_path(V)
-    looked = np.unique(np.linspace(0, count - 1, min(LOOKED_AT, count)).astype(int))
+    looked = np.array(sorted({*np.linspace(0, count - 1, min(ROUNDING_INSTANTS, count)).astype(int).tolist()}))
     (size,) = own.of(_size(own.claim, V), looked)
-    bound = _share(own.claim, V) * size
+    bound = _relative_error(own.claim, V) * size
     after = np.minimum(np.searchsorted(looked, np.arange(count)), len(looked) - 1)
     found: np.ndarray = np.maximum(bound[after], bound[np.maximum(after - 1, 0)])
     return found
 
 
 def _jumps(own: AtInstants, V: SX) -> tuple[Jump, ...]:
-    """What each step of a source adds to V at the first kept instant that has it, with the states of that instant.
+    """Jump of V at each step of a source, at the states of the first recorded instant after it.
 
-    Exact for a step at a kept instant; of one between two, the states of the later one are taken.
+    Exact for a step at a recorded instant; otherwise the states are those of the later instant.
     """
     claim, time = own.claim, own.run.time
     stepping = [

@@ -1,7 +1,8 @@
-"""How far V rose along a run, beyond what rounding explains."""
+"""Rise of V along a run, beyond its rounding error."""
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import final
 
@@ -11,20 +12,20 @@ import numpy as np
 @final
 @dataclass(frozen=True)
 class Climb:
-    """The largest rise of V above a value that it had before, and the fall with which it is compared.
+    """Largest rise of V above an earlier value, and the fall of V for comparison.
 
     Parameters
     ----------
     start, end, least
-        V at the first and the last instant, and its least value.
+        V at the first and the last instant, and its minimum.
     rise
-        The largest V(t) - V(s) over all s < t; 0 where that is within rounding.
+        Largest V(t) - V(s) over all s < t; 0 if within rounding.
     since, until
-        s and t [s]; None where V never rose.
+        s and t [s]; None if V never rose.
     rises
-        From how many instants to the next V rose by more than rounding explains.
+        Number of intervals over which V rose by more than its rounding error.
     steps
-        Pairs of neighbouring instants.
+        Number of intervals.
     """
 
     start: float
@@ -38,24 +39,30 @@ class Climb:
 
     @property
     def fall(self) -> float:
-        """How far V came below its first value."""
+        """Difference of the first value and the minimum of V."""
         return self.start - self.least
 
     @property
-    def share(self) -> float | None:
-        """The rise as a share of the fall; None where V never fell."""
+    def fraction(self) -> float | None:
+        """Rise as a fraction of the fall; None if V never fell."""
         return self.rise / self.fall if self.fall > 0 else None
+
+    @property
+    def share(self) -> float | None:
+        """Former name of `fraction`."""
+        warnings.warn("Climb: share is now fraction", DeprecationWarning, stacklevel=2)
+        return self.fraction
 
 
 def climb_of(time: np.ndarray, V: np.ndarray, rounding: np.ndarray) -> Climb:
-    """The climb of V over the instants `time`, up to where V is no longer finite.
+    """Compute the climb of V over the instants `time`, up to the first non-finite value.
 
     Parameters
     ----------
     V
-        (N,), without the jumps that sources cause.
+        (N,), without jumps caused by sources.
     rounding
-        (N,), how far each value may be wrong; empty for exact values.
+        (N,), bound on the error of each value; empty for exact values.
     """
     finite = np.isfinite(V)
     count = V.size if finite.all() else int(np.argmin(finite))

@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from dmframe.names import unicode_name
-from dmframe.plotting import PAGE, POINTS, draw_curve, frame, look, names_above, page, tame, unit_text
-from dmframe.port import Access, Side
+from dmframe.block.port import Access, Side
+from dmframe.common.names import unicode_name
+from dmframe.common.plotting import PAGE, POINTS, draw_curve, frame, look, names_above, page, tame, unit_text
+from dmframe.common.units import sliding
 from dmframe.results.dataset import joint_labels
-from dmframe.results.drawn_runs import (
+from dmframe.results.plotting import (
     Runs,
     joint_slides,
     last_stretch,
@@ -22,7 +23,6 @@ from dmframe.results.drawn_runs import (
     shown_unit,
 )
 from dmframe.simulate import Recording
-from dmframe.units import sliding
 
 
 def command_figure(runs: Runs) -> Any:

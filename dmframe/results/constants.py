@@ -1,12 +1,12 @@
-r"""Unknown constants of a claim over samples, as a run determines them.
+r"""Unknown constants of a discrete-time certificate, identified from a run by least squares.
 
-The proof holds for every value c of the unknown constants, such as the offset by which two integrators differ. What V
-may gain in a sample, :math:`r_k(c)`, is a sum of squares of what the rows leave unexplained, and quadratic in c. So a
-run determines the value that leaves least unexplained over all of its samples,
+The proof holds for every value c of the unknown constants, such as the offset between two integrators. The residual
+:math:`r_k(c)`, the largest increase of V in a sample, is a sum of squares of the equation errors of the data rows, so
+quadratic in c. The run determines the value with the least sum,
 
 .. math:: \hat c = \arg\min_c \sum_k r_k(c), \quad \hat c = -\Big(\sum_k r_k''\Big)^{-1} \sum_k r_k'(0)
 
-and V is evaluated there. No other value allows V to rise less.
+and V is evaluated there: any other value allows V a larger increase.
 """
 
 from __future__ import annotations
@@ -18,29 +18,29 @@ from typing import Final, final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
 from dmframe.certify.claim import Claim, NotApplicableError, total
+from dmframe.common.errors import listed, summarised
+from dmframe.common.slices import slices
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import listed, summarised
 from dmframe.results.at_instants import AtInstants
-from dmframe.slices import slices
 
 SINGULAR: Final = 1e-9
-"""Eigenvalues of the scaled sum of r'' up to this say nothing of their direction."""
+"""Eigenvalues of the scaled sum of r'' up to this leave their direction undetermined."""
 
 
 @final
 @dataclass(frozen=True)
 class Constants:
-    """The unknown constants in V, with the values that a run determines.
+    """Unknown constants in V, with the values identified from a run.
 
     Parameters
     ----------
     symbols
         By label ``block.name``.
     values
-        A number for each element, in the same order; 0 where the run does not determine it.
+        One number per element, in the same order; 0 if the run does not determine it.
     loose
         Labels of the elements that the run does not determine.
     """
@@ -50,7 +50,7 @@ class Constants:
     loose: tuple[str, ...] = ()
 
     def put(self, expression: SX) -> SX:
-        """An expression with the values for the symbols."""
+        """Substitute the values for the symbols in an expression."""
         if not self.symbols:
             return expression
         (found,) = ca.substitute([expression], [stack(self.symbols.values())], [ca.SX(ca.DM(self.values))])
@@ -58,29 +58,29 @@ class Constants:
 
     @property
     def by_label(self) -> dict[str, np.ndarray]:
-        """The values of each."""
+        """Values by label."""
         parts = slices(symbol.numel() for symbol in self.symbols.values())
         return {label: self.values[part] for label, part in zip(self.symbols, parts, strict=True)}
 
     @property
     def text(self) -> str:
-        """Which constants V was evaluated with."""
+        """Description of the constants used for V."""
         shown = [f"{label} = [{summarised([f'{x:.6g}' for x in found], '')}]" for label, found in self.by_label.items()]
-        return f"with {listed(shown)}, the unknown constants that leave least of its data unexplained" if shown else ""
+        return f"with {listed(shown)}, the unknown constants identified from the run" if shown else ""
 
 
-def excess_of(claim: Claim) -> SX:
+def residual_of(claim: Claim) -> SX:
     """What the claim lets V gain in a sample, before what it loses is subtracted."""
-    return total([part.excess for part in claim.parts])
+    return total([part.residual for part in claim.parts])
 
 
 def determined(claim: Claim, stored: SX, samples: AtInstants) -> Constants:
-    """The unknown constants of what V stores, as a run determines them.
+    """Identify the unknown constants in the stored expressions from a run.
 
     Raises
     ------
     NotApplicableError
-        What V may gain is not quadratic in them.
+        The residual is not quadratic in them.
     """
     symbols = {
         f"{part.block}.{name}": stack([symbol])
@@ -91,10 +91,10 @@ def determined(claim: Claim, stored: SX, samples: AtInstants) -> Constants:
     if not symbols:
         return Constants({}, np.zeros(0))
     c = stack(symbols.values())
-    slope = ca.gradient(excess_of(claim), c)
+    slope = ca.gradient(residual_of(claim), c)
     bend = ca.jacobian(slope, c)
     if symbols_in([bend]) & symbols_in([c]):
-        raise NotApplicableError(f"V holds {listed(list(symbols))}, in which what V may gain is not quadratic")
+        raise NotApplicableError(f"V depends on {listed(list(symbols))}, and its residual is not quadratic in them")
     at_zero = ca.substitute([slope], [c], [ca.SX.zeros(c.numel())])[0]
     rows = samples.of(stack([at_zero, ca.vec(ca.densify(bend))]))
     rows = rows[:, np.all(np.isfinite(rows), axis=0)]
@@ -109,7 +109,7 @@ def determined(claim: Claim, stored: SX, samples: AtInstants) -> Constants:
 
 
 def _least(slope: np.ndarray, bend: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where the quadratic form is least, the shortest of several; and which elements it leaves free."""
+    """Minimum-norm minimiser of a quadratic form; and a mask of undetermined elements."""
     size = np.sqrt(np.diag(bend))
     scale = np.where(size > 0, size, 1.0)
     eigenvalues, vectors = np.linalg.eigh(bend / np.outer(scale, scale))
@@ -119,7 +119,7 @@ def _least(slope: np.ndarray, bend: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def notes_on(claim: Claim, constants: Constants, samples: AtInstants) -> Iterator[str]:
-    """Constants that the run does not determine, and those outside the box of the estimate that has them."""
+    """Warnings on constants that the run does not determine, or that are outside the box of their estimate."""
     if constants.loose:
         those = "it" if len(constants.loose) == 1 else "them"
         yield f"no sample of the run determines {summarised(constants.loose)}: V is evaluated with 0 for {those}"
@@ -135,10 +135,10 @@ def notes_on(claim: Claim, constants: Constants, samples: AtInstants) -> Iterato
             low, at, high = np.split(rows, 3)
             for row in np.flatnonzero(np.any((at < low) | (at > high), axis=1)):
                 yield (
-                    f"the true value of {part.block}.{item.estimate}[{held[row] + 1}] that leaves least of the data "
-                    f"unexplained, {at[row, 0]:.3g}, is outside its box from {low[row, 0]:.3g} to {high[row, 0]:.3g}; "
+                    f"the true value of {part.block}.{item.estimate}[{held[row] + 1}] identified from the run, "
+                    f"{at[row, 0]:.3g}, is outside its box from {low[row, 0]:.3g} to {high[row, 0]:.3g}; "
                     "the proof assumes that it is inside"
                 )
 
 
-__all__ = ["Constants", "determined", "excess_of", "notes_on"]
+__all__ = ["Constants", "determined", "notes_on", "residual_of"]

@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 
 from dmframe.block.faults import fault_context
+from dmframe.common.files import encoded, printable
+from dmframe.common.names import Element
+from dmframe.common.units import sliding
+from dmframe.common.version import version
 from dmframe.config import BaseGraph
 from dmframe.config.resolved import resolved_text
 from dmframe.diagram import Diagram
-from dmframe.files import encoded, printable
-from dmframe.port import Element
 from dmframe.simulate import Recording, Solver
 from dmframe.simulate.step import FIXED
-from dmframe.units import sliding
-from dmframe.version import version
 
 if TYPE_CHECKING:
     import xarray

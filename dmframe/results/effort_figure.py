@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from dmframe.plotting import DASHES, PAGE, POINTS, draw_curve, frame, look, names_above, page, tame, unit_text
+from dmframe.common.plotting import DASHES, PAGE, POINTS, draw_curve, frame, look, names_above, page, tame, unit_text
+from dmframe.common.units import sliding
 from dmframe.results.dataset import joint_labels
-from dmframe.results.drawn_runs import (
+from dmframe.results.plotting import (
     Runs,
     joint_slides,
     last_stretch,
@@ -19,7 +20,6 @@ from dmframe.results.drawn_runs import (
     show_stretch,
 )
 from dmframe.simulate import Recording
-from dmframe.units import sliding
 
 UNITS = ("V", "N m")
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dmframe.plotting import (
+from dmframe.common.plotting import (
     COLUMN,
     POINTS,
     VANISHING,
@@ -20,7 +20,8 @@ from dmframe.plotting import (
     tame,
     unit_text,
 )
-from dmframe.results.drawn_runs import (
+from dmframe.results.metrics import turn_error
+from dmframe.results.plotting import (
     Runs,
     coordinate_labels,
     errors_of,
@@ -29,9 +30,9 @@ from dmframe.results.drawn_runs import (
     note_below,
     run_label,
     set_times,
+    shown_unit,
     why_not_with,
 )
-from dmframe.results.metrics import turn_error
 from dmframe.simulate import Recording
 
 
@@ -57,9 +58,10 @@ def error_figure(runs: Runs) -> Any:
             frame(panels[row], curves, zero=True)
             panels[row].set_ylabel(f"{label} [{unit_text(unit)}]")
         kinds = {name: _kind(place, name, runs[name]) for place, name in enumerate(same)}
-        units = list(dict.fromkeys(unit for _, unit, _ in labels))
-        norms = {name: (error.times, tame(error.norm) * labels[0][2]) for name, error in same.items()}
-        _norms(panels[len(labels)], norms, runs, kinds, f"norm [{', '.join(units)}]", most)
+        unit, scale = shown_unit(same[first].unit)
+        norms = {name: (error.times, tame(error.norm) * scale) for name, error in same.items()}
+        of = " of the\nrevolute joints" if same[first].prismatic is not None else ""
+        _norms(panels[len(labels)], norms, runs, kinds, f"norm{of} [{unit_text(unit)}]", most)
         if turns:
             angles = {name: (turn.times, tame(turn.angle)) for name, turn in turns.items()}
             _norms(panels[-1], angles, runs, kinds, "turn [deg]", most)
@@ -96,7 +98,7 @@ def _norms(
 
 
 def log_ticks(axes: Any) -> None:
-    """Plain numbers at the decades, and between them where there are fewer than two."""
+    """Plain numbers at the decades, and between them if the axis has fewer than two decades."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     low, high = axes.get_ylim()

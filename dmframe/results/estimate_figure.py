@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 
 from dmframe.certify.true_values import estimates_of
-from dmframe.diagram.closed_loop import Variable
-from dmframe.names import unicode_name
-from dmframe.plotting import (
+from dmframe.common.names import Element, unicode_name
+from dmframe.common.plotting import (
     GREY,
     POINTS,
     draw_curve,
@@ -22,9 +21,9 @@ from dmframe.plotting import (
     unit_text,
     verbatim,
 )
-from dmframe.port import Element
+from dmframe.diagram.closed_loop import Variable
 from dmframe.results.dataset import elements
-from dmframe.results.drawn_runs import mark_divergence, run_label, set_times, short
+from dmframe.results.plotting import mark_divergence, run_label, set_times, short
 from dmframe.simulate import Recording
 
 WIDTH = 5.4

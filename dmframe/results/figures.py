@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, final
 
-from dmframe import notebook
-from dmframe.copies import shared
-from dmframe.errors import OutputError
-from dmframe.files import expanded, write_bytes, writing
-from dmframe.plotting import FORMATS, checked_formats, files_of, loaded
+from dmframe.common import notebook
+from dmframe.common.errors import OutputError
+from dmframe.common.files import expanded, write_bytes, writing
+from dmframe.common.plotting import FORMATS, checked_formats, files_of
 from dmframe.results.command_figure import command_figure
-from dmframe.results.drawn_runs import Runs
 from dmframe.results.effort_figure import effort_figure
 from dmframe.results.error_figure import error_figure
 from dmframe.results.estimate_figure import estimate_figure
 from dmframe.results.path_figure import path_figure
 from dmframe.results.place import FIGURES, OF_EACH
+from dmframe.results.plotting import Runs
 from dmframe.results.run import Run
 from dmframe.results.signal_figure import signal_figure
 from dmframe.results.storage_figure import storage_figure
@@ -75,45 +73,11 @@ def figures_of(runs: Mapping[str, Run]) -> Figures:
 
     With several runs, the last two are ``storage_<name>`` and ``estimates_<name>``.
     """
-    made = {name: make() for name, make in _makers(runs).items()}
+    made = {name: make() for name, make in makers(runs).items()}
     return Figures({name: figure for name, figure in made.items() if figure is not None}, ", ".join(runs))
 
 
-Drawn = Callable[[Mapping[str, Run]], dict[str, bytes]]
-"""Function from the runs, maybe with V added, to the contents of all figure files."""
-
-
-@contextmanager
-def drawing(runs: Mapping[str, Run], formats: Sequence[str]) -> Iterator[Drawn]:
-    """Start drawing `figures_of` on other cores; yields a function that returns the figure files.
-
-    Matplotlib takes most of the time of a short run, so data can be written in the meantime. V is drawn last and in
-    this process, which computes it once for the figure, the notices and the data.
-    """
-
-    def drawn(name: str, make: Callable[[], Any]) -> dict[str, bytes]:
-        figure = make()
-        return {} if figure is None else files_of(figure, name, ", ".join(runs), formats)
-
-    def jobs(of: Mapping[str, Run], *, stored: bool) -> list[Callable[[], dict[str, bytes]]]:
-        wanted = {name: make for name, make in _makers(of).items() if (make.func is storage_figure) is stored}
-        return [partial(drawn, name, make) for name, make in wanted.items()]
-
-    if not runs:
-        yield lambda _: {}
-        return
-    loaded()
-    early = jobs(runs, stored=False)
-    with shared(early[::-1]) as finished:  # the first ones are the fastest, so the processes end together
-
-        def files(known: Mapping[str, Run]) -> dict[str, bytes]:
-            own = [job() for job in jobs(known, stored=True)]
-            return {name: content for found in (*own, *finished()) for name, content in found.items()}
-
-        yield files
-
-
-def _makers(runs: Mapping[str, Run]) -> dict[str, partial[Any]]:
+def makers(runs: Mapping[str, Run]) -> dict[str, partial[Any]]:
     """Functions that draw the figures, by name."""
     recordings = _recordings(runs)
     made: dict[str, partial[Any]] = {

@@ -11,20 +11,21 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from dmframe.common.errors import OutputError
+from dmframe.common.files import encoded, made_distinct, write_bytes, writing
+from dmframe.common.plotting import FORMATS, checked_formats
+from dmframe.common.version import version_of
 from dmframe.config import BaseGraph
 from dmframe.config.resolved import companions, resolved_text, robot_source
-from dmframe.errors import OutputError
-from dmframe.files import encoded, made_distinct, write_bytes, writing
-from dmframe.plotting import FORMATS, checked_formats
-from dmframe.results import figures
 from dmframe.results.dataset import netcdf
+from dmframe.results.drawing_process import Drawing, drawing_of
 from dmframe.results.place import SAMPLES, Place, built, clear_figures, complete, reserved
 from dmframe.results.run import Run
 from dmframe.results.summary import summary_of
-from dmframe.version import version_of
 
 _PACKAGES = (
     "dmframe",
@@ -102,31 +103,32 @@ def write_data(place: Place, runs: Sequence[Run]) -> list[dict[str, Any]]:
 @contextmanager
 def drawing(runs: Sequence[Run], formats: Sequence[str]) -> Iterator[Callable[[Place, Sequence[Run]], None]]:
     """Start drawing figures; yields a function that writes them next to the data, or raises `OutputError`."""
+    with drawing_of(named(runs), formats) as drawn:
+        yield partial(write_figures, drawn)
 
-    def named(items: Sequence[Run]) -> dict[str, Run]:
-        return dict(zip(_names([run.name for run in items]), items, strict=True))
 
-    with figures.drawing(named(runs), formats) as drawn:
+def write_figures(drawn: Drawing, place: Place, known: Sequence[Run]) -> None:
+    """Write the figures next to the data, or raise `OutputError`."""
+    try:
+        with writing(place.path, "figures"):
+            for name, content in drawn.files(named(known)).items():
+                write_bytes(place.folder / name, content)
+    except OutputError:
+        raise
+    except Exception as error:  # plotting libraries raise various errors for user names and values
+        reason = (str(error).splitlines() or [""])[0]
+        raise OutputError(
+            f"{place.path}: signals and summary are written, the figures are not: {type(error).__name__}: {reason}"
+        ) from error
 
-        def write(place: Place, known: Sequence[Run]) -> None:
-            try:
-                with writing(place.path, "figures"):
-                    for name, content in drawn(named(known)).items():
-                        write_bytes(place.folder / name, content)
-            except OutputError:
-                raise
-            except Exception as error:  # plotting libraries raise various errors for user names and values
-                reason = (str(error).splitlines() or [""])[0]
-                raise OutputError(
-                    f"{place.path}: signals and summary are written, the figures are not: "
-                    f"{type(error).__name__}: {reason}"
-                ) from error
 
-        yield write
+def named(runs: Sequence[Run]) -> dict[str, Run]:
+    """Runs by the names of their curves."""
+    return dict(zip(_names([run.name for run in runs]), runs, strict=True))
 
 
 def safe_name(name: str) -> str:
-    """Portable folder name of a graph: letters, digits, - and _, no dot, so that it is no figure file."""
+    """Portable folder name of a graph: letters, digits, - and _, no dot, which distinguishes it from a figure file."""
     return re.sub(r"[^\w-]", "_", name).strip("_-").encode()[:_LONGEST].decode(errors="ignore") or "graph"
 
 

@@ -9,14 +9,16 @@ from typing import final
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX
+from dmframe.block.certificate import SX
+from dmframe.common.text import Text
+from dmframe.common.units import plain, sliding
+from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import ClosedLoop, Followed
 from dmframe.formula import Formula, tree
 from dmframe.formula.tree import SCALAR, Name
+from dmframe.robot.chain import SerialChain
 from dmframe.simulate import Recording
-from dmframe.simulate.keep import apart_of
-from dmframe.text import Text
-from dmframe.units import plain
+from dmframe.simulate.keep import rotation_distance_of
 
 EIGHTHS = 8
 DEGREES = "deg"
@@ -33,13 +35,13 @@ class Deviation:
     Parameters
     ----------
     signal
-        Its name.
+        Name of the signal.
     times
         (N,) [s].
     rms_by_eighth
-        RMS of its size over each eighth of the planned duration; None for eighths that were not reached.
+        RMS of its norm over each eighth of the planned duration; None for eighths that were not reached.
     unit
-        Of all values.
+        Unit of all values.
     """
 
     signal: str
@@ -67,9 +69,11 @@ class TrackingError(Deviation):
     values
         (N, rows).
     norm
-        (N,), Euclidean.
+        (N,), Euclidean; of a joint error, that of the revolute joints if there are any.
     desired, actual
         Labels ``block.port`` of the two signals.
+    prismatic
+        That of prismatic joints of a robot that has revolute joints too [m].
     """
 
     signal: Text
@@ -77,6 +81,7 @@ class TrackingError(Deviation):
     norm: np.ndarray
     desired: str
     actual: str
+    prismatic: Deviation | None = None
 
 
 @final
@@ -98,7 +103,7 @@ class TurnError(Deviation):
 
 def turn_error(run: Recording) -> TurnError | None:
     """Orientation error of a run; None for a task without orientation."""
-    label = apart_of(run.diagram.loop)
+    label = rotation_distance_of(run.diagram.loop)
     if label is None:
         return None
     with np.errstate(invalid="ignore"):  # before a divergence
@@ -108,16 +113,29 @@ def turn_error(run: Recording) -> TurnError | None:
 
 def turn_of(loop: ClosedLoop) -> SX | None:
     """Angle of `turn_error` [deg] as an expression; None for a task without orientation."""
-    label = apart_of(loop)
+    label = rotation_distance_of(loop)
     if label is None:
         return None
-    apart = next(signal.expression for signal in loop.outputs if signal.label == label)
-    return ca.asin(ca.sqrt(ca.fmin(ca.fmax(apart / FARTHEST, 0), 1))) * (360 / np.pi)
+    distance = next(signal.expression for signal in loop.outputs if signal.label == label)
+    return ca.asin(ca.sqrt(ca.fmin(ca.fmax(distance / FARTHEST, 0), 1))) * (360 / np.pi)
 
 
 def goal_of(loop: ClosedLoop) -> Followed | None:
-    """What a loop is judged by: its task where it has one, else its joints; None without a goal."""
+    """Goal by which a loop is judged: its task if it has one, else its joints; None without a goal."""
     return loop.goal
+
+
+def counted_rows(diagram: Diagram, shape: str, unit: str) -> tuple[list[int] | slice, str, list[int]]:
+    """Rows of a signal that its Euclidean norm counts, their unit, and the rows of prismatic joints that it leaves out.
+
+    Angles and lengths have no common norm.
+    """
+    joints = diagram.robot.joints if isinstance(diagram.robot, SerialChain) and shape == "n" else ()
+    slides = [row for row, joint in enumerate(joints) if joint.kind == "prismatic"]
+    if not slides:
+        return slice(None), unit, []
+    turns = [row for row in range(len(joints)) if row not in slides]
+    return (turns, unit, slides) if turns else (slides, sliding(unit), [])
 
 
 def tracking_error(run: Recording) -> TrackingError | None:
@@ -128,17 +146,21 @@ def tracking_error(run: Recording) -> TrackingError | None:
     desired, actual = goal.desired, goal.actual
     names = [label.split(".", 1)[1] for label in (actual, desired)]
     values = np.asarray(run[actual] - run[desired])
-    norm = euclidean(values)
     signal = next(signal for signal in run.diagram.loop.outputs if signal.label == actual)
+    rows, unit, others = counted_rows(run.diagram, signal.shape, signal.unit)
+    norm = euclidean(values[:, rows])
+    text = Text(Formula(tree.subtract(Name(names[0]), Name(names[1]), SCALAR)))
+    prismatic_rms = rms_by_eighth(run.time, euclidean(values[:, others]), run.duration) if others else ()
     return TrackingError(
-        signal=Text(Formula(tree.subtract(Name(names[0]), Name(names[1]), SCALAR))),
-        unit=signal.unit,
+        signal=text,
+        unit=unit,
         times=run.time,
         values=values,
         norm=norm,
         rms_by_eighth=rms_by_eighth(run.time, norm, run.duration),
         desired=desired,
         actual=actual,
+        prismatic=Deviation(text, run.time, prismatic_rms, sliding(signal.unit)) if others else None,
     )
 
 

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from dmframe.plotting import GREY, PAGE, draw_curve, frame, look, names_above, page, tame, unit_text
+from dmframe.common.plotting import GREY, PAGE, draw_curve, frame, look, names_above, page, tame, unit_text
+from dmframe.common.units import plain
 from dmframe.results.dataset import axis_labels
-from dmframe.results.drawn_runs import Runs, coordinate_labels, errors_of, left_out, note_below, run_label, why_not_with
 from dmframe.results.metrics import TrackingError
+from dmframe.results.plotting import Runs, coordinate_labels, errors_of, left_out, note_below, run_label, why_not_with
 from dmframe.simulate import Recording
-from dmframe.units import plain
 
 MOST = 2000
 _VISIBLE = 0.35
@@ -86,7 +86,7 @@ def _in_plane(runs: Runs, errors: Mapping[str, TrackingError]) -> Any:
             axes.set_xlabel(f"{labels[plane[0]]} [m]")
             axes.set_ylabel(f"{labels[plane[1]]} [m]")
             shown = [_magnified(desired[name], actual[name], times)[:, plane] for name in sound]
-            _fit(axes, shown, desired, plane, wild=runs[sound[0]].divergence is not None)
+            _fit(axes, shown, desired, plane, diverged=runs[sound[0]].divergence is not None)
         begin = float(runs[first].time[laps[first].start or 0])
         panels[0].set_title(f"path, last lap from {plain(begin, 's')}" if begin > 0 else "path")
         if len(factors) > 1:
@@ -136,11 +136,11 @@ def _thin(path: np.ndarray) -> np.ndarray:
 
 
 def _fit(
-    axes: Any, paths: list[np.ndarray], desired: Mapping[str, np.ndarray], plane: list[int], *, wild: bool
+    axes: Any, paths: list[np.ndarray], desired: Mapping[str, np.ndarray], plane: list[int], *, diverged: bool
 ) -> None:
-    """Room for the goal and the sound runs; wild ones leave the panel."""
+    """Axis limits for the desired path and bounded runs; diverged runs are clipped."""
     goal = np.concatenate([path[:, plane] for path in desired.values()])
-    half = max(float(np.max(np.ptp(goal, axis=0))), 0.1) if wild else np.inf
+    half = max(float(np.max(np.ptp(goal, axis=0))), 0.1) if diverged else np.inf
     low, high = goal.min(axis=0) - half, goal.max(axis=0) + half
     shown = np.concatenate([goal, *(np.clip(path, low, high) for path in paths)])
     low, high = shown.min(axis=0), shown.max(axis=0)

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, final
 
-from dmframe.errors import OutputError
-from dmframe.files import flocked, hidden_name, is_hidden, sync, sync_below, write_text, writing
-from dmframe.plotting import FORMATS
-from dmframe.seal import SEAL, BrokenSeal, FolderSeal, digest_of, seal_of
+from dmframe.common.errors import OutputError
+from dmframe.common.files import flocked, hidden_name, is_hidden, sync, sync_below, write_text, writing
+from dmframe.common.plotting import FORMATS
+from dmframe.common.seal import SEAL, BrokenSeal, FolderSeal, digest_of, seal_of
 
 SAMPLES: Final = "samples.bin"
 """Every sample of a drive; kept after a long one."""

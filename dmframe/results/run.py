@@ -10,20 +10,21 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from dmframe import notebook
-from dmframe.columns import columns
+from dmframe.common import notebook
+from dmframe.common.columns import columns
+from dmframe.common.errors import DmframeError, UnknownNameError, ValueFault
+from dmframe.common.files import expanded
+from dmframe.common.plotting import FORMATS
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
 from dmframe.config.about import AboutGraph
-from dmframe.errors import DmframeError, UnknownNameError, ValueFault
-from dmframe.files import expanded
-from dmframe.plotting import FORMATS
 from dmframe.results.dataset import dataset
+from dmframe.results.decided import Decided
 from dmframe.results.metrics import TrackingError, TurnError, tracking_error, turn_error
-from dmframe.results.shown import Shown, shown_by
-from dmframe.results.storage import SIGNALS, Storage, storage_of, with_storage
+from dmframe.results.reported import ReportedEstimate, reported_estimates
+from dmframe.results.storage import SIGNALS, Storage, decided_by, storage_of, with_storage
 from dmframe.results.summary import summary, summary_of
 from dmframe.simulate import Divergence, Recording
-from dmframe.units import plain
 
 if TYPE_CHECKING:
     import xarray
@@ -82,10 +83,10 @@ class Run(AboutGraph):
 
     def noticed(self, *texts: str) -> Run:
         """The same run with more notices of its own; V is not computed again."""
-        again = Run(self.graph, replace(self.recording, notices=(*self.recording.notices, *texts)), self.label)
+        result = Run(self.graph, replace(self.recording, notices=(*self.recording.notices, *texts)), self.label)
         if "_storage" in vars(self):
-            vars(again)["_storage"] = self._storage
-        return again
+            vars(result)["_storage"] = self._storage
+        return result
 
     @cached_property
     def data(self) -> xarray.Dataset:
@@ -118,6 +119,18 @@ class Run(AboutGraph):
         except DmframeError as error:
             return error
 
+    def decide(self, decided: Decided) -> None:
+        """Evaluate V with what was decided before from the same graph."""
+        try:
+            vars(self)["_storage"] = storage_of(self.recording, self.graph, decided)
+        except DmframeError as error:
+            vars(self)["_storage"] = error
+
+    @property
+    def decided(self) -> Decided | None:
+        """What the graph decides about V; None where it is not known."""
+        return decided_by(self.recording, self.graph, self._storage)
+
     @cached_property
     def _recorded(self) -> xarray.Dataset:
         """`data` without V, whose evaluation takes time."""
@@ -134,9 +147,9 @@ class Run(AboutGraph):
         return turn_error(self.recording)
 
     @cached_property
-    def shown(self) -> list[Shown]:
+    def shown(self) -> list[ReportedEstimate]:
         """Estimates that blocks report at the end of the run, with their excitation."""
-        return shown_by(self.recording)
+        return reported_estimates(self.recording)
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -198,7 +211,7 @@ class Run(AboutGraph):
     def __reduce__(self) -> Any:
         """Pickle without the diagram, which is rebuilt from the graph."""
         arrays = {name: value for name, value in vars(self.recording).items() if name != "diagram"}
-        return _again, (self.graph, arrays, self.label)
+        return _restored, (self.graph, arrays, self.label)
 
     def __repr__(self) -> str:
         lasted = self.divergence or self.recording.interrupted
@@ -230,6 +243,8 @@ class Run(AboutGraph):
         if error is None or error.rms_final is None:
             return ""
         turned = "" if self.turn is None else f" and turned by {_shown(self.turn.rms_final, self.turn.unit)}"
+        if error.prismatic is not None:
+            turned = f" and {_shown(error.prismatic.rms_final, error.prismatic.unit)}"
         return f", |{error.signal}| {plain(error.rms_final, error.unit)}{turned} RMS in the last eighth"
 
 
@@ -256,7 +271,8 @@ def row(run: Run) -> tuple[str, ...]:
     data = summary(run.graph.name, run.recording)
     error, turn = data["error"], data["turn"]
     clock = data["clock"] if data["clock"] == "continuous" else plain(data["clock"], "s")
-    first, last = (", ".join(_rms(each, index) for each in (error, turn) if each) or "-" for index in (0, -1))
+    shown = [each for each in (error, error and error.get("prismatic"), turn) if each]
+    first, last = (", ".join(_rms(each, index) for each in shown) or "-" for index in (0, -1))
     signal = (error["signal"] if error else "-") + (", turn" if turn else "")
     factor = data["real_time_factor"]
     speed = "-" if factor is None else f"{factor:.0f} x"
@@ -301,6 +317,6 @@ def notes_of(runs: Sequence[Run]) -> list[str]:
     return lines
 
 
-def _again(graph: BaseGraph, arrays: dict[str, Any], label: str) -> Run:
+def _restored(graph: BaseGraph, arrays: dict[str, Any], label: str) -> Run:
     """Restore a pickled run."""
     return Run(graph, Recording(diagram=graph.diagram, **arrays), label)

@@ -1,4 +1,4 @@
-"""Figure of selected signals over time: a panel a signal, a curve an element and run."""
+"""Figure of selected signals over time: one panel per signal, one curve per element and run."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from dmframe.common.errors import UnknownNameError, raise_all
+from dmframe.common.plotting import PAGE, POINTS, draw_curve, frame, look, page, tame, unit_text
 from dmframe.diagram.closed_loop import Signal, Variable
-from dmframe.errors import UnknownNameError, raise_all
-from dmframe.plotting import PAGE, POINTS, draw_curve, frame, look, page, tame, unit_text
 from dmframe.results.dataset import elements
-from dmframe.results.drawn_runs import Runs, mark_divergence, run_label, set_times
 from dmframe.results.estimate_figure import element
+from dmframe.results.plotting import Runs, mark_divergence, run_label, set_times
 from dmframe.simulate import Recording
 
 NAMED = 12
@@ -54,8 +54,8 @@ def _panel(axes: Any, runs: Runs, label: str, most: int) -> None:
         mixed = mixed or any(each.unit for each in counted)
         for column in range(values.shape[1]):
             part = element(counted[column], letter, unit) if values.shape[1] > 1 else ""
-            said = " ".join(word for word in (run_label(name, run) if len(runs) > 1 else "", part) if word)
-            draw_curve(axes, run.time, values[:, column], most, label=said or None, **look(count))
+            legend = " ".join(word for word in (run_label(name, run) if len(runs) > 1 else "", part) if word)
+            draw_curve(axes, run.time, values[:, column], most, label=legend or None, **look(count))
             curves.append((values[:, column], run.divergence is not None))
             count += 1
     frame(axes, curves)

@@ -5,26 +5,28 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from dmframe.certify.claim import Claim
+from dmframe.common.errors import DmframeError, listed
+from dmframe.common.plotting import verbatim
+from dmframe.common.units import plain
 from dmframe.config import BaseGraph
-from dmframe.errors import DmframeError, listed
-from dmframe.results.along import Along
-from dmframe.results.claimed import claimed_along
-from dmframe.results.storage_unit import StorageUnit, storage_unit
+from dmframe.results.decided import Decided, StorageUnit
 from dmframe.simulate import Recording
 from dmframe.simulate.recording import ExtraSignal
-from dmframe.simulate.warnings import between
-from dmframe.units import plain
+from dmframe.simulate.warnings import channel_models
+
+if TYPE_CHECKING:
+    from dmframe.certify.claim import Claim
+    from dmframe.results.along import StorageTrace
 
 SIGNALS: Final = ("V", "V_rate", "V_dissipation", "V_residual")
 """Labels of V, its rate, dissipation and residual; the storage function of a block is ``V.block``."""
 
 UNIT: Final = "unknown"
-"""Where V has no one unit, or none was derived."""
+"""Unit of V if it has several units or none was derived."""
 
 
 @final
@@ -37,12 +39,15 @@ class Storage:
     Parameters
     ----------
     along
-        V, its terms, dV/dt and the dissipation; over samples the residual.
+        V, its terms, dV/dt and the dissipation; in discrete time also the residual.
+    decided
+        Earlier decisions on the same graph; None if they were made now.
     """
 
     claim: Claim
-    along: Along
+    along: StorageTrace
     recording: Recording
+    decided: Decided | None = None
 
     @cached_property
     def signals(self) -> Mapping[str, ExtraSignal]:
@@ -63,18 +68,29 @@ class Storage:
             about = "weighted squares dissipated in dV/dt, continuous time"
             found["V_dissipation"] = ExtraSignal(along.dissipation[:, None], "", rated, about)
         if along.residual.size:
-            about = "most that V gains from this sample to the next, as the discrete-time certificate states"
+            about = "bound of the discrete-time certificate on the increase of V to the next sample"
             found["V_residual"] = ExtraSignal(along.residual[:, None], "", unit, about)
         return {label: item for label, item in found.items() if label not in self._taken}
 
     def _of_part(self, block: str) -> str:
-        """Of what a block adds to V; kappa turns the unit of one on the servo level into V's."""
+        """Unit of a block's storage function; on the servo level kappa converts it to the unit of V."""
         return self.unit.unit or ("" if self.claim.cascaded else self.unit.parts.get(block, "")) or UNIT
 
     @cached_property
     def unit(self) -> StorageUnit:
-        """V's unit, or those of its terms."""
+        """Unit of V, or the units of its terms."""
+        if self.decided is not None and self.decided.unit is not None:
+            return self.decided.unit
+        from dmframe.results.storage_unit import storage_unit
+
         return storage_unit(self.claim)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Those of V's terms, for a figure."""
+        if self.decided is not None:
+            return self.decided.names
+        return tuple(f"{term.of.unicode} ({verbatim(term.block)})" for term in self.along.terms)
 
     @property
     def _taken(self) -> set[str]:
@@ -83,17 +99,17 @@ class Storage:
 
     @cached_property
     def causes(self) -> Mapping[str, str]:
-        """Differences between this run and the theorem, by keyword: possible, not computed causes of a rise of V."""
+        """Possible causes of a rise of V by keyword: differences between this run and the theorem, not computed."""
         return dict(_causes(self.claim, self.along, self.recording))
 
     @property
     def notice(self) -> str:
         """Warning about a rise of V with possible causes, or about a non-positive assumed weight; may be empty."""
         climb, jumps = self.along.climb, [jump for jump in self.along.jumps if jump.change > 0]
-        notes = list(self.along.crossings)
+        notes = list(self.along.notes)
         if climb.rise:
-            fraction = "it never fell below its start" if climb.share is None else (
-                f"{100 * climb.share:.3g} % of its fall, which is {climb.fall:.3g}"
+            fraction = "it never fell below its start" if climb.fraction is None else (
+                f"{100 * climb.fraction:.3g} % of its fall, which is {climb.fall:.3g}"
             )  # fmt: skip
             assert climb.since is not None
             assert climb.until is not None
@@ -105,7 +121,7 @@ class Storage:
             if self.along.about:
                 notes.append(f"V is evaluated {self.along.about}")
             if "sampling" in self.causes:
-                notes.append("whether a shorter period removes the rise was not computed: run it with another `clock`")
+                notes.append("the effect of a shorter period was not computed: run it with another `clock`")
         if jumps:
             where = listed([f"{jump.change:.3g} at t = {jump.time:.6g} s" for jump in jumps[:3]])
             more = f" and {len(jumps) - 3} more times" if len(jumps) > 3 else ""
@@ -114,7 +130,7 @@ class Storage:
 
     @property
     def _instants(self) -> str:
-        return "kept instants" if self.recording.clock is None or "log" in self.causes else "samples"
+        return "recorded instants" if self.recording.clock is None or "log" in self.causes else "samples"
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -128,7 +144,7 @@ class Storage:
             "least": _number(climb.least),
             "fall": _number(climb.fall),
             "rise": _number(climb.rise),
-            "share": None if climb.share is None else _number(climb.share),
+            "share": None if climb.fraction is None else _number(climb.fraction),
             "at": climb.since,
             "until": climb.until,
             "rises": climb.rises,
@@ -143,10 +159,42 @@ class Storage:
         }
 
 
-def storage_of(recording: Recording, graph: BaseGraph) -> Storage:
-    """V of a run; raises `DmframeError` if it is not defined."""
-    intervals = graph.intervals(recording.diagram)
-    return Storage(*claimed_along(recording, intervals, graph.start), recording)
+def storage_of(recording: Recording, graph: BaseGraph, decided: Decided | None = None) -> Storage:
+    """V of a run; raises `DmframeError` if it is not defined. What was `decided` before is not decided again."""
+    if decided is None:
+        from dmframe.results.claimed import claimed_along  # its imports take a tenth of a second
+
+        intervals = graph.intervals(recording.diagram)
+        return Storage(*claimed_along(recording, intervals, graph.start), recording)
+    from dmframe.block.model import SYMBOLIC
+    from dmframe.certify.claim import NotApplicableError, claim_of
+    from dmframe.results.along import along
+
+    if decided.reason:
+        raise NotApplicableError(decided.reason)
+    with SYMBOLIC:
+        claim = claim_of(recording.diagram, held=False, named=False)
+        found = along(claim, recording, decided.kappa, assumed=decided.assumed)
+    return Storage(claim, found, recording, decided)
+
+
+def decided_by(run: Recording, graph: BaseGraph, found: Storage | DmframeError) -> Decided | None:
+    """What a graph decides about V, from V of its run, or from why there is none.
+
+    None where the reason is another one than the graph's claim, such as a signal that the run did not keep.
+    """
+    from dmframe.certify.assumed import assumed_positive
+    from dmframe.certify.checked import Numbers
+    from dmframe.results.claimed import checked_claim
+
+    if isinstance(found, Storage):
+        assumed = not found.claim.over_samples and any(assumed_positive(found.claim, Numbers(found.claim, {})))
+        return Decided("", found.along.kappa, assumed, found.names, found.unit)
+    try:
+        checked_claim(run.diagram, graph.intervals(run.diagram), graph.start)
+    except DmframeError as error:
+        return Decided(error.text)
+    return None
 
 
 def no_storage(error: DmframeError) -> dict[str, Any]:
@@ -169,11 +217,11 @@ def with_storage(recording: Recording, storage: Storage | None) -> Recording:
     return recording if storage is None else replace(recording, beside={**recording.beside, **storage.signals})
 
 
-def _causes(claim: Claim, along: Along, run: Recording) -> Iterator[tuple[str, str]]:
+def _causes(claim: Claim, along: StorageTrace, run: Recording) -> Iterator[tuple[str, str]]:
     if claim.over_samples:
         yield _over_samples(claim, along)
     else:
-        blocks = [part.block for part in claim.parts if part.certificate.excess]
+        blocks = [part.block for part in claim.parts if part.certificate.residual]
         if blocks:
             yield "residual", f"the certificate allows V to rise by the residual of {listed(blocks)}"
         if run.clock is not None:
@@ -186,15 +234,15 @@ def _causes(claim: Claim, along: Along, run: Recording) -> Iterator[tuple[str, s
                 "integrator or assumption",
                 "the certificate excludes a rise of V: integration error, or a violated assumption",
             )
-    if way := between(run.diagram):
-        yield "channels", way
+    if channels := channel_models(run.diagram):
+        yield "channels", channels
     if run.clock is not None and run.time.size > 1:
-        apart = round(float(run.time[1] - run.time[0]) / run.clock)
-        if apart > 1:
-            yield "log", f"one of {apart} samples was recorded; V between them is not evaluated"
+        every = round(float(run.time[1] - run.time[0]) / run.clock)
+        if every > 1:
+            yield "log", f"one of {every} samples was recorded; V between them is not evaluated"
 
 
-def _over_samples(claim: Claim, along: Along) -> tuple[str, str]:
+def _over_samples(claim: Claim, along: StorageTrace) -> tuple[str, str]:
     violated = "so this run violates one of its assumptions"
     if not claim.left:
         return "assumption", f"the discrete-time certificate excludes a rise of V, {violated}"

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from dmframe.errors import DmframeError
-from dmframe.plotting import draw_curve, frame, look, page, span, tame, verbatim
-from dmframe.results.along import Along
-from dmframe.results.drawn_runs import note_below, run_label
+from dmframe.common.errors import DmframeError
+from dmframe.common.plotting import draw_curve, frame, look, page, span, tame, verbatim
+from dmframe.results.plotting import note_below, run_label
 from dmframe.results.run import Run
 from dmframe.simulate import Recording
+
+if TYPE_CHECKING:
+    from dmframe.results.along import StorageTrace
 
 CURVES = 6
 """Number of terms of V shown."""
@@ -28,22 +31,47 @@ FAINT = 1e-9
 def storage_figure(name: str, run: Run) -> Any:
     """V of the certificates and its largest terms over time; None without a certificate."""
     try:
-        storage = run.storage
+        return storage_picture(StoragePicture.of(name, run), run.recording)
     except DmframeError:
         return None
-    found = storage.along
-    names = [f"{term.of.unicode} ({verbatim(term.block)})" for term in found.terms]
-    title = run_label(name, run.recording)
-    return storage_picture(found, names, run.recording, title, storage.notice, storage.unit.unit)
 
 
-def storage_picture(
-    found: Along, names: Sequence[str], run: Recording, title: str = "", note: str = "", unit: str = ""
-) -> Any:
-    """V above, its largest terms below on a logarithmic axis; the largest rise of V is shaded.
+@final
+@dataclass(frozen=True)
+class StoragePicture:
+    """What the figure of V shows.
 
-    Below is also the residual of a claim over samples: what V may gain from each sample to the next.
+    Parameters
+    ----------
+    found
+        V and its terms along the run.
+    names
+        The terms' names.
+    title, note
+        The texts above and below.
+    unit
+        Of V; may be empty.
     """
+
+    found: StorageTrace
+    names: Sequence[str]
+    title: str = ""
+    note: str = ""
+    unit: str = ""
+
+    @classmethod
+    def of(cls, name: str, run: Run) -> StoragePicture:
+        """That of a run by the name of its curve; raises `DmframeError` without a certificate."""
+        storage = run.storage
+        return cls(storage.along, storage.names, run_label(name, run.recording), storage.notice, storage.unit.unit)
+
+
+def storage_picture(shown: StoragePicture, run: Recording) -> Any:
+    """Draw V above and its largest terms below on a logarithmic axis; the largest rise of V is shaded.
+
+    For a discrete-time certificate, the lower panel also shows the residual: the allowed increase of V per sample.
+    """
+    found, names, unit = shown.found, shown.names, shown.unit
     diverged = run.divergence is not None
     tops = [span(tame(term.values), diverged)[1] for term in found.terms]
     largest = sorted(range(len(tops)), key=lambda k: -tops[k])[:CURVES]
@@ -52,7 +80,7 @@ def storage_picture(
         draw_curve(above, found.time, found.V, 800, color="#1a1a1a")
         frame(above, [(tame(found.V), diverged)])
         above.set_ylabel(f"$V$ [{verbatim(unit)}]" if unit not in ("", "1") else "$V$")
-        above.set_title(title, loc="left")
+        above.set_title(shown.title, loc="left")
         climb = found.climb
         if climb.since is not None and climb.until is not None:
             above.axvspan(climb.since, climb.until, color="#c46a00", alpha=0.12, linewidth=0)
@@ -72,7 +100,7 @@ def storage_picture(
         below.set_xlabel("time [s]")
         above.set_xlim(0, float(found.time[-1]))
         below.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0)
-        note_below(figure, *wrapped_note(note))
+        note_below(figure, *wrapped_note(shown.note))
     return figure
 
 

@@ -1,47 +1,18 @@
-"""The unit of V, derived from the units of what its blocks store."""
+"""Unit of V, derived from the units of the blocks' storage functions."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import final
 
 from dmframe.certify.claim import Claim
 from dmframe.dimensions.check import checks_of
 from dmframe.dimensions.dimension import RAD, Dimension, declared, product, spelled
-
-
-@final
-@dataclass(frozen=True)
-class StorageUnit:
-    """Units in V, with angles as plain numbers, as SI has them.
-
-    Parameters
-    ----------
-    unit, rate
-        Of V and of dV/dt; empty where no block's unit was derived, or V adds terms of several units.
-    parts
-        Of what each block stores, where it was derived, before kappa turns it into V's.
-    several
-        The units that V adds with one weight, where they are several: the weights 1 then have units of their own.
-    """
-
-    unit: str
-    rate: str
-    parts: Mapping[str, str]
-    several: tuple[str, ...] = ()
-
-    @property
-    def about(self) -> str:
-        """What a figure or a table says of a V without one unit."""
-        return f"its terms are in {' and '.join(self.several)}, each counted in SI's units" if self.several else ""
+from dmframe.results.decided import StorageUnit
 
 
 def storage_unit(claim: Claim) -> StorageUnit:
-    """Derive V's unit.
+    """Derive the unit of V.
 
-    Without a cascade all blocks have the weight 1. With one, kappa has the unit that turns those of the servo level
-    into that of the cascade, which is V's.
+    Without a cascade all blocks have weight 1. With one, kappa converts the unit of the servo level to that of the
+    cascade, which is the unit of V.
     """
     diagram = claim.diagram
     stored = [part for part in claim.parts if part.certificate.storage or part.certificate.steps]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from dmframe.errors import DmframeError
-from dmframe.results.metrics import Deviation, tracking_error, turn_error
-from dmframe.results.shown import shown_by
+from dmframe.common.errors import DmframeError
+from dmframe.results.metrics import Deviation, TrackingError, tracking_error, turn_error
+from dmframe.results.reported import reported_estimates
 from dmframe.results.storage import no_storage
 from dmframe.simulate import Recording
 
@@ -53,8 +53,11 @@ def summary(name: str, run: Recording, out: str | None = None) -> dict[str, Any]
         ],
         "shown": [
             {"signal": item.label, "says": item.words, "unit": item.unit}
-            | {"values": list(map(_number, item.values)), "felt": item.felt and list(map(_number, item.felt))}
-            for item in shown_by(run)
+            | {
+                "values": list(map(_number, item.values)),
+                "felt": item.excitation and list(map(_number, item.excitation)),
+            }
+            for item in reported_estimates(run)
         ],
         "engine": run.engine,
         "wall_time": _number(run.wall_time),
@@ -68,7 +71,9 @@ def _error(error: Deviation | None) -> dict[str, Any] | None:
     if error is None:
         return None
     rms = [_number(value) for value in error.rms_by_eighth]
-    return {"signal": error.signal, "unit": error.unit, "rms_by_eighth": rms, "rms_final": rms[-1]}
+    found = {"signal": error.signal, "unit": error.unit, "rms_by_eighth": rms, "rms_final": rms[-1]}
+    prismatic = error.prismatic if isinstance(error, TrackingError) else None
+    return found if prismatic is None else found | {"prismatic": _error(prismatic)}
 
 
 def _number(value: float | None) -> float | None:

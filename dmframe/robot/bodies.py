@@ -27,7 +27,7 @@ class Link:
 
 
 def skew(v: Any) -> Any:
-    r"""The matrix :math:`[v]_\times` of the cross product with v."""
+    r"""Matrix :math:`[v]_\times` of the cross product with v."""
     return ca.skew(v)
 
 
@@ -44,7 +44,7 @@ class Body:
         return Body(self.mass + other.mass, self.moment + other.moment, self.inertia + other.inertia)
 
     def wrench(self, acceleration: Any, dnu: Any, A: Any, B: Any) -> tuple[Any, Any]:
-        r"""Force and moment about the origin that the motion takes, linear in the ten parameters.
+        r"""Force and moment about the origin for a motion, linear in the ten parameters.
 
         A point r of the body accelerates by :math:`\dot v + A r`, so with :math:`\Sigma = \int r r^\top dm` the force
         is :math:`m \dot v + A h`, the moment :math:`h \times \dot v + \mathrm{vee}(A \Sigma - \Sigma A^\top)`. Below,
@@ -69,7 +69,7 @@ class Body:
         return self.mass * link.axis, ca.cross(self.moment, link.axis)
 
     def in_parent(self, link: Link) -> Body:
-        r"""The same body in the parent's frame: :math:`I_p = R I R^\top - [p][R h] - [R h][p] - m [p][p]`."""
+        r"""Body in the parent's frame: :math:`I_p = R I R^\top - [p][R h] - [R h][p] - m [p][p]`."""
         R, p = link.rotation, link.offset
         h = R @ self.moment
         shift = skew(p)
@@ -80,7 +80,7 @@ class Body:
 
 
 def bodies_of(parameters: Any) -> list[Body]:
-    """The bodies behind the joints, of a column of the ten parameters of each."""
+    """Bodies of the joints, from a column of ten parameters each."""
     bodies = []
     for b in (Inertial(*ca.vertsplit(row)) for row in ca.vertsplit(parameters, len(INERTIAL))):
         inertia = matrix([[b.I_xx, b.I_xy, b.I_xz], [b.I_xy, b.I_yy, b.I_yz], [b.I_xz, b.I_yz, b.I_zz]])
@@ -89,7 +89,7 @@ def bodies_of(parameters: Any) -> list[Body]:
 
 
 def acceleration_field(omega: Any, nu: Any, dnu: Any) -> tuple[Any, Any]:
-    r"""A and its symmetric part B: a point r of the body accelerates, relative to the origin, by A r.
+    r"""Acceleration matrix A of a body, and its symmetric part B: point r accelerates, relative to the origin, by A r.
 
     :math:`A = [\dot\nu]_\times + B`,
     :math:`B r = \tfrac12(\omega \times (\nu \times r) + \nu \times (\omega \times r))`.
@@ -104,13 +104,13 @@ def acceleration_field(omega: Any, nu: Any, dnu: Any) -> tuple[Any, Any]:
 
 
 def carry(link: Link, force: Any, moment: Any) -> tuple[Any, Any]:
-    """A wrench about a joint's origin, taken to its parent's origin and frame."""
+    """Wrench about a joint's origin, transformed to the parent's origin and frame."""
     carried = link.rotation @ force
     return carried, link.rotation @ moment + ca.cross(link.offset, carried)
 
 
 def joint_torques(links: Sequence[Link], wrenches: Sequence[tuple[Any, Any]]) -> Any:
-    """Torques of each body's own wrench: sum from the tool to the base, project on each axis."""
+    """Joint torques from the wrench of each body: sum from the tool to the base, and project on each axis."""
     torques = []
     force = moment = ca.SX(3, 1)
     for link, (own_force, own_moment) in zip(reversed(links), reversed(wrenches), strict=True):
@@ -121,10 +121,10 @@ def joint_torques(links: Sequence[Link], wrenches: Sequence[tuple[Any, Any]]) ->
 
 
 def matrix(rows: Matrix | Sequence[Sequence[Any]]) -> Any:
-    """A matrix from its rows."""
+    """Matrix from its rows."""
     return ca.vertcat(*(ca.horzcat(*row) for row in rows))
 
 
 def _symmetric(A: Any) -> Any:
-    """The lower triangle of A on both sides, so that equal entries are one expression."""
+    """Symmetric matrix from the lower triangle of A, so that equal entries are one expression."""
     return ca.tril(A) + ca.tril(A, False).T

@@ -1,37 +1,37 @@
-"""A serial chain of one-degree joints, its numbers rational and its rotations exactly orthogonal."""
+"""Serial chain of one-degree-of-freedom joints with rational numbers and exactly orthogonal rotations."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, final
+from typing import Any, ClassVar, Literal, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dmframe import notebook
-from dmframe.errors import ValueFault
+from dmframe.common import notebook
+from dmframe.common.errors import ValueFault
 from dmframe.robot.mimics import Mimic
 from dmframe.robot.rational import Matrix, Vector, decimal, rational_axis, rational_rotation
 from dmframe.robot.reduction import check_inertia, model_configuration, motion_subspace, reduce_model
 from dmframe.robot.urdf import read_urdf
 
 AXES = ("x", "y", "z", "xy", "xz", "yz", "xyz")
-# Translations below this are rounding errors of a quarter turn with ten digits. [m]
+# Smaller translations are rounding errors of a quarter turn with ten digits. [m]
 NOTHING = 1e-11
 
 
 @final
 @dataclass(frozen=True)
 class Joint:
-    """One joint: its frame at q = 0 in its parent's, its axis in its own frame, and the maker's limits.
+    """Joint: its frame at q = 0 in the parent's, its axis in its own frame, and the maker's limits.
 
-    `rotation` carries this frame's coordinates to the parent's, as Pinocchio's `jointPlacements` do. Limits in rad,
-    rad/s and N m (m, m/s and N for a prismatic joint); infinite where the robot states none.
+    `rotation` maps coordinates of this frame to the parent's, as Pinocchio's `jointPlacements` do. Limits in rad,
+    rad/s and N m (m, m/s and N for a prismatic joint); infinite if the file has none.
     """
 
     name: str
@@ -44,6 +44,9 @@ class Joint:
     velocity: float
     effort: float
 
+    EXACT: ClassVar = ("axis", "rotation", "translation")
+    """The fields that hold rational numbers."""
+
 
 @final
 @dataclass(frozen=True, repr=False)
@@ -54,18 +57,18 @@ class SerialChain:
     ----------
     joints : n joints, from the base to the tool
     tool : (3,), m
-        The tool point in the last joint's frame.
+        Tool position in the last joint's frame.
     tool_rotation : (3, 3)
-        The tool's frame in the last joint's: it carries coordinates of the tool to the joint's.
+        Rotation from the tool's frame to the last joint's.
     inertia : n rows of 10
         The elements of `dmframe.robot.parameters.Inertial`, link by link.
     gravity : (3,), m/s^2
     axes : "xyz", "xy", ...
-        Which coordinates of the tool's position are the task.
-    rotation_change : largest change of an entry of a rotation or an axis by making it rational
-    model, model_tool : the reduced `pin.Model` and the tool's frame in it, the oracle
+        Coordinates of the tool position in the task.
+    rotation_change : largest change of a rotation's or axis's entry by the rational approximation
+    model, model_tool : reduced `pin.Model` and its tool frame, the reference for tests
     friction_velocity : rad/s
-        Where smooth Coulomb friction reaches tanh(1).
+        Velocity at which smooth Coulomb friction reaches tanh(1).
     """
 
     name: str
@@ -84,7 +87,7 @@ class SerialChain:
         return f"<SerialChain {self.name}: {self.n} joints, {', '.join(self.joint_names)}>"
 
     def _repr_html_(self) -> str:
-        """For a notebook: the joints with their limits."""
+        """HTML table of the joints with their limits."""
         rows = [
             (
                 joint.name,
@@ -98,23 +101,39 @@ class SerialChain:
 
     @property
     def n(self) -> int:
-        """The number of joints."""
+        """Number of joints."""
         return len(self.joints)
 
     @property
     def m(self) -> int:
-        """The number of task coordinates."""
+        """Number of task coordinates."""
         return len(self.axes)
 
     @property
     def k(self) -> int:
-        """The number of kinematic parameters: a translation a joint, and the tool's."""
+        """Number of kinematic parameters: a translation per joint, and the tool's."""
         return 3 * (self.n + 1)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """The free joints' names, from the base to the tool."""
+        """Names of the free joints, from the base to the tool."""
         return tuple(joint.name for joint in self.joints)
+
+    @classmethod
+    def later(cls, numbers: Mapping[str, Any], again: Callable[[], SerialChain]) -> SerialChain:
+        """A chain of known numbers, whose model is that of `again()` when it is first used."""
+        chain = object.__new__(cls)
+        vars(chain).update(numbers, _again=again)
+        return chain
+
+    def __getattr__(self, name: str) -> Any:
+        """The model of a chain that was made by `later`."""
+        again = vars(self).get("_again")
+        if again is None or name not in ("model", "model_tool"):
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        made = again()
+        vars(self).update(model=made.model, model_tool=made.model_tool)
+        return vars(self)[name]
 
     @classmethod
     def from_urdf(
@@ -128,14 +147,14 @@ class SerialChain:
         name: str | None = None,
         friction_velocity: float = 0.005,
     ) -> SerialChain:
-        """The chain of a URDF file; see :meth:`from_model` for the arguments.
+        """Chain of a URDF file; see :meth:`from_model` for the arguments.
 
         Raises
         ------
         MissingError, RobotError
             No such file, or not a URDF: see :func:`dmframe.robot.urdf.read_urdf`.
         """
-        model, mimics = read_urdf(Path(path))
+        model, mimics = read_urdf(Path(path), free=free, hold=hold or (), tool=tool)
         return cls.from_model(
             model,
             free=free,
@@ -160,12 +179,12 @@ class SerialChain:
         friction_velocity: float = 0.005,
         mimics: Mapping[str, Mimic] = MappingProxyType({}),
     ) -> SerialChain:
-        """The chain of a `pin.Model`.
+        """Chain of a `pin.Model`.
 
         Parameters
         ----------
         free : joint names, in any order
-            All others are locked, at `hold` or at 0. Default: the joints on the way to the tool that `hold` lacks.
+            All others are locked, at `hold` or at 0. Default: the joints between base and tool that are not in `hold`.
         hold : joint name to angle, rad (m for a prismatic joint)
         tool : frame name, or (3,) in m in the last free joint's frame
             Default: the last body frame of the only chain.
@@ -205,7 +224,7 @@ class SerialChain:
 
 
 def pin_configuration(chain: SerialChain, q: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
-    """The configuration of `chain.model` at joint angles q; Pinocchio keeps an unbounded angle as cosine and sine."""
+    """Configuration of `chain.model` at joint angles q; Pinocchio represents an unbounded angle by cosine and sine."""
     return model_configuration(chain.model, dict(zip(chain.joint_names, np.asarray(q, dtype=float), strict=True)))
 
 
@@ -222,7 +241,7 @@ def _check_numbers(name: str, axes: str, friction_velocity: float) -> None:
 
 
 def _joint(model: Any, index: int) -> tuple[Joint, float]:
-    """A joint of a reduced model, and its largest change by making it rational."""
+    """Joint of a reduced model with rational numbers, and its largest change by rounding."""
     joint, placement = model.joints[index], model.jointPlacements[index]
     subspace = motion_subspace(joint)
     revolute = bool(np.any(subspace[3:]))
@@ -244,7 +263,7 @@ def _joint(model: Any, index: int) -> tuple[Joint, float]:
 
 
 def _rotation(placement: Any) -> tuple[Matrix, float]:
-    """A placement's rotation made rational, and the largest change of an entry."""
+    """Rational rotation of a placement, and the largest change of an entry."""
     exact = rational_rotation(placement.rotation)
     return exact, float(np.max(np.abs(np.array(exact, dtype=float) - placement.rotation)))
 

@@ -11,12 +11,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, final
 from xml.etree import ElementTree
+from xml.parsers import expat
 
 import numpy as np
 
-from dmframe.errors import MissingError, RobotError
+from dmframe.common.errors import MissingError, RobotError
 from dmframe.robot.reduction import motion_subspace
 from dmframe.robot.urdf_numbers import INERTIA
+from dmframe.robot.xml_tree import parse_xml
 
 Element = ElementTree.Element
 
@@ -49,15 +51,15 @@ def read_any(path: Path) -> RobotFile:
     if not path.is_file():
         raise MissingError(f"{where}: expected a robot file, found none at {path}")
     try:
-        root = ElementTree.fromstring(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, ElementTree.ParseError) as fault:
+        root, _ = parse_xml(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, expat.ExpatError) as fault:
         raise RobotError(f"{where}: expected a URDF, xacro or MJCF file, found broken XML: {fault}") from None
     if root.tag == "mujoco":
         return _from_mjcf(path, where)
     if root.tag != "robot":
         raise RobotError(f"{where}: expected <robot> of a URDF or <mujoco> of an MJCF file, found <{root.tag}>")
     if path.suffix == ".xacro" or any("xacro" in str(element.tag) for element in root.iter()):
-        return RobotFile(ElementTree.fromstring(_expanded(path, where)), converted=True)
+        return RobotFile(parse_xml(_expanded(path, where))[0], converted=True)
     return RobotFile(root)
 
 
@@ -76,7 +78,7 @@ def _expanded(path: Path, where: str) -> str:
     except Exception as fault:  # xacro evaluates expressions of the file, which may raise anything
         reason = re.sub(r"<class '[\w.]+'>: ", "", " ".join(str(fault).split())) or type(fault).__name__
         raise RobotError(
-            f"{where}: xacro cannot expand it: {reason}; if it needs arguments or packages, expand it where they are: "
+            f"{where}: xacro cannot expand it: {reason}; if it needs arguments or packages, expand it there: "
             f"xacro {path.name} name:=value > {path.name.partition('.')[0]}.urdf"
         ) from None
     return str(text)
@@ -189,7 +191,7 @@ def children(root: Element) -> dict[str, list[Element]]:
     return found
 
 
-def way_to(root: Element, link: str) -> list[Element]:
+def joints_to(root: Element, link: str) -> list[Element]:
     """Joints from the base to a link."""
     above = {_end(joint, "child"): joint for joint in root.findall("joint")}
     return list(reversed(list(_upwards(above, link))))

@@ -1,90 +1,111 @@
-"""Choice of a robot's tool frame and repair of its links, for a new graph."""
+"""Choice of the tool frame at the end of a robot's arm, for a new graph."""
 
 from __future__ import annotations
 
 import re
 from typing import Final
-from xml.etree import ElementTree
 
-import numpy as np
-
-from dmframe.errors import RobotError
-from dmframe.robot.convert import Element, children, way_to
-from dmframe.robot.urdf_numbers import Lines, faults_of, numbers
+from dmframe.common.errors import RobotError
+from dmframe.robot.convert import Element, children
 
 MOVING: Final = ("revolute", "continuous", "prismatic")
+AXES: Final = (4, 7)
+"""Least and most moving joints of an arm."""
 FINGERS: Final = 2
-"""A branch with at most so many moving joints in a row is part of a gripper."""
-ARM: Final = 4
-"""After so many moving joints in a row a branching is a hand, not several arms."""
+"""A branch with at most so many moving joints in a row is part of a gripper or a head."""
+FINGER: Final = 4
+"""Most moving joints of a finger of a hand."""
 FLANGES: Final = re.compile(r"tool0|tcp|flange|tool|ee|eef|end.?effector|gripper_frame|link_?8|attachment|pinch", re.I)
 """Names of tool frames, as makers use them."""
-DENSITY: Final = 5.0
-"""Placeholder mass of a link per length [kg/m]."""
-LEAST: Final = 0.5
-"""Least placeholder mass of a link [kg]."""
+JAWS: Final = re.compile(r"jaw|finger|claw|knuckle|^(gripper|hand)(_joint)?$", re.I)
+"""Names of joints and links of a gripper."""
 
 
 def flange_of(root: Element, where: str) -> str:
     """Link at the end of the arm, before the fingers of a gripper.
 
+    Legs, heads and other chains with fewer moving joints than an arm are passed over.
+
     Raises
     ------
     RobotError
-        The robot has several arms; the message lists the frames.
+        The robot has several arms, or none; the message lists the frames.
     """
-    below = children(root)
-    link, passed = _base(root), 0
-    while True:
-        moving = sorted(((_depth(below, joint), joint) for joint in below.get(link, [])), key=lambda pair: -pair[0])
-        arms = [pair for pair in moving if pair[0] > 0]
-        if not arms or (len(arms) > 1 and (arms[0][0] <= FINGERS or passed >= ARM)):
-            return _named(root, below, link)
-        if len(arms) > 1 and arms[1][0] > FINGERS:
-            raise RobotError(
-                f"{where}: at link {link} it branches into arms; name the tool with --tool, one of "
-                f"{', '.join(_frames(root))}"
-            )
-        if arms[0][0] == 1 and (named := _flanges(below, link)):  # a jaw next to a named frame
-            return named[0]
-        passed += arms[0][1].get("type") in MOVING
-        link = _child(arms[0][1])
+    ends = _Tree(root).ends(_base(root), 0)
+    arms = [end for end in ends if AXES[0] <= end[1]]
+    if len(ends) == 1 or len(arms) == 1:
+        return (arms or ends)[0][0]
+    listed = ", ".join(f"{link} ({moving} joint{'s' * (moving != 1)})" for link, moving in arms or ends)
+    if arms:
+        raise RobotError(f"{where}: it branches into arms; name the tool with --tool, one of {listed}")
+    raise RobotError(f"{where}: expected an arm with {AXES[0]} to {AXES[1]} moving joints, found chains to {listed}")
 
 
-def _named(root: Element, below: dict[str, list[Element]], link: str) -> str:
-    """Frame with the name of a flange fixed to the last link, else the last link itself."""
-    if flanges := _flanges(below, link):
-        return flanges[0]
-    if FLANGES.search(link):
-        return link
-    fixed = _fixed(below, link)
-    return fixed[0] if len(fixed) == 1 else link
+class _Tree:
+    """Joints by parent link, and which of them belong to a gripper."""
+
+    def __init__(self, root: Element) -> None:
+        self.below = children(root)
+        self._leaders = {mimic.get("joint") for mimic in root.findall("joint/mimic")}
+        self._known = dict[Element, int]()
+
+    def ends(self, link: str, passed: int) -> list[tuple[str, int]]:
+        """The tool frame of each arm behind a link, with the number of its moving joints from the base."""
+        while True:
+            moving = sorted(((self.depth(joint), joint) for joint in self.below.get(link, [])), key=lambda p: -p[0])
+            arms = [pair for pair in moving if pair[0] > 0]
+            hand = len(arms) > 1 and passed >= AXES[0] and arms[0][0] <= FINGER
+            if not arms or hand or (len(arms) > 1 and arms[0][0] <= FINGERS):
+                return [(self._named(link), passed)]
+            if len(arms) > 1 and arms[1][0] > FINGERS:
+                whole = [joint for depth, joint in arms if depth >= AXES[0]]
+                others = whole or [joint for depth, joint in arms if depth > FINGERS]
+                if len(others) > 1:
+                    return [end for joint in others for end in self.ends(_child(joint), passed + _moves(joint))]
+            joint = arms[0][1]
+            if arms[0][0] == 1:  # a jaw, next to a named frame or by its own name
+                if flanges := self._flanges(link):
+                    return [(flanges[0], passed)]
+                if passed >= AXES[0] and any(JAWS.search(name) for name in (joint.get("name", ""), _child(joint))):
+                    return [(self._named(link), passed)]
+            passed += _moves(joint)
+            link = _child(joint)
+
+    def depth(self, joint: Element) -> int:
+        """Most moving joints in a row from this one on, without a gripper's: those that mimic another one, and a last
+        one that others mimic.
+        """
+        if joint not in self._known:
+            behind = max((self.depth(other) for other in self.below.get(_child(joint), [])), default=0)
+            gripper = behind == 0 and joint.get("name") in self._leaders
+            self._known[joint] = behind + (_moves(joint) and not gripper)
+        return self._known[joint]
+
+    def _named(self, link: str) -> str:
+        """Frame with the name of a flange fixed to the last link, else the last link itself."""
+        if flanges := self._flanges(link):
+            return flanges[0]
+        if FLANGES.search(link):
+            return link
+        fixed = self._fixed(link)
+        return fixed[0] if len(fixed) == 1 else link
+
+    def _flanges(self, link: str) -> list[str]:
+        """Fixed frames behind a link with the name of a flange, in the order of `FLANGES`."""
+        ranks = FLANGES.pattern.split("|")
+        found = [name for name in self._fixed(link) if FLANGES.search(name)]
+        return sorted(found, key=lambda name: next(k for k, rank in enumerate(ranks) if re.search(rank, name, re.I)))
+
+    def _fixed(self, link: str) -> list[str]:
+        found = list[str]()
+        for joint in self.below.get(link, []):
+            if joint.get("type") == "fixed":
+                found += [_child(joint), *self._fixed(_child(joint))]
+        return found
 
 
-def _flanges(below: dict[str, list[Element]], link: str) -> list[str]:
-    """Fixed frames behind a link with the name of a flange, in the order of `FLANGES`."""
-    ranks = FLANGES.pattern.split("|")
-    found = [name for name in _fixed(below, link) if FLANGES.search(name)]
-    return sorted(found, key=lambda name: next(k for k, rank in enumerate(ranks) if re.search(rank, name, re.I)))
-
-
-def _fixed(below: dict[str, list[Element]], link: str) -> list[str]:
-    found = list[str]()
-    for joint in below.get(link, []):
-        if joint.get("type") == "fixed":
-            found += [_child(joint), *_fixed(below, _child(joint))]
-    return found
-
-
-def _depth(below: dict[str, list[Element]], joint: Element) -> int:
-    """Most moving joints in a row from this one on, without those that mimic another."""
-    own = joint.get("type") in MOVING and joint.find("mimic") is None
-    return own + max((_depth(below, other) for other in below.get(_child(joint), [])), default=0)
-
-
-def _frames(root: Element) -> list[str]:
-    inner = {joint.find("parent").get("link") for joint in root.findall("joint")}  # type: ignore[union-attr]  # it was checked
-    return [link.get("name", "") for link in root.findall("link") if link.get("name") not in inner]
+def _moves(joint: Element) -> bool:
+    return joint.get("type") in MOVING and joint.find("mimic") is None
 
 
 def _base(root: Element) -> str:
@@ -95,49 +116,3 @@ def _base(root: Element) -> str:
 def _child(joint: Element) -> str:
     found = joint.find("child")
     return "" if found is None else found.get("link", "")
-
-
-def repaired(root: Element, tool: str, where: str) -> list[str]:
-    """Leave out invalid inertias off the way to the tool, and add placeholders on it; returns a note for each.
-
-    A placeholder is a sphere of `DENSITY` times the distance to the next joint, half way to it.
-    """
-    way, notes = way_to(root, tool), list[str]()
-    on = {_base(root), *map(_child, way)}
-    lines = Lines.fromkeys(root.iter(), 0)
-    for link in root.findall("link"):
-        alone = ElementTree.Element("robot")
-        alone.append(link)
-        name, inertial = link.get("name", ""), link.find("inertial")
-        if name not in on and inertial is not None and any(faults_of(alone, lines, where)):
-            link.remove(inertial)
-            notes.append(f"link {name}: invalid inertia left out; it is not on the way to {tool}")
-    moving = [place for place, joint in enumerate(way) if joint.get("type") in MOVING]
-    links = {link.get("name", ""): link for link in root.findall("link")}
-    for place, following in zip(moving, [*moving[1:], len(way)][: len(moving)], strict=True):
-        group = [links[_child(joint)] for joint in way[place:following]]
-        if any(float(mass.get("value", "0")) > 0 for link in group for mass in link.findall("inertial/mass")):
-            continue
-        steps = [_origin(joint) for joint in way[place + 1 : following + 1]]
-        reach = np.sum(steps, axis=0) if steps else np.zeros(3)
-        notes.append(_placeholder(group[0], np.asarray(reach, dtype=float)))
-    return notes
-
-
-def _origin(joint: Element) -> list[float]:
-    origin = joint.find("origin")
-    return numbers(origin.get("xyz", "0 0 0")) if origin is not None else [0.0, 0.0, 0.0]
-
-
-def _placeholder(link: Element, reach: np.ndarray) -> str:
-    length = float(np.linalg.norm(reach))
-    mass = max(LEAST, DENSITY * length)
-    moment = mass * max(0.05, 0.3 * length) ** 2
-    for old in link.findall("inertial"):
-        link.remove(old)
-    inertial = ElementTree.SubElement(link, "inertial")
-    ElementTree.SubElement(inertial, "origin", xyz=" ".join(f"{x:.6g}" for x in reach / 2))
-    ElementTree.SubElement(inertial, "mass", value=f"{mass:.4g}")
-    zeros = dict.fromkeys(("ixy", "ixz", "iyz"), "0")
-    ElementTree.SubElement(inertial, "inertia", dict.fromkeys(("ixx", "iyy", "izz"), f"{moment:.4g}") | zeros)
-    return f"link {link.get('name', '')}: no inertia in the file; placeholder of {mass:.3g} kg and {moment:.3g} kg m^2"

@@ -15,8 +15,8 @@ from importlib import metadata, util
 from pathlib import Path
 from typing import Any, final
 
-from dmframe.errors import RobotError, UnknownNameError
-from dmframe.files import probed
+from dmframe.common.errors import RobotError, UnknownNameError
+from dmframe.common.files import probed
 from dmframe.robot.chain import SerialChain
 
 GROUP = "dmframe.robots"
@@ -43,7 +43,7 @@ class RobotSource:
 
 
 def robots() -> dict[str, RobotSource]:
-    """Every packaged robot by name, in alphabetical order.
+    """Packaged robots by name, in alphabetical order.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def _points(path: tuple[str, ...]) -> tuple[metadata.EntryPoint, ...]:
 
 
 def robots_in(folder: Path) -> list[RobotSource]:
-    """The robots of one package folder.
+    """Robots of one package folder.
 
     Raises
     ------
@@ -83,10 +83,10 @@ def robots_in(folder: Path) -> list[RobotSource]:
 
 
 def _source_of(file: Path) -> RobotSource:
-    """The robot of a file, read once per version of the file."""
+    """Robot of a file, read once per version of the file."""
     try:
         status = file.stat()
-    except OSError:  # the message is that of the reading
+    except OSError:  # reported by the reader
         return _read_source(file)
     return _read_version(file, status.st_mtime_ns, status.st_size)
 
@@ -97,7 +97,7 @@ def _read_version(file: Path, changed: int, size: int) -> RobotSource:
 
 
 def find_robot(name_or_path: str, base: Path | None = None) -> RobotSource:
-    """The packaged robot of a name, or the URDF file of a path that ends in `.urdf`.
+    """Find a packaged robot by name, or a URDF file by a path that ends in `.urdf`.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def find_robot(name_or_path: str, base: Path | None = None) -> RobotSource:
     Raises
     ------
     UnknownNameError
-        No robot of that name.
+        There is no robot of that name.
     """
     if name_or_path.endswith(".urdf"):
         path = Path(name_or_path).expanduser()
@@ -117,7 +117,7 @@ def find_robot(name_or_path: str, base: Path | None = None) -> RobotSource:
         return RobotSource(name=path.stem, urdf=path, folder=path.parent)
     known = robots()
     if name_or_path not in known:
-        # no nearest name: another robot is not a spelling of this one
+        # no suggestion: another robot is not a misspelling of this one
         raise UnknownNameError(f"robot {name_or_path}", "robot", name_or_path, known, path=MODEL_PATH, spelling=False)
     return known[name_or_path]
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Mapping
 from typing import NamedTuple, final
 
-from dmframe.errors import RobotError
+from dmframe.common.errors import RobotError
 
 SAME = 1e-9
 """Tolerance between a held angle and the one that the leader determines [rad or m]."""
@@ -46,14 +46,14 @@ def with_mimics(
             if name in hold:
                 continue
             raise RobotError(
-                f"{where}: joint {name} follows {follows}, which is free; hold {follows}, or {name} at one place",
+                f"{where}: joint {name} follows {follows}, which is free; hold {follows}, or {name} at an angle",
                 path=("robot", "free"),
             )
         place = scale * hold.get(follows, 0.0) + offset
         if name in hold and follows in hold and not math.isclose(hold[name], place, abs_tol=SAME):
             raise RobotError(
                 f"{where}: joint {name} follows {follows}: expected it held at {place:.6g}, found {hold[name]:.6g}; "
-                f"leave {name} out",
+                f"omit {name}",
                 path=("robot", "hold"),
             )
         found.setdefault(name, place)

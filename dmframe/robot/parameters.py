@@ -8,9 +8,9 @@ from fractions import Fraction
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeVar, final
 
-from dmframe.errors import UnknownNameError
-from dmframe.port import Element
-from dmframe.units import sliding
+from dmframe.common.errors import UnknownNameError
+from dmframe.common.names import Element
+from dmframe.common.units import sliding
 
 if TYPE_CHECKING:
     from dmframe.robot.chain import SerialChain
@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 
 class Inertial(NamedTuple):
-    """A link's ten inertial parameters, or a value for each, in the order of Pinocchio's `toDynamicParameters`.
+    """Ten inertial parameters of a link, or a value for each, in the order of Pinocchio's `toDynamicParameters`.
 
     Mass, first moments, and inertia about the joint frame's origin, in its frame.
     """
@@ -40,10 +40,10 @@ class Inertial(NamedTuple):
 
 INERTIAL: Final = Inertial._fields
 WEIGHING: Final = 4
-"""Number of a link's parameters on which gravity depends: mass and first moments, which are the first."""
+"""Number of a link's parameters that gravity depends on: the leading mass and first moments."""
 
 _UNITS: Final = {"m": "kg", "mc": "kg m", "I": "kg m^2"}
-# A joint's: the name and, at a revolute joint, the unit.
+# By part of the joint's parameters: the name and, for a revolute joint, the unit.
 _OF_JOINTS: Final[Mapping[Part, tuple[str, str]]] = {
     "rotor": ("I_r", "kg m^2"),
     "viscous": ("B", "N m s/rad"),
@@ -55,20 +55,20 @@ _OF_JOINTS: Final[Mapping[Part, tuple[str, str]]] = {
 @final
 @dataclass(frozen=True)
 class DynamicParameters:
-    """The layout of a_d, and of the columns of its regressor.
+    """Layout of a_d, and of the columns of its regressor.
 
-    Ten inertial parameters for each link; then, with `gravity_apart`, mass and first moments of each link for gravity;
-    then, if enabled, one parameter for each joint for the inertia of its rotor, viscous friction, Coulomb friction, and
-    a constant torque.
+    Ten inertial parameters for each link; then, with `separate_gravity`, mass and first moments of each link for
+    gravity; then, if enabled, one parameter for each joint for the inertia of its rotor, viscous friction, Coulomb
+    friction, and a constant torque.
 
     Parameters
     ----------
     chain
         The robot.
     friction
-        Any of "viscous", "coulomb" and "rotor", in any order: what the joints have in addition to the links.
-    gravity_apart
-        True if gravity has its own masses and first moments.
+        Any of "viscous", "coulomb" and "rotor", in any order: parameters of the joints.
+    separate_gravity
+        True if gravity has separate masses and first moments.
     bias
         True if each joint has a constant torque as a parameter.
 
@@ -77,7 +77,7 @@ class DynamicParameters:
 
     chain: SerialChain
     friction: Collection[str] = ()
-    gravity_apart: bool = False
+    separate_gravity: bool = False
     bias: bool = False
 
     def __post_init__(self) -> None:
@@ -91,7 +91,7 @@ class DynamicParameters:
         """Parts in their order."""
         enabled: dict[Part, bool] = {
             "inertial": True,
-            "weighing": self.gravity_apart,
+            "weighing": self.separate_gravity,
             "rotor": "rotor" in self.friction,
             "viscous": "viscous" in self.friction,
             "coulomb": "coulomb" in self.friction,
@@ -110,32 +110,32 @@ class DynamicParameters:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of `elements`."""
+        """Names of `elements`."""
         return tuple(element.name for element in self.elements)
 
     @property
     def size(self) -> int:
-        """p, the number of parameters."""
+        """Number of parameters, p."""
         return len(self.elements)
 
     @property
     def inertial(self) -> slice:
-        """The places of the inertial parameters."""
+        """Indices of the inertial parameters."""
         return self.places("inertial")
 
     def places(self, part: Part) -> slice:
-        """The places of a part; empty if it is not enabled."""
+        """Indices of a part; empty if it is not enabled."""
         if part not in self.parts:
             return slice(0, 0)
         start = sum(len(self._of(other)) for other in self.parts[: self.parts.index(part)])
         return slice(start, start + len(self._of(part)))
 
     def of_link(self, link: int) -> slice:
-        """The places of the inertial parameters of a link, 0 being the first."""
+        """Indices of the inertial parameters of a link, counted from 0."""
         return slice(len(INERTIAL) * link, len(INERTIAL) * (link + 1))
 
     def link_of(self, place: int) -> int:
-        """The link to which an inertial parameter belongs, 0 being the first."""
+        """Link of an inertial parameter, counted from 0."""
         return place // len(INERTIAL)
 
     @property

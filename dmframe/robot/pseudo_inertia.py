@@ -10,7 +10,7 @@ from dmframe.robot.parameters import Inertial
 
 Rows = list[list[Fraction]]
 
-# phi = tr(A P) for each parameter: the entries of A, each of which is shared by the two sides of the diagonal.
+# phi = tr(A P) for each parameter: entries of A; those off the diagonal are split into two equal halves.
 _ENTRIES = Inertial(
     m={(3, 3): 1},
     mc_x={(0, 3): 1}, mc_y={(1, 3): 1}, mc_z={(2, 3): 1},
@@ -32,12 +32,12 @@ def pseudo_inertia(row: Sequence[Any]) -> list[list[Any]]:
 
 
 def parameters_of(P: Sequence[Sequence[Any]]) -> Inertial:
-    """The ten inertial parameters of a pseudo-inertia, numbers or expressions."""
+    """Ten inertial parameters of a pseudo-inertia, numbers or expressions."""
     return Inertial(*(sum(value * P[i][j] for (i, j), value in entries.items()) for entries in _ENTRIES))
 
 
 def dual(row: Sequence[Any]) -> list[list[Any]]:
-    r"""Q, symmetric, with :math:`\mathrm{tr}(Q\, P(a)) = g^\top a` for the pseudo-inertia P(a) of any parameters a.
+    r"""Symmetric Q with :math:`\mathrm{tr}(Q\, P(a)) = g^\top a` for the pseudo-inertia P(a) of any parameters a.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def dual(row: Sequence[Any]) -> list[list[Any]]:
 
 
 def natural_gain(row: Sequence[Fraction]) -> Rows:
-    r"""The inverse of the metric :math:`\mathrm{tr}(P^{-1} \dot P P^{-1} \dot P)` at a body's pseudo-inertia P.
+    r"""Natural adaptation gain: inverse of :math:`\mathrm{tr}(P^{-1} \dot P P^{-1} \dot P)` at a pseudo-inertia P.
 
     With each parameter :math:`\phi_i = \mathrm{tr}(A_i P)` it has a closed form, in field operations:
 
@@ -66,7 +66,7 @@ def natural_gain(row: Sequence[Fraction]) -> Rows:
     Parameters
     ----------
     row : 10 numbers
-        As of `SerialChain.inertia`.
+        A row of `SerialChain.inertia`.
 
     Returns
     -------

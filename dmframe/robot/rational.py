@@ -1,8 +1,8 @@
-r"""Exactly orthogonal rational rotations, near a robot file's rounded ones.
+r"""Exactly orthogonal rational rotations that approximate the rounded ones of a robot file.
 
 A URDF's rotations are orthogonal only up to rounding, so identities such as the skew symmetry of
 :math:`\dot M - 2 C` fail exactly. Rotations of rational quaternions and axes from the rational
-stereographic projection hold :math:`R^\top R = I` and :math:`a^\top a = 1` in exact arithmetic.
+stereographic projection satisfy :math:`R^\top R = I` and :math:`a^\top a = 1` in exact arithmetic.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 Vector = tuple[Fraction, ...]
 Matrix = tuple[Vector, ...]
 
-# A quarter turn written with ten digits is meant as a quarter turn (the UR10's file is 4.9e-12 off); 1.5708 is not.
+# A quarter turn with ten digits counts as exact (the UR10's file is 4.9e-12 off); 1.5708 does not.
 SNAP = 1e-10
-# Half the width of the interval in which a ratio takes its simplest fraction: the rounding of a double near 1.
+# Half the width of the interval for the simplest fraction of a ratio: the rounding of a double near 1.
 HALF_WIDTH = Fraction(1, 2 * 10**15)
 
 
 def simplest_between(low: Fraction, high: Fraction) -> Fraction:
-    """The fraction of least denominator in [low, high], by descent in the Stern-Brocot tree."""
+    """Fraction of least denominator in [low, high], by descent in the Stern-Brocot tree."""
     if low <= 0 <= high:
         return Fraction(0)
     if high < 0:
@@ -36,13 +36,13 @@ def simplest_between(low: Fraction, high: Fraction) -> Fraction:
 
 
 def simplest_near(value: float) -> Fraction:
-    """The simplest fraction within 5e-16 of `value`."""
+    """Simplest fraction within 5e-16 of `value`."""
     exact = Fraction(value)
     return simplest_between(exact - HALF_WIDTH, exact + HALF_WIDTH)
 
 
 def rational_rotation(R: NDArray[Any]) -> Matrix:
-    r"""The rotation of a rational quaternion next to `R`: :math:`R^\top R = I` and :math:`\det R = 1` exactly.
+    r"""Rotation of a rational quaternion close to `R`: :math:`R^\top R = I` and :math:`\det R = 1` exactly.
 
     With the quaternion :math:`(w, v)` divided by its largest component and each ratio made rational,
 
@@ -51,7 +51,8 @@ def rational_rotation(R: NDArray[Any]) -> Matrix:
     Parameters
     ----------
     R : (3, 3)
-        A rotation up to rounding. Within 1e-10 of a signed permutation (quarter turns about the axes) it becomes that.
+        A rotation up to rounding. Within 1e-10 of a signed permutation (quarter turns about the axes), that is
+        returned.
     """
     nearest = np.rint(R)
     if np.max(np.abs(R - nearest)) < SNAP:
@@ -67,7 +68,7 @@ def rational_rotation(R: NDArray[Any]) -> Matrix:
 
 
 def _quaternion(R: NDArray[Any]) -> NDArray[Any]:
-    """(w, x, y, z) of a rotation over its largest component, which takes no cancellation (Shepperd)."""
+    """(w, x, y, z) of a rotation divided by its largest component, free of cancellation (Shepperd)."""
     w, x, y, z = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], np.trace(R)
     xy, xz, yz = R[0, 1] + R[1, 0], R[0, 2] + R[2, 0], R[1, 2] + R[2, 1]
     candidates = (
@@ -82,7 +83,7 @@ def _quaternion(R: NDArray[Any]) -> NDArray[Any]:
 
 
 def rational_axis(a: NDArray[Any]) -> Vector:
-    r"""The rational direction next to `a`, of exactly unit length.
+    r"""Rational unit vector close to `a`.
 
     Stereographic projection from the pole opposite to the largest component, here the third:
     :math:`a = (2u, 2v, 1 - u^2 - v^2) / (1 + u^2 + v^2)` with rational :math:`u, v`.
@@ -90,7 +91,7 @@ def rational_axis(a: NDArray[Any]) -> Vector:
     Parameters
     ----------
     a : (3,)
-        A unit vector up to rounding. Within 1e-10 of a coordinate axis it becomes that axis.
+        A unit vector up to rounding. Within 1e-10 of a coordinate axis, that axis is returned.
     """
     nearest = np.rint(a)
     if np.max(np.abs(a - nearest)) < SNAP:
@@ -107,5 +108,5 @@ def rational_axis(a: NDArray[Any]) -> Vector:
 
 
 def decimal(value: float) -> Fraction:
-    """The rational that `value` is written as, its shortest decimal: 0.612 is 153/250; float() gives `value` back."""
+    """Rational number of the shortest decimal of `value`: 153/250 for 0.612; float() recovers `value`."""
     return Fraction(repr(float(value)))

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dmframe.errors import RobotError, UnknownNameError, ValueFault
+from dmframe.common.errors import RobotError, UnknownNameError, ValueFault
 from dmframe.robot.mimics import Mimic, with_mimics
 
 TOOL_FRAME = "dmframe_tool"
@@ -26,7 +26,7 @@ def reduce_model(
     tool: str | Sequence[float] | None,
     mimics: Mapping[str, Mimic],
 ) -> tuple[Any, int]:
-    """The model with all but its free joints locked, and the index of the tool's frame in it.
+    """Model with all joints locked except the free ones, and the index of its tool frame.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def reduce_model(
             )
     if isinstance(tool, str):
         _frame(model, tool, where)
-    kept = set(free) if free is not None else _on_the_way(model, where, tool) - set(hold)
+    kept = set(free) if free is not None else _between_base_and_tool(model, where, tool) - set(hold)
     if not kept:
         raise RobotError(f"{where}: no free joint is left; hold fewer joints", path=("robot", "free"))
     _check_kinds(model, where, kept, hold, mimics)
@@ -111,7 +111,7 @@ def _check_kinds(
 
 
 def _check_unit(where: str, name: str, value: float, unit: str) -> None:
-    """Refuse an angle for a prismatic joint, and a length for a revolute one. A plain number has no unit."""
+    """Check that a prismatic joint has a length and a revolute one an angle; a plain number has no unit."""
     if getattr(value, "unit", unit) != unit:
         kind = "prismatic: expected a length, as 0.1 m" if unit == "m" else "revolute: expected an angle, as 30 deg"
         raise ValueFault(
@@ -120,8 +120,8 @@ def _check_unit(where: str, name: str, value: float, unit: str) -> None:
         )
 
 
-def _on_the_way(model: Any, where: str, tool: str | Sequence[float] | None) -> set[str]:
-    """The joints between the base and the tool's frame, or of the only chain."""
+def _between_base_and_tool(model: Any, where: str, tool: str | Sequence[float] | None) -> set[str]:
+    """Joints between the base and the tool's frame, or of the only chain."""
     if isinstance(tool, str):
         index = model.frames[_frame(model, tool, where)].parentJoint
     else:
@@ -152,9 +152,9 @@ _BODY: Final = " (body)"
 
 
 def _with_unique_frames(model: Any) -> Any:
-    """A copy in which no joint's frame shares a body's name, which Pinocchio's reduction refuses.
+    """Copy without joint frames that have a body's name, which Pinocchio's reduction rejects.
 
-    A fixed joint's frame keeps its new name; a body with the name of a moving joint is renamed back afterwards.
+    The frame of a fixed joint keeps its new name; a body with the name of a moving joint is renamed back afterwards.
     """
     import pinocchio as pin
 
@@ -170,7 +170,7 @@ def _with_unique_frames(model: Any) -> Any:
 
 
 def _frame(model: Any, frame: str, where: str) -> int:
-    """The index of a frame, a body's rather than a joint's of the same name."""
+    """Index of a frame; a body's frame takes precedence over a joint's of the same name."""
     import pinocchio as pin
 
     found = [i for i, candidate in enumerate(model.frames) if candidate.name == frame]
@@ -215,7 +215,7 @@ def _tool_frame(model: Any, tool: str | Sequence[float] | None, where: str) -> i
 
 
 def model_configuration(model: Any, angles: Mapping[str, float]) -> NDArray[np.float64]:
-    """The neutral configuration of `model`, with the one-degree joints of `angles` at their values."""
+    """Neutral configuration of `model`, with the given one-degree joints at their values."""
     import pinocchio as pin
 
     configuration = np.array(pin.neutral(model), dtype=float)
@@ -227,7 +227,7 @@ def model_configuration(model: Any, angles: Mapping[str, float]) -> NDArray[np.f
 
 
 def motion_subspace(joint: Any) -> NDArray[np.float64]:
-    """The six-vector (linear, angular) of a one-degree joint's unit velocity, in its own frame."""
+    """Unit velocity of a one-degree joint as a six-vector (linear, angular) in its own frame."""
     data, configuration = joint.createData(), np.zeros(joint.idx_q + joint.nq)
     if joint.nq == 2:
         configuration[joint.idx_q] = 1.0  # the cosine of an unbounded angle of 0
@@ -237,7 +237,7 @@ def motion_subspace(joint: Any) -> NDArray[np.float64]:
 
 
 def check_inertia(model: Any, name: str) -> None:
-    """Refuse a chain with an invalid mass, or whose mass matrix is not positive definite.
+    """Raise `RobotError` for an invalid mass, or a mass matrix that is not positive definite.
 
     Raises
     ------
@@ -264,7 +264,8 @@ def check_inertia(model: Any, name: str) -> None:
         if joint is not None:
             raise RobotError(
                 f"{where}: the mass matrix is not positive definite: the links behind joint {model.names[joint + 1]} "
-                "have too little mass or inertia; give its link an inertia, or hold it",
+                "have too little mass or inertia; give its link an inertia, or hold it; `dmframe new FILE` "
+                "writes a copy with placeholders",
                 path=("robot", "model"),
             )
 

@@ -1,8 +1,8 @@
-r"""A serial robot's equations of motion as CasADi expressions that exact arithmetic can follow.
+r"""Equations of motion of a serial robot as CasADi expressions suitable for exact arithmetic.
 
-The robot's numbers enter as symbols that carry a rational value: CasADi folds floating-point constants, which would
-break exact certificates. Only 0, 1, -1 and 1/2 stand as literals; only + - * /, and sin and cos of single joint angles
-occur (and tanh in the friction law).
+The robot's numbers are symbols with rational values, since CasADi folds floating-point constants, which would break
+exact certificates. The only literals are 0, 1, -1 and 1/2; the only operations are + - * /, and sin and cos of single
+joint angles (and tanh in the friction law).
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from dmframe.robot.rational import Vector, decimal
 from dmframe.robot.recursion import placed, repeated
 
 NO_LIMIT = 1e9
-"""Value of a limit that a robot does not have: finite, for compiled code."""
+"""Substitute for a missing limit: finite, for compiled code."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Constant:
-    """Numbers of the robot under one name: a column of symbols, and the rational value of each."""
+    """Named numbers of the robot: a column of symbols, and the rational value of each."""
 
     name: str
     symbol: Any
@@ -42,7 +42,7 @@ class Constant:
 
 @final
 class SymbolicRobot:
-    r"""Kinematics and dynamics of a :class:`SerialChain`, each quantity one method.
+    r"""Kinematics and dynamics of a :class:`SerialChain`, one method per quantity.
 
     n joints, m task coordinates, k = 3 (n + 1) kinematic parameters: the translation of each joint in its parent and
     the tool's in the last joint. The 10 n inertial parameters follow Pinocchio's order, joint by joint. Angles in rad,
@@ -52,8 +52,8 @@ class SymbolicRobot:
     ----------
     constants : the robot's numbers, each a column of symbols with its rational values
         `inertia` (10 n), `a_k` (k), `gravity` and `rotations` (the entries that are not 0 or +-1), `friction_velocity`.
-    inertia : SX (10 n), the symbols of the inertial parameters
-    a_k : SX (k), the symbols of the kinematic parameters, with a literal 0 where the value is 0
+    inertia : SX (10 n), symbols of the inertial parameters
+    a_k : SX (k), symbols of the kinematic parameters, with a literal 0 where the value is 0
     gravity : SX (3), likewise
 
     References
@@ -91,7 +91,7 @@ class SymbolicRobot:
         self._placed = placed(chain, (*_turns(chain), *kinematic, *chain.gravity))
 
     def with_numbers(self, chain: SerialChain) -> SymbolicRobot:
-        """The same symbols with the values of another chain, which has the same joints.
+        """Same symbols with the values of another chain with the same joints.
 
         Expressions in the symbols do not change; this reveals code that reads the values themselves.
         """
@@ -110,7 +110,7 @@ class SymbolicRobot:
         return other
 
     def with_free_axes(self) -> tuple[SymbolicRobot, Any, Any]:
-        """The same robot with all axes and rotations as symbols; and columns of these symbols, joints and tool."""
+        """Copy with all axes and rotations as symbols; and columns of these symbols, for joints and tool."""
         other = copy.copy(self)
         other._stated, other._placed = {}, ()
         other._placements = [(ca.SX.sym("rotation", 3, 3), ca.SX.sym("axis", 3)) for _ in self._placements]
@@ -119,13 +119,13 @@ class SymbolicRobot:
         return other, axes, ca.vec(other._tool_rotation)
 
     def values(self) -> dict[str, NDArray[np.float64]]:
-        """The numeric value of each constant, by name."""
+        """Numeric values of the constants by name."""
         return {constant.name: np.array([float(x) for x in constant.values]) for constant in self.constants}
 
     # Kinematics
 
     def position(self, q: Any, a_k: Any = None) -> Any:
-        """The task position x = f(q), eq. (1): the tool's coordinates `axes` in the base frame, SX (m)."""
+        """Task position x = f(q), eq. (1): the tool's coordinates `axes` in the base frame, SX (m)."""
         offsets = self._offsets(a_k)
         point = offsets[-1]
         for link in reversed(self.links(q, a_k)):
@@ -133,7 +133,7 @@ class SymbolicRobot:
         return self._task(point)
 
     def jacobian(self, q: Any, a_k: Any = None) -> Any:
-        r"""The task Jacobian J(q), eq. (2), SX (m, n); columns :math:`z_i \times (x - o_i)`, prismatic :math:`z_i`."""
+        r"""Task Jacobian J(q), eq. (2), SX (m, n); columns :math:`z_i \times (x - o_i)`, prismatic :math:`z_i`."""
         rotation, origin = ca.SX.eye(3), ca.SX(3, 1)
         axes, origins = [], []
         for link in self.links(q, a_k):
@@ -149,10 +149,10 @@ class SymbolicRobot:
         return self._task(ca.horzcat(*columns))
 
     def rotation(self, q: Any) -> Any:
-        r"""The tool's orientation R(q), SX (3, 3): it carries coordinates of the tool's frame to the base's.
+        r"""Tool orientation R(q), SX (3, 3), from the tool's frame to the base's.
 
-        Exactly orthogonal where sine and cosine are those of angles. Of a tool given as an offset alone, the last
-        joint's frame is that of the tool.
+        Exactly orthogonal if sine and cosine are those of angles. For a tool given as an offset only, the tool's frame
+        is that of the last joint.
         """
         R = ca.SX.eye(3)
         for link in self.links(q):
@@ -160,9 +160,9 @@ class SymbolicRobot:
         return ca.densify(R @ self._tool_rotation)
 
     def angular_jacobian(self, q: Any) -> Any:
-        r"""J_w(q) of the tool's angular velocity in the base's axes, :math:`\omega = J_w(q) \dot q`, SX (3, n).
+        r"""Angular Jacobian J_w(q) of the tool in the base's axes, :math:`\omega = J_w(q) \dot q`, SX (3, n).
 
-        :math:`\dot R = [\omega]_\times R`. Columns :math:`z_i`, of a prismatic joint zero; no length is in it.
+        :math:`\dot R = [\omega]_\times R`. Columns :math:`z_i`, zero for a prismatic joint; independent of lengths.
         """
         R, axes = ca.SX.eye(3), []
         for link in self.links(q):
@@ -171,16 +171,16 @@ class SymbolicRobot:
         return ca.densify(ca.horzcat(*axes))
 
     def kinematic_regressor(self, q: Any, psi: Any) -> Any:
-        r"""Y_k(q, psi) of :math:`J(q)\psi = Y_k(q, \psi) a_k + J_p(q)\psi`, eq. (4), SX (m, k).
+        r"""Kinematic regressor Y_k(q, psi): :math:`J(q)\psi = Y_k(q, \psi) a_k + J_p(q)\psi`, eq. (4), SX (m, k).
 
-        :math:`J_p`, the part that no parameter scales, comes from prismatic joints alone; with revolute joints
+        :math:`J_p`, the part that no parameter scales, is due to prismatic joints; with revolute joints
         :math:`J(q)\psi = Y_k a_k`.
         """
         a_k = ca.SX.sym("a_k", self.k)
         return ca.jacobian(self.jacobian(q, a_k) @ psi, a_k)
 
     def position_regressor(self, q: Any) -> Any:
-        r"""W_k(q) of :math:`f(q) = W_k(q) a_k + f_p(q)`, SX (m, k), with :math:`f_p` of prismatic joints alone."""
+        r"""Position regressor W_k(q): :math:`f(q) = W_k(q) a_k + f_p(q)`, SX (m, k); :math:`f_p`: prismatic joints."""
         a_k = ca.SX.sym("a_k", self.k)
         return ca.densify(ca.jacobian(self.position(q, a_k), a_k))
 
@@ -189,17 +189,17 @@ class SymbolicRobot:
     def inverse_dynamics(
         self, q: Any, dq: Any, dq_ref: Any, ddq_ref: Any, inertia: Any = None, gravity_share: Any = 1
     ) -> Any:
-        r"""The torque :math:`M(q)\ddot q_{ref} + C(q,\dot q)\dot q_{ref} + g(q)`, eqs. (3) and (5), SX (n).
+        r"""Torque :math:`M(q)\ddot q_{ref} + C(q,\dot q)\dot q_{ref} + g(q)`, eqs. (3) and (5), SX (n).
 
         The Newton-Euler recursion with every product of two velocities polarised,
         :math:`\tfrac12 (p(\dot q) r(\dot q_{ref}) + p(\dot q_{ref}) r(\dot q))`, because :math:`C(q,a)b` with the
         Christoffel C is the symmetric bilinear form of the velocity terms. One O(n) pass, linear in the inertial
-        parameters. With `dq` itself for `dq_ref` the products are the plain ones, and fewer.
+        parameters. If `dq_ref` is `dq`, the products are not polarised, and fewer.
 
         Parameters
         ----------
         q, dq, dq_ref, ddq_ref : SX (n)
-        inertia : SX (10 n), default the robot's own
+        inertia : SX (10 n), by default of the robot
         gravity_share : SX, fraction of g(q) that is included
 
         References
@@ -214,7 +214,7 @@ class SymbolicRobot:
     def _torque(
         self, plain: bool, q: Any, dq: Any, ddq_ref: Any, inertia: Any, gravity_share: Any, dq_ref: Any = None
     ) -> Any:
-        """`inverse_dynamics`; if `plain`, of `dq` for `dq_ref`."""
+        """Implementation of `inverse_dynamics`; with `plain`, `dq_ref` is `dq`."""
         links = self.links(q)
         h = bodies_of(inertia)
         omega = nu = dnu = ca.SX(3, 1)
@@ -237,11 +237,11 @@ class SymbolicRobot:
         return joint_torques(links, forces)
 
     def regressor(self, q: Any, dq: Any, dq_ref: Any, ddq_ref: Any) -> Any:
-        r"""Y_d(q, dq, dq_ref, ddq_ref), eq. (5) without friction, SX (n, 10 n): the torque's slope in the inertia."""
+        r"""Dynamic regressor Y_d(q, dq, dq_ref, ddq_ref), eq. (5) without friction, SX (n, 10 n)."""
         return ca.jacobian(self.inverse_dynamics(q, dq, dq_ref, ddq_ref), self.inertia)
 
     def momentum_regressor(self, q: Any, dq: Any) -> Any:
-        r"""Y_p(q, dq) of the joints' momentum :math:`M(q) \dot q = Y_p a`, SX (n, 10 n)."""
+        r"""Momentum regressor Y_p(q, dq): joint momentum :math:`M(q) \dot q = Y_p a`, SX (n, 10 n)."""
 
         def stated(at: Any, along: Any) -> Any:
             still = ca.SX(self.n, 1)
@@ -250,7 +250,7 @@ class SymbolicRobot:
         return self._at("momentum", stated, q, dq)
 
     def kinetic_regressor(self, q: Any, dq: Any) -> Any:
-        r"""Y_c(q, dq) of :math:`\partial_q (\tfrac12 \dot q^\top M(q) \dot q) = C(q, \dot q)^\top \dot q = Y_c a`,
+        r"""Kinetic regressor: :math:`\partial_q (\tfrac12 \dot q^\top M(q) \dot q) = C(q, \dot q)^\top \dot q = Y_c a`,
         SX (n, 10 n), the rate of the momentum in addition to the applied torques: :math:`\dot M = C + C^\top`.
         """
 
@@ -262,11 +262,11 @@ class SymbolicRobot:
         return self._at("kinetic", stated, q, dq)
 
     def gravity_regressor(self, q: Any) -> Any:
-        """Y_g(q) of g(q) = Y_g a, SX (n, 10 n)."""
+        """Gravity regressor Y_g(q): g(q) = Y_g a, SX (n, 10 n)."""
         return self._at("gravity", lambda at: ca.jacobian(self.gravity_torque(at), self.inertia), q)
 
     def _at(self, name: str, stated: Callable[..., Any], *given: Any) -> Any:
-        """A function of columns of n, stated once at symbols, at other columns: samplers need it at many points."""
+        """Evaluate a function of columns of n, traced once with symbols, at other columns."""
         if name not in self._stated:
             symbols = [ca.SX.sym("x", self.n) for _ in given]
             self._stated[name] = symbols, stated(*symbols)
@@ -274,7 +274,7 @@ class SymbolicRobot:
         return ca.substitute([expression], symbols, [ca.densify(x) for x in given])[0]
 
     def mass_matrix(self, q: Any, inertia: Any = None) -> Any:
-        r"""M(q), SX (n, n), by composite bodies; symmetric by construction.
+        r"""Mass matrix M(q), SX (n, n), by composite bodies; symmetric by construction.
 
         References
         ----------
@@ -294,46 +294,46 @@ class SymbolicRobot:
         return ca.densify(M)
 
     def coriolis(self, q: Any, dq: Any, inertia: Any = None) -> Any:
-        r"""The Christoffel matrix C(q, dq), SX (n, n): the Jacobian of :math:`C(q, \dot q) b` in b."""
+        r"""Christoffel matrix C(q, dq), SX (n, n): the Jacobian of :math:`C(q, \dot q) b` in b."""
         b = ca.SX.sym("b", self.n)
         zero = ca.SX(self.n, 1)
         return ca.densify(ca.jacobian(self.inverse_dynamics(q, dq, b, zero, inertia), b))
 
     def gravity_torque(self, q: Any, inertia: Any = None) -> Any:
-        """The torque g(q) that holds the robot still, SX (n)."""
+        """Gravity torque g(q), SX (n)."""
         zero = ca.SX(self.n, 1)
         return self.inverse_dynamics(q, zero, zero, zero, inertia)
 
     def coulomb(self, dq: Any) -> Any:
-        r"""The smooth sign :math:`\varphi(\dot q) = \tanh(\dot q / v_0)` of Coulomb friction, SX (n).
+        r"""Smooth sign :math:`\varphi(\dot q) = \tanh(\dot q / v_0)` of Coulomb friction, SX (n).
 
-        :math:`v_0` is `friction_velocity` [rad/s]; the function is odd and increasing, which is what the proofs need.
+        :math:`v_0` is `friction_velocity` [rad/s]; the proofs require that the function is odd and increasing.
         """
         return ca.tanh(dq / self.friction_velocity)
 
     @property
     def friction_velocity(self) -> Any:
-        """v_0 of `coulomb`, SX [rad/s]."""
+        """Velocity scale v_0 of `coulomb`, SX [rad/s]."""
         return self._friction.symbol
 
     @property
     def velocity_limits(self) -> Any:
-        """Of the joints, DM (n) [rad/s]; `NO_LIMIT` where the robot states none."""
+        """Velocity limits of the joints, DM (n) [rad/s]; `NO_LIMIT` without one."""
         return _limits(joint.velocity if joint.velocity > 0 else math.inf for joint in self.chain.joints)
 
     @property
     def effort_limits(self) -> Any:
-        """Of the joints' torques, DM (n) [N m]; likewise."""
+        """Torque limits of the joints, DM (n) [N m]; `NO_LIMIT` without one."""
         return _limits(joint.effort if joint.effort > 0 else math.inf for joint in self.chain.joints)
 
     @property
     def lower_limits(self) -> Any:
-        """Of the joints' angles, DM (n) [rad]; likewise, below zero."""
+        """Lower angle limits of the joints, DM (n) [rad]; minus `NO_LIMIT` without one."""
         return -_limits(-joint.lower for joint in self.chain.joints)
 
     @property
     def upper_limits(self) -> Any:
-        """Of the joints' angles, DM (n) [rad]; likewise."""
+        """Upper angle limits of the joints, DM (n) [rad]; `NO_LIMIT` without one."""
         return _limits(joint.upper for joint in self.chain.joints)
 
     def _task(self, rows: Any) -> Any:
@@ -343,7 +343,7 @@ class SymbolicRobot:
         return list(ca.vertsplit(self.a_k if a_k is None else a_k, 3))
 
     def links(self, q: Any, a_k: Any = None) -> list[Link]:
-        """Each joint's transform at q: rotation about the exact axis a, R = a a' + cos q (I - a a') + sin q [a]."""
+        """Transforms of the joints at q: rotation about the exact axis a, R = a a' + cos q (I - a a') + sin q [a]."""
         links = []
         joints = zip(self.chain.joints, self._placements, self._offsets(a_k)[:-1], ca.vertsplit(q), strict=True)
         for joint, (R, a), offset, angle in joints:
@@ -376,12 +376,12 @@ def _limits(values: Iterable[float]) -> Any:
 
 
 def _kinematic(chain: SerialChain) -> Vector:
-    """a_k: the translations of the joints, and the tool's."""
+    """a_k: translations of the joints and of the tool."""
     return tuple(x for joint in chain.joints for x in joint.translation) + chain.tool
 
 
 def _turns(chain: SerialChain) -> Vector:
-    """Rotation and axis of each joint, and the tool's rotation, entry by entry."""
+    """Rotation and axis of each joint, and the tool's rotation, by entry."""
     flatten = itertools.chain.from_iterable
     joints = (x for joint in chain.joints for x in (*flatten(joint.rotation), *joint.axis))
     return (*joints, *flatten(chain.tool_rotation))
@@ -396,5 +396,5 @@ def _nonzero(values: Vector) -> Vector:
 
 
 def _entry(value: Fraction, symbols: Any) -> Any:
-    """A literal where the value is 0 or +-1, else the next symbol."""
+    """Literal if the value is 0 or +-1, else the next symbol."""
     return ca.SX(int(value)) if value in (0, 1, -1) else next(symbols)

@@ -1,12 +1,13 @@
-"""Reading a URDF with faults that name the file, the line and the element.
+"""URDF reader whose faults name the file, the line and the element.
 
 Pinocchio's reader drops elements that it cannot parse, such as a link's inertia with a letter O in its digits, with
-only a message on the terminal. Every number is therefore checked first (`dmframe.robot.urdf_numbers`), the reader gets
+only a message on the terminal. All numbers are therefore checked first (`dmframe.robot.urdf_numbers`), the reader gets
 the file with normalised numbers, and its inertias are compared with the file.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -14,20 +15,30 @@ from xml.parsers import expat
 
 import numpy as np
 
-from dmframe.errors import MissingError, RobotError, raise_all
+from dmframe.common.errors import MissingError, RobotError, raise_all
+from dmframe.robot.convert import children, joints_to
 from dmframe.robot.mimics import Mimic
-from dmframe.robot.urdf_numbers import INERTIA, Lines, faults_of, numbers, spelled_plainly
+from dmframe.robot.urdf_numbers import INERTIA, faults_of, normalise_numbers, numbers, part_faults
+from dmframe.robot.xml_tree import Lines, parse_xml
 
 URDF_PATH = ("robot", "model")
 
 
-def read_urdf(path: Path) -> tuple[Any, dict[str, Mimic]]:
+def read_urdf(
+    path: Path, *, free: Sequence[str] | None = None, hold: Collection[str] = (), tool: object = None
+) -> tuple[Any, dict[str, Mimic]]:
     """The `pin.Model` of a URDF file, and its joints that follow another one.
+
+    Parameters
+    ----------
+    path : the file
+    free, hold, tool : as of :meth:`dmframe.robot.chain.SerialChain.from_model`
+        An invalid inertia of a link that none of the free joints moves is left out, since it has no effect.
 
     Raises
     ------
     MissingError
-        No such file, or Pinocchio is not installed.
+        There is no such file, or Pinocchio is not installed.
     RobotError
         The file is not readable, not XML (with line and column), not a URDF, its joints are not a tree, a number is
         malformed, or an inertial element is incomplete; several of the latter as `Faults`.
@@ -48,8 +59,9 @@ def read_urdf(path: Path) -> tuple[Any, dict[str, Mimic]]:
     except (OSError, UnicodeDecodeError) as fault:
         raise RobotError(f"{where}: expected a readable URDF file in UTF-8: {fault}", path=URDF_PATH) from None
     root, lines = _parse(text, where)
+    _leave_out(root, lines, where, _moved(root, free, hold, tool))
     raise_all([RobotError(text, path=URDF_PATH) for text in faults_of(root, lines, where)])
-    spelled_plainly(root)
+    normalise_numbers(root)
     try:
         model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
         _check_read(model, root, lines, where)
@@ -57,6 +69,33 @@ def read_urdf(path: Path) -> tuple[Any, dict[str, Mimic]]:
         reason = str(fault).strip().rstrip(".")
         raise RobotError(f"{where}: expected a valid URDF; the parser reports: {reason}", path=URDF_PATH) from None
     return model, _mimics(root, lines, where)
+
+
+def _moved(root: ElementTree.Element, free: Sequence[str] | None, hold: Collection[str], tool: object) -> set[str]:
+    """Links that the free joints may move: all of them where the free joints are not known yet."""
+    links = {link.get("name", "") for link in root.findall("link")}
+    if free is not None:
+        first = [joint for joint in root.findall("joint") if joint.get("name") in free]
+    elif isinstance(tool, str) and tool in links:
+        way = [joint for joint in joints_to(root, tool) if joint.get("type") != "fixed"]
+        first = [joint for joint in way if joint.get("name") not in hold]
+    else:
+        return links
+    below, moved = children(root), set[str]()
+    waiting = first
+    while waiting:
+        ends = {child.get("link", "") for joint in waiting for child in joint.findall("child")} - moved
+        moved |= ends
+        waiting = [joint for link in ends for joint in below.get(link, [])]
+    return moved
+
+
+def _leave_out(root: ElementTree.Element, lines: Lines, where: str, moved: set[str]) -> None:
+    """Remove invalid inertias of links that do not move."""
+    for link in root.findall("link"):
+        if link.get("name", "") not in moved and part_faults(link, lines, where):
+            for inertial in link.findall("inertial"):
+                link.remove(inertial)
 
 
 def _mimics(root: ElementTree.Element, lines: Lines, where: str) -> dict[str, Mimic]:
@@ -77,26 +116,15 @@ def _mimics(root: ElementTree.Element, lines: Lines, where: str) -> dict[str, Mi
 
 
 def _parse(text: str, where: str) -> tuple[ElementTree.Element, Lines]:
-    """The tree, and the line of each element, which ElementTree's own parser does not keep."""
-    builder, lines = ElementTree.TreeBuilder(), Lines()
-    parser = expat.ParserCreate()
-    parser.buffer_text = True
-
-    def begin(tag: str, attributes: dict[str, str]) -> None:
-        lines[builder.start(tag, attributes)] = parser.CurrentLineNumber
-
-    parser.StartElementHandler = begin
-    parser.EndElementHandler = lambda tag: builder.end(tag)
-    parser.CharacterDataHandler = builder.data
+    """The tree of a URDF, and the line of each element."""
     try:
-        parser.Parse(text, True)
+        root, lines = parse_xml(text)
     except expat.ExpatError as fault:
         reason = expat.ErrorString(fault.code)
         raise RobotError(
             f"{where}:{fault.lineno}:{fault.offset + 1}: expected a valid URDF, found broken XML: {reason}",
             path=URDF_PATH,
         ) from None
-    root = builder.close()
     if root.tag != "robot":
         raise RobotError(f"{where}: expected a valid URDF, <robot>; found <{root.tag}>", path=URDF_PATH)
     if any("xacro" in str(element.tag) for element in root.iter()):

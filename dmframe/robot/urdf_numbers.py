@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Final
 from xml.etree import ElementTree
 
 import numpy as np
 
 from dmframe.robot.urdf_tree import tree_faults
+from dmframe.robot.xml_tree import Lines
 
 Element = ElementTree.Element
 
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
-"""A number as the URDF reader takes it: no thousands, no hexadecimal digits, no names."""
+"""Number in the URDF reader's syntax: no thousands separators, no hexadecimal digits, no names."""
 
 PLACE: Final = {"xyz": 3, "rpy": 3}
 INERTIA: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -40,19 +41,15 @@ LIMITED: Final = ("revolute", "prismatic")
 POINTED: Final = (*LIMITED, "continuous", "planar")
 """Types of joints with limits, and with an axis."""
 LARGEST: Final = 1e100
-"""Lengths, masses, inertias and axes from this size on overflow in products. [SI units]"""
+"""Size of lengths, masses, inertias and axes at which products overflow. [SI units]"""
 SIZED: Final = ("origin", "mass", "inertia")
 """Elements whose numbers must be below `LARGEST`."""
 ROUNDING: Final = 1e-6
 """Tolerance of a negative principal moment due to rounded digits, relative to the largest."""
 
 
-Lines = dict[Element, int]
-"""Line of the file on which each element begins."""
-
-
 def numbers(text: str) -> list[float]:
-    """The numbers of an attribute that has been checked."""
+    """Parse the numbers of a checked attribute."""
     return [float(word) for word in text.split()]
 
 
@@ -61,18 +58,23 @@ def faults_of(root: Element, lines: Lines, where: str) -> Iterator[str]:
     for element, text in tree_faults(root):
         name = next((e for e in (element, *_parents(root, element)) if e.tag in ("link", "joint")), element)
         yield f"{where}:{lines[element]}: {name.tag} {name.get('name') or 'without a name'}: {text}"
-    for kind, check in (("link", _link), ("joint", _joint)):
+    for kind in CHECKS:
         for element in root.findall(kind):
-            for culprit, text in check(element):
-                yield f"{where}:{lines[culprit]}: {kind} {element.get('name', '')}: {text}"
+            yield from part_faults(element, lines, where)
+
+
+def part_faults(element: Element, lines: Lines, where: str) -> list[str]:
+    """Faults of the numbers of a link or a joint."""
+    kind, name = element.tag, element.get("name", "")
+    return [f"{where}:{lines[culprit]}: {kind} {name}: {text}" for culprit, text in CHECKS[kind](element)]
 
 
 def _parents(root: Element, element: Element) -> Iterator[Element]:
     return (parent for parent in root if element in list(parent))
 
 
-def spelled_plainly(root: Element) -> None:
-    """Rewrite each checked number with single blanks, the only white space that the reader accepts."""
+def normalise_numbers(root: Element) -> None:
+    """Rewrite each checked number with single blanks, since the reader accepts no other white space."""
     for element, key, _ in _every(root):
         if key in element.attrib:
             element.set(key, " ".join(element.attrib[key].split()))
@@ -89,7 +91,7 @@ def _link(link: Element) -> Found:
         for tag, keys in (("mass", ("value",)), ("inertia", INERTIA)):
             element = inertial.find(tag)
             if element is None:
-                yield inertial, f"expected <{tag}> in <inertial>, found none; leave <inertial> out if it has no mass"
+                yield inertial, f"expected <{tag}> in <inertial>, found none; omit <inertial> if it has no mass"
                 continue
             for key in keys:
                 if key not in element.attrib:
@@ -118,12 +120,17 @@ def _joint(joint: Element) -> Found:
         yield from _single(joint, tag)
     yield from _malformed(joint)
     axis, limit = joint.find("axis"), joint.find("limit")
-    way = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
+    direction = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
     turns = joint.get("type") in POINTED
-    if turns and axis is not None and _is_column(way, 3) and not any(numbers(way)):
-        yield axis, f"expected an axis that is not zero, found {way}"
-    elif turns and axis is not None and _is_column(way, 3) and not 1 / LARGEST < math.hypot(*numbers(way)) < LARGEST:
-        yield axis, f"expected an axis of a length near 1, found {way}"
+    if turns and axis is not None and _is_column(direction, 3) and not any(numbers(direction)):
+        yield axis, f"expected a nonzero axis, found {direction}"
+    elif (
+        turns
+        and axis is not None
+        and _is_column(direction, 3)
+        and not 1 / LARGEST < math.hypot(*numbers(direction)) < LARGEST
+    ):
+        yield axis, f"expected an axis of length near 1, found {direction}"
     if joint.get("type") not in LIMITED:
         return
     if limit is None:
@@ -138,7 +145,7 @@ def _joint(joint: Element) -> Found:
 
 
 def _single(parent: Element, tag: str) -> Found:
-    """Refuse repeated elements, of which the reader would silently use one."""
+    """Report repeated elements, of which the reader would silently use one."""
     if len(found := parent.findall(tag)) > 1:
         yield found[1], f"expected one <{tag}>, found {len(found)}"
 
@@ -172,16 +179,16 @@ def _numeric(parent: Element) -> Iterator[tuple[Element, str, int]]:
             for element in parent.findall(tag):
                 yield from ((element, key, count) for key, count in keys.items())
         return
-    for way in ("inertial", "visual", "collision"):
-        for element in parent.findall(f"{way}/origin"):
+    for direction in ("inertial", "visual", "collision"):
+        for element in parent.findall(f"{direction}/origin"):
             yield from ((element, key, count) for key, count in PLACE.items())
     for element in parent.findall("inertial/mass"):
         yield element, "value", 1
     for element in parent.findall("inertial/inertia"):
         yield from ((element, key, 1) for key in INERTIA)
-    for way in ("visual", "collision"):
+    for direction in ("visual", "collision"):
         for tag, keys in SHAPES.items():
-            for element in parent.findall(f"{way}/geometry/{tag}"):
+            for element in parent.findall(f"{direction}/geometry/{tag}"):
                 yield from ((element, key, count) for key, count in keys.items())
 
 
@@ -196,3 +203,7 @@ def _is_large(text: str) -> bool:
 def _is_column(text: str, count: int) -> bool:
     words = text.split()
     return len(words) == count and all(map(_is_number, words))
+
+
+CHECKS: Final[Mapping[str, Callable[[Element], Found]]] = {"link": _link, "joint": _joint}
+"""Checks of the numbers of an element by its tag."""

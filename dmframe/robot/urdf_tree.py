@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Final
 from xml.etree import ElementTree
 
-from dmframe.errors import nearest
+from dmframe.common.errors import nearest
 
 Element = ElementTree.Element
 Found = Iterator[tuple[Element, str]]

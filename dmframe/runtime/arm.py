@@ -1,4 +1,4 @@
-"""Joints of an arm of which a graph moves some and holds the others; common to all drivers of hardware."""
+"""Joints of an arm: free joints of the graph and held joints; common to all hardware drivers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from dmframe.errors import DriveError
+from dmframe.common.errors import DriveError
 
 PATIENCE: Final = 5
 """Periods without a command after which the arm stops by itself, and without a sample after which the drive stops."""
@@ -73,6 +73,6 @@ class ArmJoints:
         return max(0, round(steps) - 1) if np.isfinite(steps) else 0
 
 
-def way_time(now: np.ndarray, goal: np.ndarray, speed: float, acceleration: float) -> float:
+def motion_timeout(now: np.ndarray, goal: np.ndarray, speed: float, acceleration: float) -> float:
     """Timeout of a motion to a pose [s]."""
     return float(np.max(np.abs(goal - now))) / speed + 2 * speed / acceleration + 5

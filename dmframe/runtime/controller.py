@@ -17,15 +17,15 @@ from dmframe.build import load
 from dmframe.build.library import address, bound
 from dmframe.build.trial import called
 from dmframe.codegen import control_source
+from dmframe.common.errors import EngineError, ValueFault, listed
+from dmframe.common.slices import slices
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.pieces import Leaf
-from dmframe.errors import EngineError, ValueFault, listed
 from dmframe.simulate.engine import Choice, alike
 from dmframe.simulate.instants import Instants
 from dmframe.simulate.start import start_state
 from dmframe.simulate.start_expressions import measured_start
-from dmframe.slices import slices
 
 
 @final

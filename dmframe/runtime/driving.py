@@ -10,11 +10,11 @@ from typing import Final, final
 
 import numpy as np
 
-from dmframe.errors import DriveError, LostError
+from dmframe.common.errors import DriveError, LostError
 from dmframe.runtime.gate import Gate, Stop
 from dmframe.runtime.journal import Journal, Spool
 from dmframe.runtime.robot import Robot, Sample
-from dmframe.runtime.steered import Steered
+from dmframe.runtime.scaled import ScaledController
 
 AT_START: Final = 1e-4
 """Distance from the start pose below which the robot is not moved there [rad]."""
@@ -49,7 +49,7 @@ class Plan:
 
 @final
 @dataclass(frozen=True, eq=False)
-class Driven:
+class DriveResult:
     """Result of a drive.
 
     Parameters
@@ -69,13 +69,13 @@ class Driven:
 
 
 def drive(
-    steered: Steered,
+    scaled: ScaledController,
     robot: Robot,
     gate: Gate,
     plan: Plan,
     stop_requested: Callable[[], str],
     spool: Spool | None = None,
-) -> Driven:
+) -> DriveResult:
     """Drive a robot until the plan's end or a fault, then bring it to rest.
 
     Parameters
@@ -92,13 +92,13 @@ def drive(
     LostError
         The robot does not answer at the beginning.
     """
-    journal, begun, limits = Journal(spool), time.perf_counter(), gate.limits
+    journal, started, limits = Journal(spool), time.perf_counter(), gate.limits
     halt = max(limits.deceleration, limits.halt)
     with closing(journal), closing(robot):  # the robot comes to rest first
         robot.connect()
         stop: Stop | None
         try:
-            stop = _run(steered, robot, gate, plan, stop_requested, journal)
+            stop = _run(scaled, robot, gate, plan, stop_requested, journal)
         except LostError as fault:
             stop = Stop("lost link", fault.text)
         except KeyboardInterrupt:
@@ -114,14 +114,14 @@ def drive(
             except LostError as fault:
                 before = f"{stop}; " if stop is not None else ""
                 stop = Stop("lost link", f"{before}the stop command was not sent: {fault.text}")
-    return Driven(journal, stop, dict(gate.cuts), time.perf_counter() - begun)
+    return DriveResult(journal, stop, dict(gate.cuts), time.perf_counter() - started)
 
 
 def _run(
-    steered: Steered, robot: Robot, gate: Gate, plan: Plan, stop_requested: Callable[[], str], journal: Journal
+    scaled: ScaledController, robot: Robot, gate: Gate, plan: Plan, stop_requested: Callable[[], str], journal: Journal
 ) -> Stop | None:
     sample = robot.read()
-    _check(steered, robot, sample)
+    _check(scaled, robot, sample)
     if stop := gate.admit(sample):
         return stop
     if stop := gate.begins(sample.q if plan.start is None else plan.start):
@@ -129,23 +129,23 @@ def _run(
     if plan.start is not None and np.max(np.abs(sample.q - plan.start)) > AT_START:
         if plan.shadow:
             return Stop("start", "the robot is not at the graph's start pose, and a shadow drive does not move it")
-        if stop := _way(robot, gate, plan.start, stop_requested):
+        if stop := _move_to_start(robot, gate, plan.start, stop_requested):
             return stop
         sample = robot.read()
         if stop := gate.admit(sample):
             return stop
-        if (apart := float(np.max(np.abs(sample.q - plan.start)))) > gate.limits.deviation:
-            return Stop("start", f"the robot is {apart:.3g} rad from the start pose after its motion to it")
+        if (distance := float(np.max(np.abs(sample.q - plan.start)))) > gate.limits.deviation:
+            return Stop("start", f"the robot is {distance:.3g} rad from the start pose after its motion to it")
     if not plan.shadow:
         robot.begin()
         sample = robot.read()
         if stop := gate.admit(sample):
             return stop
-    steered.begin(sample)
-    return _loop(steered, robot, gate, plan, stop_requested, journal, sample)
+    scaled.begin(sample)
+    return _loop(scaled, robot, gate, plan, stop_requested, journal, sample)
 
 
-def _way(robot: Robot, gate: Gate, start: np.ndarray, stop_requested: Callable[[], str]) -> Stop | None:
+def _move_to_start(robot: Robot, gate: Gate, start: np.ndarray, stop_requested: Callable[[], str]) -> Stop | None:
     """Move to the start, with the gate's checks of samples; return why the motion was stopped, or None."""
     if text := stop_requested():  # also before the motion
         return Stop("requested", text)
@@ -162,7 +162,7 @@ def _way(robot: Robot, gate: Gate, start: np.ndarray, stop_requested: Callable[[
 
 
 def _loop(
-    steered: Steered,
+    scaled: ScaledController,
     robot: Robot,
     gate: Gate,
     plan: Plan,
@@ -171,7 +171,7 @@ def _loop(
     sample: Sample,
 ) -> Stop | None:
     T, first, behind = robot.period, sample.time, 0.0
-    sent = np.zeros(steered.command.size)
+    sent = np.zeros(scaled.command.size)
     while True:
         arrived = time.perf_counter()
         if text := stop_requested():
@@ -181,13 +181,13 @@ def _loop(
         since = sample.time - first
         own = min(1.0, (since + T) / plan.ramp) if plan.ramp else 1.0
         scale, reference = own * sample.scaling, since - behind
-        journal.begin(sample, steered, since, reference, scale if scale >= STILL else 0.0)
+        journal.begin(sample, scaled, since, reference, scale if scale >= STILL else 0.0)
         moving = scale >= STILL
-        if moving and not steered.step(sample, reference, scale):
+        if moving and not scaled.step(sample, reference, scale):
             return Stop("controller", "a command or a state is not finite")
-        wanted = own * steered.command if moving else np.zeros(sent.size)
+        wanted = own * scaled.command if moving else np.zeros(sent.size)
         stop = gate.limited(wanted, sent, sample.missed)
-        journal.commanded(steered.command, sent)
+        journal.commanded(scaled.command, sent)
         if stop:
             return stop
         if reference >= plan.until - T * scale / 2:
@@ -196,7 +196,7 @@ def _loop(
             robot.command(sent)
         journal.answered(time.perf_counter() - arrived)
         before, sample = sample, robot.read()
-        lost = int(sample.time <= before.time)  # the same sample again, or an older one
+        lost = int(sample.time <= before.time)  # a repeated or older sample
         while 0 < lost <= gate.limits.lost and sample.time <= before.time:
             sample = robot.read()
             lost = lost + 1 if sample.time <= before.time else 0
@@ -207,15 +207,15 @@ def _loop(
         behind += (1.0 - (scale if moving else 0.0)) * (sample.time - before.time)
 
 
-def _check(steered: Steered, robot: Robot, sample: Sample) -> None:
-    clock = steered.controller.clock
+def _check(scaled: ScaledController, robot: Robot, sample: Sample) -> None:
+    clock = scaled.controller.clock
     if abs(robot.period - clock) > 1e-9:
         raise DriveError(
             f"{robot.name}: expected a robot with the graph's clock of {clock:g} s, found one with {robot.period:g} s"
         )
-    lacking = [name for name in steered.lacking if getattr(sample, name) is None]
+    lacking = [name for name in scaled.lacking if getattr(sample, name) is None]
     if lacking:
         raise DriveError(f"{robot.name}: the controller needs {' and '.join(lacking)}, which this robot lacks")
-    n = steered.command.size
+    n = scaled.command.size
     if sample.q.size != n:
         raise DriveError(f"{robot.name}: expected {n} joints as in the graph, found {sample.q.size}")

@@ -13,8 +13,8 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from dmframe.common.units import plain
 from dmframe.runtime.robot import Sample
-from dmframe.units import plain
 
 REFUSED: Final = 3.0
 """Multiple of a joint's speed limit above which a command stops the robot instead of being limited."""
@@ -139,12 +139,12 @@ class Gate:
         if sample.missed > limits.lost:
             return Stop("lost samples", f"{sample.missed} in a row, at most {limits.lost} are allowed")
         if sample.q_c is not None:
-            apart = np.abs(sample.q - sample.q_c)
-            worst = int(np.argmax(apart))
-            if apart[worst] > limits.deviation:
+            deviation = np.abs(sample.q - sample.q_c)
+            worst = int(np.argmax(deviation))
+            if deviation[worst] > limits.deviation:
                 return Stop(
                     "deviation",
-                    f"{limits.joints[worst]} is {plain(apart[worst], 'rad')} from its target, "
+                    f"{limits.joints[worst]} is {plain(deviation[worst], 'rad')} from its target, "
                     f"at most {plain(limits.deviation, 'rad')} is allowed",
                 )
         if limits.box is not None and sample.x is not None:

@@ -16,12 +16,12 @@ from typing import IO, Any, Final, final
 
 import numpy as np
 
-from dmframe.errors import OutputError
-from dmframe.files import encoded, forced, reason, sync
+from dmframe.common.errors import OutputError
+from dmframe.common.files import encoded, forced, reason, sync
+from dmframe.common.seal import SEAL, digest
 from dmframe.runtime.robot import Sample
+from dmframe.runtime.scaled import ScaledController
 from dmframe.runtime.signals import FIELDS
-from dmframe.runtime.steered import Steered
-from dmframe.seal import SEAL, digest
 
 BLOCK: Final = 512
 """Rows of a block, the unit of writing."""
@@ -34,7 +34,7 @@ NUMBERS: Final = ("time", "reference", "scale", "answer", "age", "missed")
 _VERSION: Final = 2
 _COPIED: Final = 2**20
 _DIGEST: Final = "sha256"
-"""Key of the first line's own digest; the line names the columns."""
+"""Key of the digest of the first line, which names the columns."""
 
 
 @final
@@ -57,11 +57,11 @@ class Columns:
         return found
 
     @classmethod
-    def of(cls, steered: Steered, sample: Sample) -> Columns:
+    def of(cls, scaled: ScaledController, sample: Sample) -> Columns:
         """Columns of a drive with this first sample."""
         shown = {name: getattr(sample, name) for name in FIELDS}
-        states = {f"state:{label}": values.size for label, values in steered.controller.states.items()}
-        n = steered.command.size
+        states = {f"state:{label}": values.size for label, values in scaled.controller.states.items()}
+        n = scaled.command.size
         return cls(
             dict.fromkeys(NUMBERS, 1)
             | {name: 0 if values is None else values.size for name, values in shown.items()}
@@ -76,7 +76,7 @@ class Spool:
 
     Its first line is JSON with the columns and the drive's data; rows of doubles follow. If the program is killed, at
     most the last block (half a second) and the unwritten bytes are lost. Bytes that the disk does not take stay in
-    memory, and the file stays open, so that a record is whole where its disk is full or its folder was deleted.
+    memory, and the file remains open, so that the record stays complete if the disk is full or the folder was deleted.
     """
 
     def __init__(self, path: Path, about: Mapping[str, Any]) -> None:
@@ -121,7 +121,7 @@ class Spool:
         return np.concatenate(found)
 
     def secured(self) -> str:
-        """Complete the file, or write it again if it was moved or deleted; return a notice, empty if it is whole."""
+        """Complete the file, or write it again if it was moved or deleted; return a notice, empty if it is complete."""
         there = self._is_there()
         if there and self._written == self._handed:
             return ""
@@ -139,7 +139,7 @@ class Spool:
                 spare = Path(tempfile.mkdtemp(prefix="dmframe-drive-"))
                 self._copy(spare / self.path.name)
             except OSError as error:
-                return f"{why}; the record cannot be written elsewhere either: {reason(error)}"
+                return f"{why}; the record could not be written to another place either: {reason(error)}"
             return f"{why}; the record is in {spare}"
 
     def _is_there(self) -> bool:
@@ -198,7 +198,7 @@ class Spool:
 
 @final
 class Journal:
-    """Rows of a drive, one for each sample, in memory or in a `Spool`; `notice` says where the file is if not there."""
+    """Rows of a drive, one for each sample, in memory or in a `Spool`; `notice` names another location of the file."""
 
     def __init__(self, spool: Spool | None = None) -> None:
         self.spool, self.columns = spool, Columns({})
@@ -213,10 +213,10 @@ class Journal:
         """Reason for which recording failed; empty if it works."""
         return self.spool.fault if self.spool is not None else ""
 
-    def begin(self, sample: Sample, steered: Steered, since: float, reference: float, scale: float) -> None:
+    def begin(self, sample: Sample, scaled: ScaledController, since: float, reference: float, scale: float) -> None:
         """Begin a row with a sample, and the controller's states before its step."""
         if not self._slices:
-            self.columns = Columns.of(steered, sample)
+            self.columns = Columns.of(scaled, sample)
             self._slices = self.columns.slices()
             if self.spool is not None:
                 self.spool.open(self.columns)
@@ -228,7 +228,7 @@ class Journal:
         for name in FIELDS:
             values = getattr(sample, name)
             row[at[name]] = np.nan if values is None else values
-        for label, values in steered.controller.states.items():
+        for label, values in scaled.controller.states.items():
             row[at[f"state:{label}"]] = values
 
     def commanded(self, command: np.ndarray, sent: np.ndarray) -> None:

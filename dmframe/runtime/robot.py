@@ -49,7 +49,7 @@ class Sample:
 
 
 class Robot(Protocol):
-    """Driver of a robot. All methods may raise `dmframe.errors.LostError`."""
+    """Driver of a robot. All methods may raise `dmframe.common.errors.LostError`."""
 
     @property
     def name(self) -> str:

@@ -12,7 +12,7 @@ import time
 from collections.abc import Mapping
 from typing import Any, Final, Protocol, final
 
-from dmframe.errors import DriveError, LostError
+from dmframe.common.errors import DriveError, LostError
 
 PORT: Final = 30004
 FORMATS: Final = {"DOUBLE": "d", "VECTOR6D": "6d", "UINT32": "I", "INT32": "i"}

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
+from dmframe.common.errors import DriveError
 from dmframe.diagram import Diagram
-from dmframe.errors import DriveError
 
 FIELDS: Final = ("q", "dq", "q_c", "x")
 """Fields of a `Sample` that a controller may measure; signals have the same names."""

@@ -12,11 +12,12 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.model import SYMBOLIC
+from dmframe.block.port import Side
 from dmframe.build.library import address
+from dmframe.common.errors import DriveError, LostError
+from dmframe.common.slices import slices
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import DriveError, LostError
-from dmframe.port import Side
 from dmframe.runtime.robot import Sample
 from dmframe.runtime.signals import FIELDS, measured_as, velocity_command
 from dmframe.simulate.bounds import bounds_of
@@ -27,7 +28,6 @@ from dmframe.simulate.run import prepare
 from dmframe.simulate.start import start_state
 from dmframe.simulate.step import Solver, plant_step
 from dmframe.simulate.stiffness import speed_of
-from dmframe.slices import slices
 
 ARRIVED: Final = 1e-6
 """Tolerance of the end of a motion to a pose [rad]."""

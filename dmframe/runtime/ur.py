@@ -13,8 +13,8 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from dmframe.errors import LostError
-from dmframe.runtime.arm import PATIENCE, way_time
+from dmframe.common.errors import LostError
+from dmframe.runtime.arm import PATIENCE, motion_timeout
 from dmframe.runtime.robot import Sample
 from dmframe.runtime.rtde import PORT, Link, Rtde, Wire
 from dmframe.runtime.ur_arm import ANSWER, PLAYING, UrArm
@@ -198,7 +198,7 @@ class UniversalRobot:
         now, goal = np.array(self._newest(self._answer)["actual_q"]), self._arm.pose(q)
         text = ", ".join(f"{angle:.9f}" for angle in goal)
         self._upload(f"def dmframe_move():\n  movej([{text}], a={acceleration}, v={speed})\nend\n")
-        most = way_time(now, goal, speed, acceleration)
+        most = motion_timeout(now, goal, speed, acceleration)
         for _ in range(round(most / self.period)):
             values = self._newest(self._answer)
             if watched(self._sample(values)):

@@ -7,7 +7,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from dmframe.errors import DriveError
+from dmframe.common.errors import DriveError
 from dmframe.runtime.arm import ArmJoints
 from dmframe.runtime.robot import Sample
 

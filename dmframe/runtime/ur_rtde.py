@@ -19,8 +19,8 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from dmframe.errors import DriveError, LostError, MissingError
-from dmframe.runtime.arm import PATIENCE, way_time
+from dmframe.common.errors import DriveError, LostError, MissingError
+from dmframe.runtime.arm import PATIENCE, motion_timeout
 from dmframe.runtime.robot import Sample
 from dmframe.runtime.ur_arm import ANSWER, UrArm
 
@@ -114,7 +114,7 @@ class UrRtde:
         """See `Robot`; uses the package's asynchronous `moveJ`."""
         now, goal = np.array(self._newest(self._answer)["actual_q"]), self._arm.pose(q)
         self._call(self._controlled().moveJ, goal.tolist(), speed, acceleration, True)
-        most = way_time(now, goal, speed, acceleration)
+        most = motion_timeout(now, goal, speed, acceleration)
         for _ in range(round(most / self.period)):
             values = self._newest(self._answer)
             if watched(self._arm.sample(values, following=False, age=None)):

@@ -13,8 +13,8 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from dmframe.errors import DriveError, LostError
-from dmframe.runtime.arm import PATIENCE, ArmJoints, way_time
+from dmframe.common.errors import DriveError, LostError
+from dmframe.runtime.arm import PATIENCE, ArmJoints, motion_timeout
 from dmframe.runtime.robot import Sample
 from dmframe.runtime.rtde import Link, Wire
 
@@ -150,13 +150,13 @@ class XArm:
             "set_servo_angle",
             api.set_servo_angle(angle=goal.tolist(), speed=speed, mvacc=acceleration, is_radian=True, wait=False),
         )
-        most = way_time(now, goal, speed, acceleration)
+        most = motion_timeout(now, goal, speed, acceleration)
         for _ in range(round(most / self.period)):
             report = self._newest(2.0)
             if watched(self._sample(report)):
                 return
-            apart = np.max(np.abs(report.q_c[: self._axes] - goal))
-            if apart < 1e-4 and np.max(np.abs(report.dq[: self._axes])) < 1e-2:
+            distance = np.max(np.abs(report.q_c[: self._axes] - goal))
+            if distance < 1e-4 and np.max(np.abs(report.dq[: self._axes])) < 1e-2:
                 self._arm.begin()
                 return
         raise LostError(f"{self.name}: the motion to the start did not end within {most:.0f} s")

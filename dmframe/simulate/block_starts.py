@@ -8,13 +8,13 @@ from typing import Any
 
 import casadi as ca
 
+from dmframe.block.certificate import SX
 from dmframe.block.faults import fault_context
 from dmframe.block.steady import hold_steady
-from dmframe.certificate import SX
+from dmframe.common.errors import BlockError, StartError, listed
 from dmframe.diagram import Diagram, Variable
 from dmframe.diagram.closed_loop import columns, stack
 from dmframe.diagram.view import recalling, stated_start, view
-from dmframe.errors import BlockError, StartError, listed
 
 Made = dict[tuple[Any, ...], Any]
 """Cache of expressions and functions shared by all parameter values of a diagram."""
@@ -27,7 +27,7 @@ def once(made: Made, key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
     return made[key]
 
 
-def said_by(diagram: Diagram, block: str, made: Made) -> Mapping[str, Any]:
+def block_starts(diagram: Diagram, block: str, made: Made) -> Mapping[str, Any]:
     """Initial states stated by a block, as expressions."""
 
     def evaluate() -> Mapping[str, Any]:
@@ -37,44 +37,44 @@ def said_by(diagram: Diagram, block: str, made: Made) -> Mapping[str, Any]:
             fault.path = fault.path or ("blocks", block)
             raise
 
-    found: Mapping[str, Any] = once(made, ("said", block), evaluate)
+    found: Mapping[str, Any] = once(made, ("stated", block), evaluate)
     return found
 
 
 def _stated(diagram: Diagram, block: str) -> Mapping[str, Any]:
     seen, states = recalling(diagram, block, view(diagram, block)), diagram.models[block].states
     with fault_context(block, "start()"):
-        said = diagram.blocks[block].composed_start(seen.u, seen.p, seen.truth)
-    if not isinstance(said, Mapping):
-        raise BlockError(f"{block}: expected start() to return starts by state, found {type(said).__name__}")
-    first = {f"start of {name}": value for name, value in said.items()}
+        starts = diagram.blocks[block].composed_start(seen.u, seen.p, seen.truth)
+    if not isinstance(starts, Mapping):
+        raise BlockError(f"{block}: expected start() to return starts by state, found {type(starts).__name__}")
+    first = {f"start of {name}": value for name, value in starts.items()}
     hold_steady(block, diagram.blocks[block], "start() states", first, lambda other: stated_start(other, seen))
-    for name in states.keys() & said.keys():
+    for name in states.keys() & starts.keys():
         with fault_context(block, f"start() of {name}"):
-            found, expected = ca.SX(said[name]).numel(), states[name].numel()
+            found, expected = ca.SX(starts[name]).numel(), states[name].numel()
         if found != expected:
             raise BlockError(f"{block}: expected start() to give {name} {expected} numbers, found {found}")
-    return said
+    return starts
 
 
 def has_start(diagram: Diagram, variable: Variable, made: Made) -> bool:
     """True for a state whose block states its initial value."""
-    return variable.name in said_by(diagram, variable.block, made)
+    return variable.name in block_starts(diagram, variable.block, made)
 
 
 def in_order(diagram: Diagram, waiting: Sequence[Variable], made: Made) -> Iterator[tuple[Variable, SX | None]]:
     """Undetermined states with the stated expressions, ordered by dependency."""
-    said = dict[str, SX | None]()
+    starts = dict[str, SX | None]()
     for variable in waiting:
-        stated = said_by(diagram, variable.block, made).get(variable.name)
+        stated = block_starts(diagram, variable.block, made).get(variable.name)
         key = ("joined", variable.label)
-        said[variable.label] = None if stated is None else once(made, key, partial(_joined, diagram, stated))
+        starts[variable.label] = None if stated is None else once(made, key, partial(_joined, diagram, stated))
     open_states = list(waiting)
     while open_states:
         symbols = {v.label: ca.vec(v.symbol) for v in open_states}
 
         def ready(variable: Variable, symbols: Mapping[str, SX] = symbols) -> bool:
-            expression = said[variable.label]
+            expression = starts[variable.label]
             return expression is None or not ca.depends_on(expression, stack(symbols.values()))
 
         free = [variable for variable in open_states if ready(variable)]
@@ -83,7 +83,7 @@ def in_order(diagram: Diagram, waiting: Sequence[Variable], made: Made) -> Itera
             path = ("blocks", open_states[0].block)
             raise StartError(f"start: {names} depend on each other's start; give one of them under start", path=path)
         for variable in free:
-            yield variable, said[variable.label]
+            yield variable, starts[variable.label]
         open_states = [variable for variable in open_states if variable not in free]
 
 

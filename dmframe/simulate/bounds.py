@@ -8,10 +8,10 @@ from typing import Final, final
 
 import numpy as np
 
+from dmframe.block.port import Side
+from dmframe.common.errors import EngineError
+from dmframe.common.units import plain
 from dmframe.diagram import Diagram, Variable
-from dmframe.errors import EngineError
-from dmframe.port import Side
-from dmframe.units import plain
 
 TIMES: Final = 100.0
 """Multiple of a joint's velocity limit that counts as divergence."""
@@ -53,10 +53,10 @@ def bounds_of(diagram: Diagram) -> np.ndarray:
 
 def beyond(diagram: Diagram, state: np.ndarray, bounds: np.ndarray, time: float) -> Divergence:
     """First state beyond its bound after a tick; non-finite states take precedence."""
-    wild = np.flatnonzero(~np.isfinite(state))
-    row = int((wild if wild.size else np.flatnonzero(np.abs(state) > bounds))[0])
+    infinite = np.flatnonzero(~np.isfinite(state))
+    row = int((infinite if infinite.size else np.flatnonzero(np.abs(state) > bounds))[0])
     variable, element = located(diagram, row)
-    return Divergence(variable.block, variable.name, element, time, _how(bounds[row], variable, wild.size))
+    return Divergence(variable.block, variable.name, element, time, _how(bounds[row], variable, infinite.size))
 
 
 def located(diagram: Diagram, row: int) -> tuple[Variable, int]:

@@ -15,8 +15,9 @@ import numpy as np
 from dmframe.build import first_time, load
 from dmframe.build.library import address
 from dmframe.build.trial import called
+from dmframe.common.errors import EngineError, ValueFault
 from dmframe.diagram.rosenbrock import ROS34PW2
-from dmframe.errors import EngineError, ValueFault
+from dmframe.remembered.recorder import paused
 from dmframe.simulate.step import FIXED, Solver, Step
 
 Choice = Literal["auto", "compiled", "interpreted"]
@@ -105,7 +106,8 @@ def _compiled(step: Step) -> tuple[Any, str | None]:
     from dmframe.codegen import loop_source  # deferred: not needed by the interpreter
 
     try:
-        loaded = load(loop_source(step.parts, implicit=step.implicit), lambda library: _works(library, step))
+        with paused():  # what a run concludes does not depend on its engine
+            loaded = load(loop_source(step.parts, implicit=step.implicit), lambda library: _works(library, step))
     except EngineError as error:
         return None, error.text
     if loaded.library is None:
@@ -119,8 +121,8 @@ SCALES: Final = (1.0, 1e-3, 1e-6)
 """Scales of the test states of a new library; the first one with moderate results is used."""
 LAST_DIGITS: Final = 1e-11
 """Relative perturbation of states that measures the effect of rounding."""
-SHARES: Final = (1e-3, 1e-2)
-"""Shares of the period over which it is compared: short, to avoid divergence; a law that divides by it may overflow."""
+FRACTIONS: Final = (1e-3, 1e-2)
+"""Fractions of the period for the comparison: short, to avoid divergence. A law may divide by the period."""
 TAME: Final = 1e6
 """Limit of moderate results: the rounding of larger ones exceeds the absolute tolerance of `alike`."""
 
@@ -128,16 +130,16 @@ TAME: Final = 1e6
 @final
 @dataclass(frozen=True)
 class Trial:
-    """A brief tick from random states, over which a new library is compared with the interpreter.
+    """Short tick from random states, to compare a new library with the interpreter.
 
     Parameters
     ----------
     step
         The step with a short period, to avoid divergence.
     given
-        Rows of `Instants`: that of the tick, and of those after it.
+        Rows of `Instants`, of the tick and of later ones.
     states, p
-        A column for each run. The states are so small that the results are moderate.
+        One column per run. The states are scaled so that the results are moderate.
     """
 
     step: Step
@@ -147,20 +149,20 @@ class Trial:
 
     @classmethod
     def of(cls, step: Step, spread: np.ndarray | float = 1.0, after: int = 0) -> Trial:
-        """The trial of a step with a run for each factor of `spread`, which multiplies its states and parameters."""
+        """Trial with one run for each factor in `spread` on random states and parameters."""
         sample, rng = step.parts.sample, np.random.default_rng(0)
         states, p = (rng.uniform(0.5, 1.5, (sample.numel_in(place), 1)) * spread for place in (0, 4))
-        briefs = [step.with_period(float(step.period) * share) for share in SHARES]
+        briefs = [step.with_period(float(step.period) * fraction) for fraction in FRACTIONS]
         trials = [cls(each, each.instants.rows(0, 1 + after), scale * states, p) for each in briefs for scale in SCALES]
         return next((trial for trial in trials if trial._moderate), trials[len(SCALES) - 1])
 
     def tick(self, state: np.ndarray, run: int) -> Sequence[Any]:
-        """The interpreter's state one tick later, and what is recorded before it."""
+        """State after the tick and outputs recorded before it, by the interpreter."""
         return list(self.step.tick(state, self.given[0], self.p[:, run])[:2])
 
     @property
     def _moderate(self) -> bool:
-        """Differences over a short period amplify large states, and rounding with them."""
+        """True if the results are below `TAME`: division by a short period amplifies rounding errors."""
         runs = enumerate(self.states.T)
         return all(np.max(np.abs(item.full()), initial=0.0) < TAME for k, x in runs for item in self.tick(x, k))
 
@@ -306,9 +308,9 @@ class Interpreted:
             state[:] = states[-1]
             raise Stuck(len(states) - 1, str(error).strip().splitlines()[-1]) from None
         done = ticks
-        sound = np.all(np.abs(states[1:]) <= self.step.bounds, axis=1)  # False for NaN
-        if not np.all(sound):
-            done = int(np.argmin(sound))
+        within = np.all(np.abs(states[1:]) <= self.step.bounds, axis=1)  # False for NaN
+        if not np.all(within):
+            done = int(np.argmin(within))
         count = max(1, min(ticks, done + 1))
         self._keep(states, recorded[:count], first, rows)
         state[:] = states[min(done + 1, ticks)]

@@ -9,9 +9,9 @@ from typing import Final, final
 
 import numpy as np
 
+from dmframe.common.errors import ValueFault
+from dmframe.common.units import plain
 from dmframe.diagram import ClosedLoop
-from dmframe.errors import ValueFault
-from dmframe.units import plain
 
 TIME, LENGTH, DRAWN = 0, 1, 2
 """Columns of a row: t [s], the time to the next tick [s], and random numbers from there on."""

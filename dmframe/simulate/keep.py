@@ -9,9 +9,9 @@ from typing import Final, final
 
 import numpy as np
 
+from dmframe.common.errors import EngineError, UnknownNameError, ValueFault, raise_all
 from dmframe.diagram import Diagram, Variable
 from dmframe.diagram.closed_loop import ClosedLoop, Signal
-from dmframe.errors import EngineError, UnknownNameError, ValueFault, raise_all
 from dmframe.simulate.warnings import warning_signals
 
 MOST_NUMBERS = 500_000_000
@@ -21,7 +21,7 @@ PLENTY = 20_000_000
 """Default limit of recorded values, 160 MB: longer runs record fewer instants."""
 
 
-APART: Final = "R_apart"
+ROTATION_DISTANCE: Final = "R_apart"
 """Port name of the squared distance between actual and desired tool orientation."""
 
 
@@ -90,7 +90,7 @@ def keeping(
         path = ("log", "signals")
         raise_all([UnknownNameError("log.signals", "signal", name, known, path=path) for name in strangers])
         wanted = {*log.signals, *(label for pair in diagram.loop.goals for label in pair[:2])}
-        wanted |= {label for label in [apart_of(diagram.loop)] if label is not None}
+        wanted |= {label for label in [rotation_distance_of(diagram.loop)] if label is not None}
     wanted |= {matrix.label for matrix in matrices} | {signal.label for signal in warning_signals(diagram)}
     kept, columns, first, width = list[np.ndarray](), list[tuple[Variable | Signal, slice]](), 0, 0
     for item in items:
@@ -104,9 +104,11 @@ def keeping(
     return Keeping(every, np.concatenate([np.zeros(0, np.int64), *kept]), tuple(columns), notices)
 
 
-def apart_of(loop: ClosedLoop) -> str | None:
+def rotation_distance_of(loop: ClosedLoop) -> str | None:
     """Label of the output |R - R_d|^2 (squared orientation error of a tool); None without one."""
-    return next((signal.label for signal in loop.outputs if signal.name == APART and not signal.shape), None)
+    return next(
+        (signal.label for signal in loop.outputs if signal.name == ROTATION_DISTANCE and not signal.shape), None
+    )
 
 
 def _every(log: Log, period: float, ticks: int, width: int) -> tuple[int, tuple[str, ...]]:

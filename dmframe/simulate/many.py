@@ -8,9 +8,9 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypedDict, TypeVar, Unpack, overload
 
 from dmframe.block.model import SYMBOLIC
+from dmframe.common.errors import DmframeError, ValueFault
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
-from dmframe.errors import DmframeError, ValueFault
 from dmframe.simulate.engine import Choice
 from dmframe.simulate.keep import Log
 from dmframe.simulate.recording import Recording

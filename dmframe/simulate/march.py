@@ -9,8 +9,8 @@ from typing import final
 
 import numpy as np
 
+from dmframe.common.errors import EngineError
 from dmframe.diagram import Diagram
-from dmframe.errors import EngineError
 from dmframe.simulate.bounds import Divergence, beyond, located
 from dmframe.simulate.engine import CHUNK, Engine, Stuck
 from dmframe.simulate.keep import Keeping

@@ -78,7 +78,7 @@ def ranks(matrices: Sequence[Signal], columns: Mapping[str, np.ndarray], times: 
         if not good.any():
             continue
         rows, width = signal.expression.shape
-        share, least = _shares(values[good].reshape(-1, width, rows).transpose(0, 2, 1))
+        share, least = _ratios(values[good].reshape(-1, width, rows).transpose(0, 2, 1))
         k, near = int(np.argmin(share)), np.flatnonzero(share < NEAR)
         moments = times[good]
         since = float(moments[near[0]]) if near.size else None
@@ -86,16 +86,18 @@ def ranks(matrices: Sequence[Signal], columns: Mapping[str, np.ndarray], times: 
     return tuple(found)
 
 
-def _shares(matrices: np.ndarray) -> tuple[np.ndarray, float]:
+def _ratios(matrices: np.ndarray) -> tuple[np.ndarray, float]:
     """Ratio of smallest to largest singular value of each matrix, and the smallest one at the least ratio.
 
-    Decompositions are computed near the least ratio and near the limit only; elsewhere an estimate suffices.
+    Singular values are computed near the least ratio and near `NEAR` only; for other matrices an estimate suffices.
     """
     rows, width = matrices.shape[1:]
     if rows > width:  # never of full row rank
         return np.zeros(len(matrices)), 0.0
     guess = _guess(matrices)
-    unsure = ~((guess > np.nanmin(guess, initial=np.inf) + _DOUBT) & (np.abs(guess - NEAR**2) > _DOUBT))
+    unsure = ~(
+        (guess > np.nanmin(guess, initial=np.inf) + _ESTIMATE_ERROR) & (np.abs(guess - NEAR**2) > _ESTIMATE_ERROR)
+    )
     exact = np.linalg.svd(matrices[unsure], compute_uv=False)
     share = np.sqrt(np.maximum(guess, 0))
     share[unsure] = np.divide(exact[:, -1], exact[:, 0], out=np.zeros(len(exact)), where=exact[:, 0] > 0)
@@ -103,7 +105,7 @@ def _shares(matrices: np.ndarray) -> tuple[np.ndarray, float]:
     return share, float(exact[np.searchsorted(places, np.argmin(share)), -1])
 
 
-_DOUBT = 1e-6
+_ESTIMATE_ERROR = 1e-6
 """Error bound of an estimated squared ratio."""
 
 

@@ -13,9 +13,10 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.model import SYMBOLIC
+from dmframe.common.errors import DmframeError, EngineError, ValueFault, raise_all
+from dmframe.common.units import plain
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal, Variable, stack
-from dmframe.errors import DmframeError, EngineError, ValueFault, raise_all
 from dmframe.simulate.block_starts import Made
 from dmframe.simulate.bounds import Divergence, bounds_of
 from dmframe.simulate.engine import Choice, Compiled, Engine, choose
@@ -26,9 +27,8 @@ from dmframe.simulate.rank import ranks, watched
 from dmframe.simulate.recording import Recording
 from dmframe.simulate.start import check_start, start_state
 from dmframe.simulate.step import FIXED, MOST_SUBSTEPS, Method, Solver, Step, build_step, substeps_of
-from dmframe.simulate.stiffness import EXPLICIT_TAKES, MOST_SLOPE, RK4_STEPS, left_out, speed_of, stiffness
-from dmframe.simulate.warnings import between, exceptions, too_fast, unread, warning_signals
-from dmframe.units import plain
+from dmframe.simulate.stiffness import EXPLICIT_TAKES, MOST_SLOPE, RK4_STEPS, omitted_terms, speed_of, stiffness
+from dmframe.simulate.warnings import channel_models, exceptions, too_fast, unread, warning_signals
 
 LATER = 1.5
 """Factor in the time of divergence at shorter steps above which the integrator caused the divergence."""
@@ -127,17 +127,20 @@ class Prepared:
             return recording
         with SYMBOLIC:
             engine = finer.engine(choice)
-        again = finer._run(diagram, engine, state, speed)
-        if again.divergence is not None and again.divergence.time < LATER * recording.divergence.time:
+        finer_recording = finer._run(diagram, engine, state, speed)
+        if (
+            finer_recording.divergence is not None
+            and finer_recording.divergence.time < LATER * recording.divergence.time
+        ):
             return recording
-        return again
+        return finer_recording
 
     def finer(self, own: Prepared) -> Prepared | None:
         """Setup with shorter steps for a run that diverged at the automatic steps of `own`; None for a user's step."""
         if self.solver.step is not None or own.solver.method not in FIXED:
             return None
         step = max(own.step.length / 4, own.step.period / MOST_SUBSTEPS)
-        notice = f"at longer steps the integrator itself diverged: {own.solver.method} took steps of {plain(step, 's')}"
+        notice = f"the integrator diverged at longer steps: {own.solver.method} takes steps of {plain(step, 's')}"
         finer = own.solved_by(replace(own.solver, step=step))
         return replace(finer, notices=(*finer.notices, notice))
 
@@ -153,9 +156,9 @@ class Prepared:
         if not (possible and h / short <= RK4_STEPS):
             own = self.solved_by(replace(self.solver, method="ros34pw2"))
             h = own.step.length
-            if left_out(own.step, state, p) <= EXPLICIT_TAKES:
+            if omitted_terms(own.step, state, p) <= EXPLICIT_TAKES:
                 notice = (
-                    f"{stiff} would take steps of {plain(short, 's')}; ros34pw2 runs it, in steps of {plain(h, 's')}"
+                    f"{stiff} would take steps of {plain(short, 's')}; ros34pw2 is used, with steps of {plain(h, 's')}"
                 )
                 return replace(own, solver=replace(own.solver, step=h), notices=(*self.notices, notice))
         if possible:
@@ -166,7 +169,7 @@ class Prepared:
         else:
             own = self.solved_by(replace(self.solver, method="cvodes"))
             notice = (
-                "the plant is too stiff for rk4, whose steps would be shorter than 1/2000 of a tick: cvodes runs it"
+                "the plant is too stiff for rk4, whose steps would be shorter than 1/2000 of a tick: cvodes is used"
             )
         return replace(own, notices=(*self.notices, notice))
 
@@ -226,7 +229,7 @@ class Prepared:
             *exceptions(diagram, warning_signals(diagram), columns, times),
             *too_fast(diagram, columns, times),
         ]
-        way = between(diagram)
+        channels = channel_models(diagram)
         for matrix in self.matrices:
             del items[matrix.label]
         return Recording(
@@ -242,7 +245,7 @@ class Prepared:
             wall_time=wall,
             engine=engine.name,
             notices=(
-                *([way] if way else []),
+                *([channels] if channels else []),
                 *unread(diagram),
                 *violations,
                 *self.notices,
@@ -306,7 +309,7 @@ def check_clock(diagram: Diagram, clock: float | None, jitter: float) -> None:
     """Reject continuous time for discrete-time blocks."""
     if clock is not None:
         return
-    why = diagram.loop.clocked or ("samples have a jitter" if jitter else "")
+    why = diagram.loop.discrete_time or ("samples have a jitter" if jitter else "")
     if why:
         text = f"clock: expected a sampling period such as 8 ms, found continuous; {why}"
         raise ValueFault(text, path=("clock",))
@@ -347,7 +350,7 @@ def moving_outputs(diagram: Diagram) -> list[Signal]:
     """Outputs to record: columns that vary or cause warnings, without states and rank-monitored matrices."""
     loop = diagram.loop
     others = {state.label for state in loop.variables} | {matrix.label for matrix in watched(diagram)}
-    leaves = (leaf.symbol for leaf in (*loop.trajectories, *loop.ahead, *loop.crossings))
+    leaves = (leaf.symbol for leaf in (*loop.trajectories, *loop.ahead, *loop.sampled_signals))
     moving = stack([loop.time, loop.drawn, loop.state, *leaves])
     warned = {signal.label for signal in warning_signals(diagram)}
     return [

@@ -10,16 +10,16 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.model import symbols_in
+from dmframe.block.port import Side
+from dmframe.common.errors import DmframeError, StartError, UnknownNameError, ValueFault, raise_all
+from dmframe.common.units import plain
 from dmframe.diagram import ClosedLoop, Diagram, Variable
 from dmframe.diagram.bodies import Bodies
 from dmframe.diagram.closed_loop import Followed, stack
 from dmframe.diagram.projection import Projection
-from dmframe.errors import DmframeError, StartError, UnknownNameError, ValueFault, raise_all
-from dmframe.port import Side
-from dmframe.simulate.block_starts import Made, at_start, has_start, in_order, once, said_by
+from dmframe.simulate.block_starts import Made, at_start, block_starts, has_start, in_order, once
 from dmframe.simulate.instants import DRAWN, Instants
-from dmframe.simulate.keep import apart_of
-from dmframe.units import plain
+from dmframe.simulate.keep import rotation_distance_of
 
 NEAR = "near"
 """Key under `start` that selects a branch of the inverse kinematics."""
@@ -43,14 +43,20 @@ ROUNDING = 1e-9
 def start_state(
     diagram: Diagram, given: Mapping[str, Any], made: Made | None = None, instants: Instants | None = None
 ) -> np.ndarray:
-    """Every state at t = 0, the controller's first, as one column.
+    """Initial state as one column, controller states first.
 
-    A state starts, in this order of precedence, where `given` says (by name, or by ``block.name``); at the block's
-    parameter of the same name; where the block's `start` says; for a plant whose measured signal ``s`` follows a
-    trajectory ``s_d``, where s = s_d(0), and the tool has the orientation of a task that gives one, the solution
-    nearest to ``given["near"]``; at zero. A state with a box or
-    a ball must start inside it. Diagrams that differ in numbers alone may share `made`, which is then filled. A block
-    may start at what it measures: `instants` say what is drawn for the first tick; without them, zeros are.
+    Sources of an initial value, in order of precedence:
+
+    1. `given`, by the name of the state or ``block.name``;
+    2. the block's parameter of the same name;
+    3. the block's `start` expression, which may read measured signals, with the random numbers of the first tick from
+       `instants` (zeros without them);
+    4. for a plant state whose measured signal ``s`` follows a trajectory ``s_d``: the solution of s = s_d(0), with the
+       orientation of the task if it has one, nearest to ``given["near"]``;
+    5. zero.
+
+    Raises `StartError` for a state outside its box or ball. `made` caches functions between diagrams that differ only
+    in parameter values.
     """
     loop, made = diagram.loop, {} if made is None else made
     variables = loop.variables
@@ -59,21 +65,21 @@ def start_state(
     for variable in loop.plant:
         if not has_start(diagram, variable, made):
             values.setdefault(variable.label, np.zeros(variable.symbol.shape))
-    _as_blocks_say(diagram, values, made, instants or Instants.of(loop, 1.0))
+    _start_expressions(diagram, values, made, instants or Instants.of(loop, 1.0))
     _check_finite(variables, values)
     _into_sets(loop, values)
     return _column(variables, values)
 
 
 def pose_on_path(diagram: Diagram, given: Mapping[str, Any], made: Made, variable: Variable) -> np.ndarray:
-    """Where a state begins that a trajectory decides: a part of `start_state`, with its faults."""
+    """Initial value of a state that follows a trajectory; errors as in `start_state`."""
     values = fixed_starts(diagram, given)
     _onto_path(diagram, values, given.get(NEAR), made)
     return values[variable.label]
 
 
 def fixed_starts(diagram: Diagram, given: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """The states that `given` or a parameter of their block says; see `start_state`."""
+    """Initial values from `given` or from block parameters; see `start_state`."""
     values = given_starts(diagram, diagram.loop.variables, given)
     for variable in diagram.loop.variables:
         model = diagram.models[variable.block]
@@ -83,14 +89,14 @@ def fixed_starts(diagram: Diagram, given: Mapping[str, Any]) -> dict[str, np.nda
 
 
 def check_start(diagram: Diagram, given: Mapping[str, Any]) -> None:
-    """Refuse start values of states that there are not, of another size or outside the joints' limits."""
+    """Raise `DmframeError` for initial values of unknown states, of the wrong size, or outside the joint limits."""
     given_starts(diagram, diagram.loop.variables, given)
     for name in diagram.blocks:
-        said_by(diagram, name, {})
+        block_starts(diagram, name, {})
 
 
 def _into_sets(loop: ClosedLoop, values: dict[str, np.ndarray]) -> None:
-    """A start on the rim of its box or ball, missed by rounding, is put on it; one outside is a fault."""
+    """Project initial values onto their boxes and balls; raise `StartError` beyond the rounding tolerance."""
     faults = list[DmframeError]()
     for projection in loop.projections:
         start = np.ravel(values[projection.name])
@@ -133,7 +139,7 @@ def _check_finite(variables: Sequence[Variable], values: Mapping[str, np.ndarray
 
 
 def given_starts(diagram: Diagram, variables: Sequence[Variable], given: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """The states that `given` says, by label. Raises `DmframeError` for what `check_start` refuses there."""
+    """Initial values in `given`, by state label. Raises `DmframeError` as `check_start` does."""
     values, faults = dict[str, np.ndarray](), list[DmframeError]()
     plant_first = sorted(variables, key=lambda v: diagram.blocks[v.block].side is not Side.PLANT)
     for key, value in given.items():
@@ -153,14 +159,14 @@ def given_starts(diagram: Diagram, variables: Sequence[Variable], given: Mapping
             faults.append(ValueFault(f"start.{key}: expected {expected}, found {size}", path=("start", key)))
             continue
         faults += _other_units(diagram, found, value, key)
-        values[found.label] = np.broadcast_to(numbers, shape).ravel(order="F")  # a matrix is kept as a column
+        values[found.label] = np.broadcast_to(numbers, shape).ravel(order="F")  # matrices are column-major
         faults += _outside_limits(diagram, found, values[found.label], key)
     raise_all(faults)
     return values
 
 
 def _other_units(diagram: Diagram, variable: Variable, value: Any, key: str) -> list[DmframeError]:
-    """Numbers with a unit that is not the state's; of the joints' places and speeds, not that of the joint's kind."""
+    """Faults of numbers whose unit is not that of the state, or of the joint type (m for prismatic)."""
     of_joints = diagram.robot is not None and variable.shape == "n" and variable.unit == "rad"
     joints = diagram.robot.joints if of_joints else ()
     items = value if isinstance(value, list | tuple) else [value] * max(1, len(joints))
@@ -177,7 +183,7 @@ def _other_units(diagram: Diagram, variable: Variable, value: Any, key: str) -> 
 
 
 def _numbers(value: Any) -> np.ndarray:
-    """The value as an array; one of another shape than any state's where it holds no numbers."""
+    """The value as an array; (0, 0) if it is not numeric, a shape that no state has."""
     try:
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError):
@@ -198,9 +204,9 @@ def _outside_limits(diagram: Diagram, variable: Variable, q: np.ndarray, key: st
 
 
 def on_path(diagram: Diagram, known: Collection[str], made: Made) -> Iterator[tuple[Followed, Variable]]:
-    """The plant's states that nothing else says and that a trajectory decides, each with what it follows.
+    """Plant states without another initial value that follow a trajectory, with the signal pair that determines them.
 
-    Where the tool's orientation is led too, its rows stand below those of the position.
+    With a desired orientation, its rows follow those of the position.
     """
     open_states = [v for v in diagram.loop.plant if v.label not in known and not has_start(diagram, v, made)]
     for followed in diagram.loop.followed if open_states else ():
@@ -211,13 +217,18 @@ def on_path(diagram: Diagram, known: Collection[str], made: Made) -> Iterator[tu
 
 
 def turned(diagram: Diagram, followed: Followed, unknown: Variable) -> Followed:
-    """A tool's position and goal with its orientation, where a block is to lead that too, as rotation matrices."""
-    loop, apart, robot = diagram.loop, apart_of(diagram.loop), diagram.models[unknown.block].robot
-    if apart is None or robot is None or followed.actual.rpartition(".")[2] != "x" or unknown.symbol.numel() != robot.n:
+    """Signal pair of a tool, extended by the rotation matrices if a block has a desired orientation."""
+    loop, distance, robot = diagram.loop, rotation_distance_of(diagram.loop), diagram.models[unknown.block].robot
+    if (
+        distance is None
+        or robot is None
+        or followed.actual.rpartition(".")[2] != "x"
+        or unknown.symbol.numel() != robot.n
+    ):
         return followed
-    label = f"{apart.rpartition('.')[0]}.{TURNED}"
+    label = f"{distance.rpartition('.')[0]}.{TURNED}"
     wanted = [loop.on_path(ca.vec(signal.expression)) for signal in loop.outputs if signal.label == label]
-    if not wanted or not symbols_in(wanted) <= symbols_in([loop.time, loop.p]):  # on a time of its own
+    if not wanted or not symbols_in(wanted) <= symbols_in([loop.time, loop.p]):  # not a function of time alone
         return followed
     found = ca.vec(robot.rotation(unknown.symbol))
     goal, place = ca.vertcat(ca.vec(followed.wanted), wanted[0]), ca.vertcat(ca.vec(followed.found), found)
@@ -225,13 +236,15 @@ def turned(diagram: Diagram, followed: Followed, unknown: Variable) -> Followed:
 
 
 def goal_and_place(loop: ClosedLoop, followed: Followed, unknown: Variable, made: Made) -> tuple[Any, Any]:
-    """(t, p) -> where a trajectory is, and (state, p) -> where the plant is.
+    """Functions (t, p) -> desired value, and (state, p) -> value of the plant's signal.
 
-    Raises `StartError` where the path is on a time of its own.
+    Raises `StartError` if a block scales the time of the path.
     """
     if (source := followed.desired.partition(".")[0]) in loop.paced:
-        text = f"start: expected {unknown.label}, found none; of a path whose time a block keeps, as that of {source}, "
-        raise StartError(f"{text}the beginning is not looked for")
+        text = (
+            f"start: expected {unknown.label}, found none; {source} scales the time of its path, so that the initial "
+        )
+        raise StartError(f"{text}pose is not computed from the path; give {unknown.label} under start")
     goal = once(made, ("goal", followed.desired), partial(_goal, loop, followed.wanted))
     key = ("residual", followed.actual, unknown.label)
     return goal, once(made, key, partial(ca.Function, "residual", [unknown.symbol, loop.p], [ca.vec(followed.found)]))
@@ -251,7 +264,7 @@ def _onto_path(diagram: Diagram, values: dict[str, np.ndarray], near: Any, made:
 def _solve(
     diagram: Diagram, residual: Any, jacobian: Any, goal: np.ndarray, near: Any, desired: str, label: str, rows: int
 ) -> np.ndarray:
-    """The pose at the goal, of which the first `rows` are no orientation."""
+    """Pose at the goal by least squares; the rows after the first `rows` are the orientation."""
     p, size = diagram.loop.p_values, residual.size1_in(0)
     if not np.max(np.abs(goal), initial=0.0) < FARTHEST:  # nan too
         text = f"start: expected {desired} below {FARTHEST:g}, found {goal.tolist()}; take numbers nearer to 1"
@@ -261,7 +274,7 @@ def _solve(
     alone = joint_goal(residual, jacobian, goal, p)
     if alone is not None and np.all((lower <= alone) & (alone <= upper)):
         return alone
-    from scipy.optimize import least_squares  # takes as long to import as a short run takes
+    from scipy.optimize import least_squares  # deferred: slow import
 
     middle = (np.maximum(lower, -np.pi) + np.minimum(upper, np.pi)) / 2
     rng = np.random.default_rng(0)
@@ -283,22 +296,23 @@ def _solve(
         if np.linalg.norm(best.fun) < REACHED:
             return np.asarray(best.x)
     assert best is not None  # there is always a seed
-    shown, apart = ", ".join(f"{number:.4g}" for number in goal[:rows]), float(np.linalg.norm(best.fun[:rows]))
+    shown, distance = ", ".join(f"{number:.4g}" for number in goal[:rows]), float(np.linalg.norm(best.fun[:rows]))
     unit = next(signal.unit for signal in diagram.loop.outputs if signal.label == label)
     angle = np.degrees(2 * np.arcsin(min(np.linalg.norm(best.fun[rows:]) / np.sqrt(8), 1.0)))
-    led, away = (" with its orientation", f" and {angle:.3g} deg") if rows < len(goal) else ("", "")
+    oriented, away = (" with its orientation", f" and {angle:.3g} deg") if rows < len(goal) else ("", "")
     raise StartError(
-        f"start: {label} cannot reach {desired} = [{shown}]{led}; the nearest pose is {plain(apart, unit)}{away} away; "
+        f"start: {label} cannot reach {desired} = [{shown}]{oriented}; the nearest pose is {plain(distance, unit)}"
+        f"{away} away; "
         "move the path, or give the pose under start: {q: [...]}",
         path=("start",),
     )
 
 
 def joint_goal(residual: Any, jacobian: Any, goal: np.ndarray, p: np.ndarray) -> np.ndarray | None:
-    """The pose at a goal that is given in the joints' own coordinates; None for one that is not.
+    """Pose at a goal in joint coordinates, by Newton's method; None for other goals.
 
-    There ``residual`` is affine in the pose and its matrix is regular: one pose alone is at the goal, and Newton's
-    method ends at it. A task's goal has several poses, of which the seed of a search chooses one.
+    In joint coordinates ``residual`` is affine in the pose with a regular matrix, so that the solution is unique. A
+    goal in task coordinates has several solutions, and the seed of the search selects one.
     """
     symbols = [ca.SX.sym(name, residual.numel_in(place)) for place, name in enumerate(("pose", "p"))]
     if residual.numel_out(0) != residual.numel_in(0) or not ca.is_linear(residual(*symbols), symbols[0]):
@@ -306,7 +320,7 @@ def joint_goal(residual: Any, jacobian: Any, goal: np.ndarray, p: np.ndarray) ->
     pose, matrix = np.zeros(residual.numel_in(0)), jacobian(np.zeros(residual.numel_in(0)), p, 0)[0].full()
     if not np.linalg.cond(matrix) < BEST:
         return None
-    for _ in range(3):  # again: a long first step is rounded
+    for _ in range(3):  # further steps reduce the rounding error of a long first step
         pose = pose + np.linalg.solve(matrix, goal - residual(pose, p).full().ravel())
     return pose if np.linalg.norm(residual(pose, p).full().ravel() - goal) < REACHED else None
 
@@ -326,8 +340,8 @@ def _limits(diagram: Diagram, size: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array([joint.lower for joint in joints]), np.array([joint.upper for joint in joints])
 
 
-def _as_blocks_say(diagram: Diagram, values: dict[str, np.ndarray], made: Made, instants: Instants) -> None:
-    """Evaluate the blocks' own starts, which may depend on the plant's pose and rest."""
+def _start_expressions(diagram: Diagram, values: dict[str, np.ndarray], made: Made, instants: Instants) -> None:
+    """Evaluate the `start` expressions of the blocks, which may depend on the initial state of the plant."""
     loop, drawn = diagram.loop, instants.rows(0, 1)[0, DRAWN:]
     for variable, expression in in_order(diagram, [v for v in loop.variables if v.label not in values], made):
         if expression is None:
@@ -341,17 +355,17 @@ def _as_blocks_say(diagram: Diagram, values: dict[str, np.ndarray], made: Made, 
 
 
 def _goal(loop: ClosedLoop, wanted: Any) -> Any:
-    """(t, p) -> a trajectory."""
+    """Function (t, p) -> trajectory."""
     return ca.Function("goal", [loop.time, loop.p], [ca.vec(loop.on_path(wanted))])
 
 
 def _column(variables: Sequence[Variable], values: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Values as one column, a matrix column by column, as which one may be kept already."""
+    """Values as one column; matrices are column-major."""
     return np.concatenate([np.zeros(0), *(np.ravel(values[v.label], order="F") for v in variables)])
 
 
 def evaluate(loop: ClosedLoop, expression: Any, values: Mapping[str, np.ndarray]) -> np.ndarray:
-    """An expression of states and parameters at t = 0."""
+    """Value at t = 0 of an expression of states and parameters."""
     known = [v for v in loop.variables if v.label in values]
     inputs = [loop.time, loop.p, stack(v.symbol for v in known)]
     function = ca.Function("at_start", inputs, [ca.vec(expression)])

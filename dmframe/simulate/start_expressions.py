@@ -8,11 +8,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from dmframe.block.certificate import SX
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
 from dmframe.diagram import Diagram, Variable
 from dmframe.diagram.closed_loop import stack
-from dmframe.simulate.block_starts import Made, at_start, has_start, in_order, said_by
+from dmframe.simulate.block_starts import Made, at_start, block_starts, has_start, in_order
 from dmframe.simulate.start import given_starts, start_state
 
 
@@ -41,13 +41,13 @@ def symbolic_start(
     for variable in loop.plant:
         if not has_start(diagram, variable, made):
             values.setdefault(variable.label, ca.SX.zeros(variable.symbol.numel()))
-    for variable, said in in_order(diagram, [v for v in loop.variables if v.label not in values], made):
+    for variable, starts in in_order(diagram, [v for v in loop.variables if v.label not in values], made):
         known = [v for v in loop.variables if v.label in values]
         column = stack(values[v.label] for v in known)
         values[variable.label] = (
             ca.SX.zeros(variable.symbol.numel())
-            if said is None
-            else at_start(diagram, said, known)(0, loop.p, column, first, loop.period)
+            if starts is None
+            else at_start(diagram, starts, known)(0, loop.p, column, first, loop.period)
         )
     found = stack(values[variable.label] for variable in loop.variables)
     return found, ca.substitute(loop.held(loop.state), loop.state, found)
@@ -67,7 +67,7 @@ def measured_start(diagram: Diagram, given: Mapping[str, Any]) -> tuple[SX, tupl
     }
     waiting = dict[str, SX]()
     for variable in (variable for variable in loop.controller if variable.label not in values):
-        model, stated = diagram.models[variable.block], said_by(diagram, variable.block, made).get(variable.name)
+        model, stated = diagram.models[variable.block], block_starts(diagram, variable.block, made).get(variable.name)
         if variable.name in model.values:
             number = ca.SX(ca.DM(np.ravel(model.values[variable.name], order="F")))
             values[variable.label] = ca.vec(symbols.get(variable.label, number))
@@ -77,7 +77,7 @@ def measured_start(diagram: Diagram, given: Mapping[str, Any]) -> tuple[SX, tupl
             waiting[variable.label] = ca.vec(ca.densify(loop.on_path(stated)))
     own = {variable.label: ca.vec(variable.symbol) for variable in loop.controller}
     while ready := [
-        label for label, said in waiting.items() if not ca.depends_on(said, stack(own[other] for other in waiting))
+        label for label, starts in waiting.items() if not ca.depends_on(starts, stack(own[other] for other in waiting))
     ]:
         leaves, meanings = stack(own[label] for label in values), stack(values.values())
         for label in ready:

@@ -1,14 +1,14 @@
-"""One tick of the closed loop as one CasADi function: the sampled controller over the continuous plant.
+"""One sampling period (tick) of the closed loop as a CasADi function: sampled controller, continuous plant.
 
-Within a tick from t_k to t_{k+1}, in this order, with a sampled clock:
+With a sampling period, a tick from t_k to t_{k+1} is:
 
-1. the trajectories, what the plant measures and what is drawn for this tick are read at t_k;
-2. outputs follow from them and from the states at t_k;
-3. sampled states go where their blocks say; those of the controller in continuous time advance by one explicit Euler
-   step of length T; all are then put back into their sets (`ClosedLoop.advanced`);
-4. the plant runs to t_{k+1} with what it is given held (zero-order hold).
+1. trajectories, measurements and random numbers of the tick are evaluated at t_k;
+2. outputs are evaluated from these and from the states at t_k;
+3. discrete-time states take their next values; continuous-time controller states advance by one explicit Euler step of
+   length T; all are projected onto their sets (`ClosedLoop.advanced`);
+4. the plant is integrated to t_{k+1} with its inputs held (zero-order hold).
 
-With a continuous clock controller and plant are integrated together, and a tick only says how often to log.
+Without a sampling period, controller and plant are integrated together, and a tick is the interval of recording.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from typing import Any, Literal, final, get_args
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX
+from dmframe.block.certificate import SX
+from dmframe.common.errors import EngineError, ValueFault
 from dmframe.diagram import ClosedLoop
 from dmframe.diagram.closed_loop import columns, stack
 from dmframe.diagram.parts import Parts
 from dmframe.diagram.rosenbrock import ROS34PW2
-from dmframe.errors import EngineError, ValueFault
 from dmframe.simulate.block_starts import once
 from dmframe.simulate.instants import DRAWN, LENGTH, TIME, Instants
 
@@ -45,6 +45,9 @@ RK4_STABLE = 2.785
 MOST_SUBSTEPS = 2000
 """Maximum fixed steps in a tick; the function of a tick contains all of them."""
 
+
+EXPANDED = 30_000
+"""Instructions in a tick up to which its function is expanded; of more, that takes longer than it saves."""
 
 PLAIN_STEP = 0.001
 """Default maximum step of rk4 [s]."""
@@ -132,7 +135,7 @@ class Step:
 
     @property
     def implicit(self) -> bool:
-        """True where each step solves linear systems."""
+        """True if each step solves linear systems."""
         return self.solver.method == "ros34pw2"
 
     @property
@@ -146,7 +149,10 @@ class Step:
 
         `given` is the tick's row of `Instants`, as a column.
         """
-        return _tick(self.parts, self.solver, self.instants, self.substeps)
+        made = _tick(self.parts, self.solver, self.instants, self.substeps)
+        rates = 4 * self.substeps * (self.parts.rate.n_instructions() + self.parts.trajectory.n_instructions())
+        # as one list of scalar operations, the same numbers take three quarters of the time
+        return made.expand() if self.solver.method == "rk4" and rates <= EXPANDED else made
 
     @cached_property
     def outputs(self) -> Any:
@@ -156,17 +162,17 @@ class Step:
         return ca.Function("recorded", [state, given, p], [parts.outputs(state, w, given[DRAWN:], self.period, p)])
 
     def solved_by(self, solver: Solver, clock: float | None) -> Step:
-        """The same with another solver."""
+        """The step with another solver."""
         longest = None if clock is None else self.instants.longest
         return replace(self, solver=solver, substeps=substeps_of(longest, solver))
 
     def with_period(self, period: float) -> Step:
-        """The same with another period [s], in one step of the integrator."""
+        """The step with another period [s] and one integrator step per tick."""
         instants = replace(self.instants, period=period, jitter=0.0)
         return replace(self, instants=instants, substeps=1, solver=replace(self.solver, step=period))
 
     def recording(self, rows: np.ndarray) -> Step:
-        """The same, but of the recorded outputs only some."""
+        """The step with only these rows of the recorded outputs."""
         outputs = self.parts.outputs
         seen = [ca.SX.sym("of", outputs.size_in(i)) for i in range(outputs.n_in())]
         some = ca.Function("outputs", seen, [outputs(*seen)[rows.tolist()]])
@@ -183,14 +189,16 @@ def build_step(
     seed: int = 0,
     jitter: float = 0.0,
 ) -> Step:
-    """The tick of a closed loop on a clock, or in continuous time where `clock` is None.
+    """Step of a closed loop with sampling period `clock` [s], or in continuous time if it is None.
 
-    Without `bounds`, a state may be any finite number.
+    Without `bounds`, only non-finite states count as divergence.
     """
     instants = Instants.of(loop, clock if clock is not None else solver.output, seed, jitter)
     substeps = substeps_of(None if clock is None else instants.longest, solver)
     parts = build_parts(loop, clock, recorded)
-    flowing = once(loop.derived, ("flowing",), lambda: _seen("flowing", loop, [stack(loop.rates_of(loop.flowing))]))
+    flowing = once(
+        loop.derived, ("flowing",), lambda: _evaluated("flowing", loop, [stack(loop.rates_of(loop.flowing))])
+    )
     state, t, p = ca.MX.sym("state", loop.state.numel()), ca.MX.sym("t"), ca.MX.sym("p", loop.p.numel())
     still = ca.MX.zeros(loop.drawn.numel())
     rates = flowing(state, parts.trajectory(t, p), still, instants.period, p)
@@ -200,17 +208,17 @@ def build_step(
 
 
 def build_parts(loop: ClosedLoop, clock: float | None, recorded: SX) -> Parts:
-    """The functions of a closed loop's tick; without a clock everything is integrated, and nothing is held.
+    """Functions of a tick; without a sampling period, all states are integrated and no input is held.
 
-    They are the same on every clock, and are made once: the sampling period is an argument.
+    The sampling period is an argument of the functions, which are cached per loop.
     """
     whole = clock is None
     parts: Parts = once(loop.derived, ("parts", whole), lambda: _unrecorded(loop, continuous=whole))
-    return replace(parts, outputs=_seen("outputs", loop, [recorded]))
+    return replace(parts, outputs=_evaluated("outputs", loop, [recorded]))
 
 
 def _unrecorded(loop: ClosedLoop, *, continuous: bool) -> Parts:
-    """The functions of a tick that records nothing."""
+    """Functions of a tick without recorded outputs."""
     if continuous:
         stepped, (held, given) = ca.SX(0, 1), (ca.SX(0, 1), ca.SX(0, 1))
         integrated, (rate,) = loop.state, loop.acting([loop.rate])
@@ -235,9 +243,10 @@ def _unrecorded(loop: ClosedLoop, *, continuous: bool) -> Parts:
 def plant_step(
     loop: ClosedLoop, clock: float, solver: Solver, shown: SX, bounds: np.ndarray, instants: Instants
 ) -> Step:
-    """The tick of the plant alone: its state is the whole, and what it is commanded stands after what is drawn.
+    """Step of the plant alone, with its commands as inputs.
 
-    `shown`, in the plant's leaves, is recorded; commands count as numbers of `instants` that are drawn.
+    The state is that of the plant; the commands follow the random numbers in the rows of `instants`. `shown`, an
+    expression in symbols of the plant, is recorded.
     """
     first = loop.state.numel() - stack(variable.symbol for variable in loop.plant).numel()
     state, integrated = loop.state[first:], stack(variable.symbol for variable in loop.flowing)
@@ -260,7 +269,7 @@ def plant_step(
 
 
 def substeps_of(clock: float | None, solver: Solver) -> int:
-    """Integrator steps in a tick of `clock` [s]. Raises `EngineError` where they are too many to write out."""
+    """Integrator steps in a tick of `clock` [s]. Raises `EngineError` above `MOST_SUBSTEPS`."""
     if solver.method not in FIXED:
         return 1
     period = clock if clock is not None else solver.output
@@ -278,19 +287,19 @@ def substeps_of(clock: float | None, solver: Solver) -> int:
 
 
 def _columns_of(parts: Parts) -> tuple[Any, Any, Any]:
-    """State, what a tick is given, and p."""
+    """Symbols of the state, of the row of `Instants`, and of p."""
     state, _, drawn, _, p = (parts.sample.numel_in(i) for i in range(5))
     return ca.MX.sym("state", state), ca.MX.sym("given", DRAWN + drawn), ca.MX.sym("p", p)
 
 
-def _seen(name: str, loop: ClosedLoop, expressions: list[SX]) -> Any:
-    """Expressions at one instant as a function of (state, w, drawn, T, p); projections act as their law says."""
+def _evaluated(name: str, loop: ClosedLoop, expressions: list[SX]) -> Any:
+    """Function (state, w, drawn, T, p) -> expressions at one instant, with projections active."""
     acting = ca.cse(_pruned(loop, loop.acting(expressions)))
     return ca.Function(name, [loop.state, loop.w, loop.drawn, loop.period, loop.p], acting)
 
 
 def _pruned(loop: ClosedLoop, expressions: list[SX]) -> list[SX]:
-    """Without the terms of the robot's numbers that are zero: a file has many, and no run changes them."""
+    """Expressions with zeros for the robot parameters that are zero: there are many, and no run changes them."""
     zeros = [
         p.symbol.nz[k]
         for p in loop.parameters
@@ -301,7 +310,7 @@ def _pruned(loop: ClosedLoop, expressions: list[SX]) -> list[SX]:
 
 
 def _tick(parts: Parts, solver: Solver, instants: Instants, substeps: int) -> Any:
-    """(state, given, p) -> the state one tick later, and what is recorded before it, for the interpreter."""
+    """Function (state, given, p) -> (state after the tick, outputs recorded before it), for the interpreter."""
     state, given, p = _columns_of(parts)
     t, rosenbrock = given[TIME], solver.method == "ros34pw2"
     hoisted = parts.implicit[0] if rosenbrock else parts.hoisted
@@ -311,7 +320,7 @@ def _tick(parts: Parts, solver: Solver, instants: Instants, substeps: int) -> An
     if solver.method == "cvodes":
         x = _cvodes(parts, x, given, u, p, solver, instants)
     else:
-        # without jitter all ticks are as long, and the step is a number that CasADi folds
+        # without jitter all ticks have the same length, a constant for CasADi
         h = given[LENGTH] / substeps if instants.jitter else instants.period / substeps
         step = _step_of(parts, _ros34pw2 if rosenbrock else _rk4, *(column.numel() for column in (x, u, p, c)))
         for j in range(substeps):
@@ -320,13 +329,13 @@ def _tick(parts: Parts, solver: Solver, instants: Instants, substeps: int) -> An
 
 
 def _step_of(parts: Parts, method: Callable[..., Any], x: int, u: int, p: int, c: int) -> Any:
-    """(x, t, h, u, p, c) -> x one step of the integrator later; one function, however many steps a tick has."""
+    """Function (x, t, h, u, p, c) -> x after one integrator step, called for each step of a tick."""
     given = [ca.MX.sym(name, size) for name, size in zip("xthupc", (x, 1, 1, u, p, c), strict=True)]
     return ca.Function("step", given, [method(parts, *given)])
 
 
 def _rk4(parts: Parts, x: Any, t: Any, h: Any, u: Any, p: Any, c: Any) -> Any:
-    """One step of the classical method."""
+    """One step of the classical Runge-Kutta method."""
     hoisted, moved = parts.hoisted, parts.moved
     still = ca.MX.zeros(hoisted.rate.size1_in(2))
 
@@ -363,13 +372,13 @@ def _sum(first: Any, factors: Sequence[Fraction], columns: Sequence[Any]) -> Any
 
 def _cvodes(parts: Parts, x: Any, given: Any, u: Any, p: Any, solver: Solver, instants: Instants) -> Any:
     if not ca.has_integrator("cvodes"):
-        raise EngineError("solver: CasADi was built without SUNDIALS' cvodes; choose method: rk4")
+        raise EngineError("solver: CasADi was built without SUNDIALS' cvodes; choose solver.method: rk4")
     rate = parts.rate
     state, since = ca.MX.sym("x", rate.size1_in(0)), ca.MX.sym("since")
     held = ca.MX.sym("held", rate.size1_in(1) + 2 + p.numel())
     sizes = [0, rate.size1_in(1), rate.size1_in(1) + 1, rate.size1_in(1) + 2, held.numel()]
     commands, start, length, numbers = ca.vertsplit(held, sizes)
-    # an integrator has one horizon: ticks of several lengths are each run over the time 0 to 1
+    # an integrator has a fixed horizon: with jitter, ticks are scaled to the interval 0 to 1
     span, end = (length, 1.0) if instants.jitter else (1, instants.period)
     ode = rate(state, commands, parts.trajectory(start + span * since, numbers), numbers)
     problem = {"x": state, "t": since, "p": held, "ode": span * ode}

@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 
+from dmframe.common.errors import EngineError
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.rosenbrock import ROS34PW2
-from dmframe.errors import EngineError
 from dmframe.simulate.step import FIXED, RK4_STABLE, Solver, Step
 
 RK4_STEPS = 10
-"""How many times more steps than on a plant that is not stiff rk4 may take, before ros34pw2 runs it: one of its steps
-costs up to 2.2 of rk4, and there are twice as many."""
+"""Limit for rk4, as a multiple of its steps on a plant that is not stiff; above it ros34pw2 is selected, which takes
+twice as many steps, each up to 2.2 times as expensive."""
 
 EXPLICIT_TAKES = 0.5
-"""Limit of `left_out`: up to one half, such modes are stable and of third order."""
+"""Limit of `omitted_terms`: up to one half, these modes are stable and integrated with third order."""
 
 MOST_SLOPE = 1e12
 """Limit of the Jacobian of the plant for all solvers [1/s or other units]."""
@@ -40,11 +40,11 @@ def fastest(jacobians: np.ndarray) -> np.ndarray:
     return speeds
 
 
-def left_out(step: Step, state: np.ndarray, p: np.ndarray) -> float:
+def omitted_terms(step: Step, state: np.ndarray, p: np.ndarray) -> float:
     r"""Effect of the Jacobian terms that a linearly implicit method omits, per step.
 
-    The spectral radius of :math:`(I - h \gamma A)^{-1} h (J - A)` with A for the Jacobian J, at the step's length: what
-    is left out acts through what is not, as a spring does on a position. Infinite where the systems are too large.
+    Spectral radius of :math:`(I - h \gamma A)^{-1} h (J - A)`, with step length h, Jacobian J and the approximation A
+    that the method uses. Infinite if the linear systems are too large.
     """
     try:
         slopes, _ = step.parts.slopes, step.parts.implicit
@@ -71,16 +71,18 @@ def stiffness(step: Step, solver: Solver, speed: float, state: np.ndarray, p: np
         return ()
     h = step.length
     if math.isinf(speed):
-        return ("at the start the plant's rates are too steep to compute with; take parameters nearer to 1",)
-    if solver.method == "ros34pw2" and left_out(step, state, p) > EXPLICIT_TAKES:
         return (
-            "the plant is stiff in products of what moves, which ros34pw2 integrates explicitly: take a shorter "
+            "the Jacobian of the plant at the initial state is not finite or exceeds 1e12; use parameters nearer to 1",
+        )
+    if solver.method == "ros34pw2" and omitted_terms(step, state, p) > EXPLICIT_TAKES:
+        return (
+            "the plant is stiff in terms that ros34pw2 integrates explicitly (products of states): set a shorter "
             "solver.step, or solver.method: cvodes",
         )
     if solver.method == "rk4" and h * speed > 0.9 * RK4_STABLE:
         return (
             f"the plant is stiff: at rest h |lambda| = {h * speed:.2f} for rk4 at {h * 1e3:.3g} ms, stable up to "
-            f"{RK4_STABLE}; take solver.step: {solver.takes / speed * 1e3:.2g} ms, leave it out, or take "
-            "solver.method: ros34pw2",
+            f"{RK4_STABLE}; set solver.step: {solver.takes / speed * 1e3:.2g} ms, remove solver.step for an automatic "
+            "step, or set solver.method: ros34pw2",
         )
     return ()

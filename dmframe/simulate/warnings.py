@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from dmframe.block.port import Access
+from dmframe.common.errors import listed
+from dmframe.common.units import plain
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal
 from dmframe.diagram.wiring import Way
-from dmframe.errors import listed
-from dmframe.port import Access
-from dmframe.units import plain
 
 
 def warning_signals(diagram: Diagram) -> list[Signal]:
@@ -20,14 +20,14 @@ def warning_signals(diagram: Diagram) -> list[Signal]:
     return [signal for signal in diagram.loop.outputs if signal.label in ports]
 
 
-def between(diagram: Diagram) -> str:
-    """Sentence on signals that pass channel models; may be empty."""
+def channel_models(diagram: Diagram) -> str:
+    """Sentence on the signals that pass through channel models; empty without any."""
     passing = dict[tuple[str, ...], list[str]]()
     for way in diagram.ways:
         through = tuple(wire.block for wire in way.through)
         passing.setdefault(through, []).append(f"{way.origin.block}.{way.origin.port}")
-    said = [f"{listed(signals)} through {listed(list(through))}" for through, signals in passing.items()]
-    return f"not ideal: {'; '.join(said)}" if said else ""
+    channels = [f"{listed(signals)} through {listed(list(through))}" for through, signals in passing.items()]
+    return f"not ideal: {'; '.join(channels)}" if channels else ""
 
 
 def unread(diagram: Diagram) -> list[str]:

@@ -7,21 +7,21 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
-from dmframe.errors import listed
+from dmframe.common.errors import listed
+from dmframe.common.units import plain
 from dmframe.report.parts import Bullets, Cell, Lead, Marked, Part
 from dmframe.study.box import COVERAGE
-from dmframe.study.findings import DIVERGED, Findings, Found
+from dmframe.study.findings import DIVERGED, Findings, PointFindings
 from dmframe.study.numbers import count, figure, percent
 from dmframe.study.proof import Proof
 from dmframe.study.statistics import LEVEL, Quantile
-from dmframe.units import plain
 
 WORTH: Final = 0.05
 """Fraction of the variance from which an influence is named."""
 BY_CHANCE: Final = 1 - LEVEL
-"""Largest probability of a named influence if the quantity has none."""
+"""Largest probability of an influence by chance at which it is named."""
 NAMED: Final = 4
-"""Settings that a sentence names."""
+"""Largest number of settings that a sentence names."""
 METHODS: Final = {
     "random": "independent draws",
     "sobol": "a scrambled Sobol sequence, which fills the space evenly",
@@ -55,7 +55,7 @@ class ReportData:
     commands
         Commands that repeat the study, each with a description.
     made
-        Versions and machine, by name.
+        Versions and machine of the runs, by name.
     """
 
     found: Findings
@@ -67,7 +67,7 @@ class ReportData:
 
     @property
     def noun(self) -> str:
-        """What a sample is called."""
+        """Plural noun for the samples in the report."""
         return "robots" if self.robots else "samples"
 
     @property
@@ -98,7 +98,7 @@ def verdict_of(t: ReportData) -> tuple[str, str] | None:
     if not states:
         return None
     boxed = any(each.box.ends or each.box.unknown for each in t.proofs)
-    where = " over what was drawn" if boxed else ""
+    where = " over the sampled box" if boxed else ""
     some = f" at {{}} of {len(states)} settings" if len(states) > 1 else ""
     if refuted := states.count("refuted"):
         return f"the proof is refuted{some.format(refuted)}", "refuted"
@@ -110,14 +110,14 @@ def verdict_of(t: ReportData) -> tuple[str, str] | None:
     if proved := states.count("proved"):
         return f"proved{some.format(proved)}{where}", "open"
     if set(states) == {"not_known"}:
-        return f"whether the proof holds{where} is not known", "open"
+        return f"the proof is undecided{where}", "open"
     if any(each.verdict is not None and each.verdict.test is not None for each in t.proofs):
         return f"the proof does not hold everywhere{where}" if boxed else "the proof does not apply", "not_applicable"
-    return "nothing is proved", "not_applicable"
+    return "no proof", "not_applicable"
 
 
 def _runs_lead(t: ReportData) -> Lead:
-    """The answer from the runs alone."""
+    """The answer from the runs only."""
     found = t.found
     ran, place = [each for each in found.points if each.runs], found.events.index(found.diverging)
     rest = _limitations(found)
@@ -129,18 +129,18 @@ def _runs_lead(t: ReportData) -> Lead:
         sentence = f"each ran once, on one robot, which gives no probability.{rest}"
         return Lead(_outcome(len(ran) - lost, len(found.points)), text, Marked(sentence))
     if len(found.points) == 1:
-        share, complete = ran[0].alone[place], not (ran[0].failed or ran[0].missing)
-        head = f"Of {count(share.runs)} {t.noun} {_diverged(share.count, '')}"
-        outcome = _outcome(complete and not share.count, complete or bool(share.count))
-        if share.most is None:
+        proportion, complete = ran[0].alone[place], not (ran[0].failed or ran[0].missing)
+        head = f"Of {count(proportion.runs)} {t.noun} {_diverged(proportion.count, '')}"
+        outcome = _outcome(complete and not proportion.count, complete or bool(proportion.count))
+        if proportion.most is None:
             return Lead(outcome, head, Marked(no_interval(found) + rest))
-        lost_part = f"{percent(share.value)} of them; " if share.count else ""
-        limit = f"the probability of divergence is at most {percent(share.most, up=True)}, at 95 % confidence."
+        lost_part = f"{percent(proportion.value)} of them; " if proportion.count else ""
+        limit = f"the probability of divergence is at most {percent(proportion.most, up=True)}, at 95 % confidence."
         return Lead(outcome, head, Marked(f"{lost_part}{limit}{rest}"))
     return _settings_lead(t, ran, place, rest) if found.steady else _all_diverge_lead(t, ran, place, rest)
 
 
-def _settings_lead(t: ReportData, ran: Sequence[Found], place: int, rest: str) -> Lead:
+def _settings_lead(t: ReportData, ran: Sequence[PointFindings], place: int, rest: str) -> Lead:
     """The answer for several settings of which some never diverged."""
     found, steady = t.found, t.found.steady
     fewest, most = min(each.runs for each in steady), max(each.runs for each in ran)
@@ -161,7 +161,7 @@ def _settings_lead(t: ReportData, ran: Sequence[Found], place: int, rest: str) -
     return Lead(outcome if complete or outcome != "proved" else "open", head, Marked(sentence + rest))
 
 
-def _all_diverge_lead(t: ReportData, ran: Sequence[Found], place: int, rest: str) -> Lead:
+def _all_diverge_lead(t: ReportData, ran: Sequence[PointFindings], place: int, rest: str) -> Lead:
     """The answer for several settings at each of which some run diverged."""
     points, least = t.found.points, min(ran, key=lambda each: each.alone[place].value)
     where = f"each of {len(points)} settings"
@@ -183,7 +183,7 @@ def _diverged(number: int, of: str) -> str:
 
 
 def _limitations(found: Findings) -> str:
-    """What the answer does not cover: missing and failed runs, and other noise."""
+    """Sentences on missing and failed runs, and on noise."""
     missing, failed = (sum(getattr(each, what) for each in found.points) for what in ("missing", "failed"))
     text = f" {count(missing)} runs are missing; the same command computes them." if missing else ""
     text += f" {count(failed)} runs could not be prepared and are not covered." if failed else ""
@@ -194,7 +194,7 @@ def _limitations(found: Findings) -> str:
 
 
 def no_interval(found: Findings) -> str:
-    """Why no confidence interval is given."""
+    """Reason for the absence of a confidence interval."""
     if found.sheet.samples < 2:
         return "Each setting ran once, which gives no probability."
     return (
@@ -203,7 +203,7 @@ def no_interval(found: Findings) -> str:
     )
 
 
-def code(each: Found) -> str:
+def code(each: PointFindings) -> str:
     """A setting's name in a marked text."""
     return f"`{each.name}`"
 
@@ -261,16 +261,16 @@ def _influences(t: ReportData) -> Iterator[Marked]:
     points = t.found.points
     for name in dict.fromkeys(name for each in points for name in each.influences):
         each = next(each for each in points if name in each.influences)
-        strong = [item for item in each.influences[name] if item.share >= WORTH and item.chance <= BY_CHANCE][:3]
+        strong = [item for item in each.influences[name] if item.explained >= WORTH and item.chance <= BY_CHANCE][:3]
         if strong:
-            shares = listed([f"`{item.factor}` ({percent(item.share)})" for item in strong])
+            fractions = listed([f"`{item.factor}` ({percent(item.explained)})" for item in strong])
             what = "whether a run diverges" if name == DIVERGED else f"`{name}`"
             at = f" at {code(each)}" if each.name else ""
-            yield Marked(f"Largest influence on {what}{at}: {shares}, as a fraction of the variance of ranks.")
+            yield Marked(f"Largest influence on {what}{at}: {fractions}, as a fraction of the variance of ranks.")
 
 
-def best_of(found: Findings) -> tuple[Found, Quantile] | None:
-    """The point without a divergence that has the smallest greatest quantile; a single point in any case."""
+def best_of(found: Findings) -> tuple[PointFindings, Quantile] | None:
+    """Point without divergence and with the smallest value of its largest quantile; a single point in any case."""
     main = found.results.main
     several = [each for each in (found.steady if len(found.points) > 1 else found.points) if each.quantiles.get(main)]
     if not several:
@@ -290,7 +290,7 @@ def proof_in_short(t: ReportData) -> str:
     where = "at the numbers that the graphs state"
     if any(each.box.ends for each in proofs):
         unbounded = any(each.box.probability < 1 for each in proofs)
-        where = "over the whole box of what was drawn"
+        where = "over the whole sampled box"
         where += f" ({100 * COVERAGE:g} % of the draws: some distributions are unbounded)" * unbounded
     if refuted := sum(each.state == "refuted" for each in proofs):
         at = f" at {refuted} of {tried} settings" if tried > 1 else ""
@@ -301,19 +301,19 @@ def proof_in_short(t: ReportData) -> str:
         return f"The proof's conditions hold {where} at {good} of {tried} settings.{rest}"
     counted = next((_counted(t, each) for each in proofs if each.drawn is not None), "")
     if all(each.state == "not_known" for each in proofs):
-        return f"Whether the proof's conditions hold {where} is not known{counted}.{rest}"
+        return f"The proof's conditions {where} are undecided{counted}.{rest}"
     return f"The proof's conditions do not all hold {where}{counted}. This does not prove instability.{rest}"
 
 
 def _counted(t: ReportData, proof: Proof) -> str:
-    """How many samples meet the conditions, each by itself."""
+    """Number of samples that meet the conditions, each tested separately."""
     if proof.drawn is None or not proof.drawn.known:
         return ""
     at = f" at `{proof.name}`" if len(t.proofs) > 1 else ""
     number, of, unknown = proof.drawn.counts
     if not unknown:
         return f"; {count(number)} of {count(of)} {t.noun} meet them{at}"
-    return f"; of {count(of)} {t.noun} {count(number)} meet them{at}, and for {count(unknown)} it is not known"
+    return f"; of {count(of)} {t.noun} {count(number)} meet them{at}, and {count(unknown)} are undecided"
 
 
 def outside_the_box(t: ReportData) -> list[str]:

@@ -33,7 +33,7 @@ class Box:
     probability
         Probability that a sample lies in the box; 1 if all distributions are bounded.
     units
-        Of the parameters and initial states.
+        Units of the parameters and initial states.
     outside
         Sampled columns that do not appear in any proof: a clock, the step of the solver.
     unknown

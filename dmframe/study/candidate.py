@@ -16,9 +16,9 @@ from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim, NotApplicableError, claim_of
 from dmframe.certify.conditions import conditions_of
 from dmframe.certify.over import over_intervals
+from dmframe.common.errors import DmframeError, NeedsDiagramError, ValueFault
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
-from dmframe.errors import DmframeError, NeedsDiagramError, ValueFault
 from dmframe.exact.rational import Interval
 from dmframe.graph.graph import Graph
 from dmframe.robot.rational import decimal
@@ -118,7 +118,7 @@ def _intervals(study: Study, graph: Graph, diagram: Diagram) -> dict[str, Sequen
     return hull(drawn, {label: own[label] for label in drawn})
 
 
-def excess(failing: Sequence[Checked]) -> float:
+def violation(failing: Sequence[Checked]) -> float:
     """Degree of violation: the number of failing conditions, plus a fraction for the worst margin."""
     margins = [item.value for item in failing if item.value is not None and math.isfinite(item.value)]
     lack = max((abs(min(value, 0.0)) for value in margins), default=0.0)
@@ -126,7 +126,7 @@ def excess(failing: Sequence[Checked]) -> float:
 
 
 def unstable(study: Study, point: int, period: float) -> float | None:
-    """Excess of the spectral radius of the linearised loop over 1, at a period [s] and its halves.
+    """Spectral radius of the linearised loop minus 1, at a period [s] and its halves.
 
     Down to the graph's own clock. At most zero if the loop is stable at all of them; None if no set-point was found.
     """

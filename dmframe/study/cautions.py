@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from dmframe.errors import listed
+from dmframe.common.errors import listed
+from dmframe.common.units import plain
 from dmframe.study.design import Spread
-from dmframe.units import plain
 
 if TYPE_CHECKING:
     from dmframe.study.tuned import Tuned
@@ -72,8 +72,8 @@ def near_end(value: float, spread: Spread) -> float | None:
     low, high, at = spread.lower, spread.upper, value
     if spread.kind == "log":
         low, high, at = math.log(low), math.log(high), math.log(at)
-    share = (at - low) / (high - low)
-    return spread.lower if share <= CLOSE else spread.upper if share >= 1 - CLOSE else None
+    fraction = (at - low) / (high - low)
+    return spread.lower if fraction <= CLOSE else spread.upper if fraction >= 1 - CLOSE else None
 
 
 def with_unit(value: float, unit: str) -> str:

@@ -16,8 +16,8 @@ from contextlib import suppress
 from queue import Empty, Queue
 from typing import TYPE_CHECKING, Any, Final, final
 
-from dmframe.errors import DmframeError, MissingError, visible
-from dmframe.interrupts import in_child
+from dmframe.common.errors import DmframeError, MissingError, visible
+from dmframe.common.interrupts import in_child
 from dmframe.study.chunks import Chunk
 from dmframe.study.executor import Answer, Computed, Executor, Failed, compute, machine, versions
 from dmframe.study.packing import packed, unpacked
@@ -33,7 +33,7 @@ _CONNECT: Final = 10.0
 
 @final
 class WorkersLost(DmframeError):
-    """The scheduler cannot be reached any more; the rows computed so far are kept."""
+    """Connection to the scheduler lost; the rows computed so far are kept."""
 
 
 def exposed(address: str) -> list[str]:
@@ -52,7 +52,7 @@ class Cluster(Executor):
     Parameters
     ----------
     address
-        Of the scheduler, ``tcp://127.0.0.1:8786``; for ``tls://`` the keys and certificates are those of dask's
+        Address of the scheduler, ``tcp://127.0.0.1:8786``; for ``tls://`` the keys and certificates are those of dask's
         configuration.
 
     Raises
@@ -114,7 +114,7 @@ class Cluster(Executor):
             if future.status in ("cancelled", "lost") or self._client.status != "running":
                 raise self._lost() from None
             kind = type(error).__name__
-            if kind == "KilledWorker":  # blames every chunk that waited at a worker that died
+            if kind == "KilledWorker":  # raised for every chunk that waited at a lost worker
                 return Failed("each worker that computed it was ended", alone=True)
             if isinstance(error, ModuleNotFoundError) or "No module named 'dmframe" in str(error):
                 raise WorkersLost("a worker has no dmframe; install the same version there") from None

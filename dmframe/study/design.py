@@ -12,7 +12,7 @@ from typing import Final, Literal, final
 
 import numpy as np
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 
 Method = Literal["random", "latin_hypercube", "sobol"]
 

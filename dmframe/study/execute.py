@@ -1,4 +1,4 @@
-"""Run a study: divide it into chunks, have them computed, and keep their rows; continue what another process began."""
+"""Execution of a study: division into chunks, their computation, and storage of their rows; it can be resumed."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
-from dmframe.errors import DmframeError, OutputError, ValueFault
-from dmframe.files import append, encoded, put, writing
+from dmframe.common.errors import DmframeError, OutputError, ValueFault
+from dmframe.common.files import append, encoded, put, writing
 from dmframe.simulate.many import cores
 from dmframe.study.chunks import WORK, Chunk, Extent, Sizes
 from dmframe.study.cluster import Cluster, WorkersLost, exposed
 from dmframe.study.executor import Computed, Executor, Failed, compute, versions
-from dmframe.study.journal import difference, kept_in, read_lock
+from dmframe.study.journal import difference, entries_in, read_lock
 from dmframe.study.pool import Pool
 from dmframe.study.store import PROCESSES, PROVENANCE, Store, opened
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 ATTEMPTS: Final = 3
 """Attempts per chunk."""
 AHEAD: Final = 3
-"""Chunks submitted per worker: one is computed, the others wait."""
+"""Chunks submitted per worker: one is computed, the others are queued."""
 _LOOK: Final = 0.5
 """Interval of progress reports without a change [s]."""
 
@@ -49,7 +49,7 @@ class State:
     failed
         Reason, by chunk, for chunks that failed in all attempts.
     lost
-        Why it ended early; empty if it did not.
+        Reason for an early end; empty without one.
     notices
         Warnings.
     seconds
@@ -87,15 +87,15 @@ def run_study(
     Parameters
     ----------
     out
-        The folder; one that was begun before is continued.
+        Results folder; an existing one of the same study is continued.
     workers
         Processes on this machine; by default as many as there are cores.
     scheduler
         Address of a dask scheduler, whose workers compute instead.
     executor
-        What computes the chunks instead of these two, such as `InProcess`.
+        Executor to be used instead of these two, such as `InProcess`.
     force
-        If the folder holds another study, delete its runs.
+        Delete the runs of another study in the folder.
     chunk
         Samples per chunk; by default as many as take some seconds.
     report
@@ -146,7 +146,7 @@ def run_study(
 
 
 def _compute_all(dispatcher: Dispatcher, store: Store, sizes: Sizes) -> None:
-    """Compute all chunks: those fixed before, those that are timed to find a chunk's size, then the rest."""
+    """Compute all chunks: existing ones, those that are timed to choose the size, then the rest."""
     store.cut(sizes.extents, sizes.each)
     dispatcher.compute(_left(store))
     while (probe := sizes.probe()) is not None:
@@ -158,7 +158,7 @@ def _compute_all(dispatcher: Dispatcher, store: Store, sizes: Sizes) -> None:
 
 
 def _seconds(store: Store, probe: Extent) -> float:
-    """Duration of a timed chunk; after a failure a guess that makes chunks small."""
+    """Duration of a timed chunk; after a failure, an estimate that gives small chunks."""
     (chunk,) = probe
     kept = store.kept.get(store.file(chunk).name)
     return kept.seconds if kept else float(chunk.runs)
@@ -166,7 +166,7 @@ def _seconds(store: Store, probe: Extent) -> float:
 
 @final
 class Dispatcher:
-    """Submits chunks, a few per worker, and writes the rows that come back.
+    """Submits chunks, a few per worker, and writes the returned rows.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ class Dispatcher:
     ) -> None:
         self._write, self._executor, self._state, self._update = write, executor, state, update
         self._out = set[Chunk]()
-        self._again = list[Chunk]()
+        self._retry = list[Chunk]()
         self._alone = list[Chunk]()
         self._suspected = set[Chunk]()
         self._tried = Counter[Chunk]()
@@ -196,12 +196,12 @@ class Dispatcher:
         while True:
             self._state.workers = self._executor.count
             while len(self._out) < AHEAD * max(self._executor.count, 1):
-                chunk = self._again.pop() if self._again else next(waiting, None)
+                chunk = self._retry.pop() if self._retry else next(waiting, None)
                 if chunk is None:
                     break
                 self._out.add(chunk)
                 self._executor.submit(chunk)
-            if not self._out:  # chunks that another one may have made fail come last, one at a time
+            if not self._out:  # chunks whose failure another one may have caused run last, one at a time
                 if not self._alone:
                     return
                 self._out.add(chunk := self._alone.pop())
@@ -229,7 +229,7 @@ class Dispatcher:
         if answer.final or answer.alone or self._tried[chunk] >= ATTEMPTS:
             self._state.failed[chunk] = answer.text
         else:
-            self._again.append(chunk)
+            self._retry.append(chunk)
 
 
 def _left(store: Store) -> Iterator[Chunk]:
@@ -238,7 +238,7 @@ def _left(store: Store) -> Iterator[Chunk]:
 
 
 def _record(store: Store, state: State, moment: datetime, scheduler: str | None) -> None:
-    """Write to ``provenance.json`` what ran last and what made the rows, and append this process to the list."""
+    """Update ``provenance.json`` with the last run and the origin of the rows, and append this process to the list."""
     this = {
         "time": moment.isoformat(timespec="seconds"),
         "command": sys.argv,
@@ -264,7 +264,7 @@ def _record(store: Store, state: State, moment: datetime, scheduler: str | None)
 
 @final
 @dataclass(frozen=True)
-class Foreseen:
+class Estimate:
     """Estimate of a study's work.
 
     Parameters
@@ -295,7 +295,7 @@ class Foreseen:
         return asdict(self)
 
 
-def foreseen(study: Study, place: Path, workers: int | None = None) -> Foreseen:
+def estimate_of(study: Study, place: Path, workers: int | None = None) -> Estimate:
     """Divide a study into chunks without running it; if its folder has no timing, some runs are timed.
 
     Raises
@@ -305,7 +305,7 @@ def foreseen(study: Study, place: Path, workers: int | None = None) -> Foreseen:
     """
     lock = read_lock(place)
     mine = lock is not None and not difference(lock, study.identity)
-    kept = kept_in(place) if mine else {}
+    kept = entries_in(place) if mine else {}
     extents = [Extent(*numbers) for numbers in lock["extents"]] if lock and mine else []
     each = tuple(lock["each"]) if lock and mine and lock["each"] else None
     sizes = Sizes(len(study.points), study.samples, extents=extents, each=each)
@@ -313,7 +313,7 @@ def foreseen(study: Study, place: Path, workers: int | None = None) -> Foreseen:
     rate = count / seconds if seconds and each else _timed(study, sizes)
     left = [chunk for extent in sizes.extents for chunk in extent if f"{chunk.name(study.key)}.parquet" not in kept]
     many = workers or cores()
-    return Foreseen(
+    return Estimate(
         points=len(study.points),
         samples=study.samples,
         runs=study.runs,

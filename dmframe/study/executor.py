@@ -1,4 +1,4 @@
-"""Interface of executors, which compute the chunks of a study, and what a worker does with a chunk."""
+"""Interface of executors that compute the chunks of a study, and the computation of one chunk."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, Protocol, Self, final
 
-from dmframe.errors import visible
+from dmframe.common.errors import visible
 from dmframe.study.chunks import Chunk
 
 
 class Computable(Protocol):
-    """What a worker computes the chunks of, such as a study."""
+    """Object whose rows a worker computes, such as a study."""
 
     @property
     def engine(self) -> str:
-        """What ran the last rows of this process."""
+        """Engine of the last rows in this process."""
         ...
 
     def band(self, point: int, end: int, first: int, stop: int) -> Mapping[str, Any]:
-        """The rows of the samples [first, stop) of the points [point, end), by column."""
+        """Rows of the samples [first, stop) of the points [point, end), by column."""
         ...
 
 
 @final
 @dataclass(frozen=True)
 class Computed:
-    """The rows of a chunk.
+    """Rows of a chunk.
 
     Parameters
     ----------
@@ -51,14 +51,14 @@ class Computed:
 @final
 @dataclass(frozen=True)
 class Failed:
-    """Why a chunk was not computed.
+    """Failure of a chunk, with its reason.
 
     Parameters
     ----------
     final
-        Another attempt would fail, too.
+        True if another attempt would fail too.
     alone
-        Another chunk may have caused the failure: try this one when no other is running.
+        True if another chunk may have caused the failure: this one is then repeated with no other running.
     """
 
     text: str
@@ -74,7 +74,7 @@ class Executor(ABC):
 
     @property
     def count(self) -> int:
-        """How many chunks are computed at once."""
+        """Number of chunks computed at once."""
         return 1
 
     @abstractmethod
@@ -94,7 +94,7 @@ class Executor(ABC):
 
 @final
 class InProcess(Executor):
-    """Computes in this process, one chunk at a time: for a debugger, and for tests of everything but the workers."""
+    """Executor in this process, one chunk at a time, for debugging and tests."""
 
     def __init__(self, study: Computable) -> None:
         self._study, self._waiting = study, deque[Chunk]()
@@ -104,7 +104,7 @@ class InProcess(Executor):
         self._waiting.append(chunk)
 
     def ended(self, timeout: float) -> Answer | None:
-        """Compute the first chunk that waits."""
+        """Compute the first queued chunk."""
         chunk = self._waiting.popleft() if self._waiting else None
         return chunk and (chunk, compute(self._study, chunk))
 
@@ -113,7 +113,7 @@ class InProcess(Executor):
 
 
 def compute(study: Computable, chunk: Chunk) -> Computed | Failed:
-    """The rows of a chunk. Any exception of a block is returned as `Failed` and does not end the worker."""
+    """Rows of a chunk. Any exception of a block is returned as `Failed` and does not end the worker."""
     began = time.process_time()
     try:
         table = study.band(chunk.point, chunk.end, chunk.first, chunk.stop)
@@ -124,13 +124,13 @@ def compute(study: Computable, chunk: Chunk) -> Computed | Failed:
 
 @cache
 def machine() -> Mapping[str, str]:
-    """What the last bits of a result depend on: processor, system, versions."""
+    """Machine properties that affect the last bits of a result: processor, system, versions."""
     return {"host": platform.node(), "processor": _processor(), **versions()}
 
 
 @cache
 def versions() -> Mapping[str, str]:
-    """Versions that must be the same on all workers."""
+    """Versions that must be equal on all workers."""
     from importlib.metadata import version
 
     packages = {name: version(name) for name in ("dmframe", "casadi", "numpy", "pin")}

@@ -8,10 +8,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from dmframe.plotting import COLUMN, GREY, PAGE, look, names_above, page, unit_text, verbatim
-from dmframe.results.drawn_runs import shown_unit
+from dmframe.common.plotting import COLUMN, GREY, PAGE, look, names_above, page, unit_text, verbatim
 from dmframe.results.error_figure import log_ticks
-from dmframe.study.findings import SHOWN, Drawn, Findings, Found
+from dmframe.results.plotting import shown_unit
+from dmframe.study.findings import SHOWN, Findings, PointFindings, PointMap
 from dmframe.study.statistics import Axis
 
 MOST: Final = 1500
@@ -33,7 +33,7 @@ def figures_of(found: Findings) -> dict[str, Any]:
     return {name: figure for name, figure in made.items() if figure is not None}
 
 
-def grouped(maps: Sequence[Drawn]) -> list[list[Drawn]]:
+def grouped(maps: Sequence[PointMap]) -> list[list[PointMap]]:
     """Maps grouped by their two factors."""
     pairs = dict.fromkeys((each.x, each.y) for each in maps)
     return [[each for each in maps if (each.x, each.y) == pair] for pair in pairs]
@@ -49,22 +49,24 @@ def label(found: Findings, name: str) -> tuple[str, float]:
 
 
 def divergence_figure(found: Findings) -> Any:
-    """Share of runs that diverged at each grid point, with its interval; None for one point or no divergence."""
+    """Proportion of runs that diverged at each grid point, with its interval; None for one point or no divergence."""
     place = found.events.index(found.diverging)
     points = [each for each in found.points if each.runs]
     if not 2 <= len(points) <= BARS or not any(each.alone[place].count for each in points):
         return None
-    shares = [each.alone[place] for each in points]
+    fractions = [each.alone[place] for each in points]
     with page(COLUMN, 0.7 + 0.2 * len(points)) as figure:
         axes = figure.subplots()
-        for row, share in enumerate(shares):
-            if share.low is not None and share.high is not None:
-                axes.plot([100 * share.low, 100 * share.high], [row, row], color=look(0)["color"], linewidth=1.6)
-            axes.plot([100 * share.value], [row], "o", color=look(4)["color"], markersize=3.5)
+        for row, proportion in enumerate(fractions):
+            if proportion.low is not None and proportion.high is not None:
+                axes.plot(
+                    [100 * proportion.low, 100 * proportion.high], [row, row], color=look(0)["color"], linewidth=1.6
+                )
+            axes.plot([100 * proportion.value], [row], "o", color=look(4)["color"], markersize=3.5)
         axes.set_yticks(range(len(points)), [_short(each) for each in points])
         axes.set_ylim(len(points) - 0.5, -0.5)
         axes.set_xlim(left=0)
-        axes.set_xlabel("runs that diverged [%]" + (", and 95 % interval" if shares[0].low is not None else ""))
+        axes.set_xlabel("runs that diverged [%]" + (", and 95 % interval" if fractions[0].low is not None else ""))
     return figure
 
 
@@ -83,11 +85,11 @@ def distribution_figure(found: Findings) -> Any:
             values = values[~np.isnan(values)]
             if not len(values):
                 continue
-            shares = 100 * np.arange(1, len(values) + 1) / len(values)
+            fractions = 100 * np.arange(1, len(values) + 1) / len(values)
             finite = np.isfinite(values)
-            values, shares = factor * values[finite], shares[finite]
+            values, fractions = factor * values[finite], fractions[finite]
             kept = np.unique(np.linspace(0, max(len(values) - 1, 0), min(MOST, len(values))).astype(int))
-            axes.step(values[kept], shares[kept], where="post", label=_short(each), **look(place))
+            axes.step(values[kept], fractions[kept], where="post", label=_short(each), **look(place))
             ends += [] if not len(values) else [values[0], values[-1]]
         _scaled(axes, ends)
         axes.set_ylim(0, 102)
@@ -127,7 +129,7 @@ def eighths_figure(found: Findings) -> Any:
 
 
 def influence_figure(found: Findings) -> Any:
-    """Share of the ranks' variance that each factor explains alone: bars, with a colour per grid point."""
+    """Proportion of the ranks' variance that each factor explains alone: bars, with a colour per grid point."""
     main = found.results.main
     shown = [each for each in found.points[:SHOWN] if each.influences.get(main)]
     if not main or not shown:
@@ -137,10 +139,10 @@ def influence_figure(found: Findings) -> Any:
         axes = figure.subplots()
         height = 0.8 / len(shown)
         for place, each in enumerate(shown):
-            by_factor = {item.factor: item.share for item in each.influences[main]}
+            by_factor = {item.factor: item.explained for item in each.influences[main]}
             rows = np.arange(len(factors)) + (place - (len(shown) - 1) / 2) * height
-            shares = [100 * by_factor.get(name, 0.0) for name in factors]
-            axes.barh(rows, shares, 0.9 * height, label=_short(each), color=look(place)["color"])
+            fractions = [100 * by_factor.get(name, 0.0) for name in factors]
+            axes.barh(rows, fractions, 0.9 * height, label=_short(each), color=look(place)["color"])
         axes.set_yticks(range(len(factors)), [verbatim(name) for name in factors])
         axes.set_ylim(len(factors) - 0.5, -0.5)
         axes.set_xlim(left=0)
@@ -150,8 +152,8 @@ def influence_figure(found: Findings) -> Any:
     return figure
 
 
-def map_figure(found: Findings, maps: Sequence[Drawn]) -> Any:
-    """A row per grid point: median of the main figure in each bin, and share of the runs that diverged."""
+def map_figure(found: Findings, maps: Sequence[PointMap]) -> Any:
+    """A row per grid point: median of the main figure in each bin, and fraction of the runs that diverged."""
     import matplotlib as mpl
 
     main = found.results.main
@@ -184,7 +186,7 @@ def map_figure(found: Findings, maps: Sequence[Drawn]) -> Any:
     return figure
 
 
-def _field(found: Findings, axes: Any, drawn: Drawn, values: np.ndarray, norm: Any, colours: str, name: str) -> None:
+def _field(found: Findings, axes: Any, drawn: PointMap, values: np.ndarray, norm: Any, colours: str, name: str) -> None:
     import matplotlib as mpl
 
     x, y = (_edges(axis, label(found, key)[1]) for axis, key in ((drawn.map.x, drawn.x), (drawn.map.y, drawn.y)))
@@ -245,6 +247,6 @@ def plain_log_axis(axes: Any, *, few: bool = True) -> None:
     axes.xaxis.set_minor_formatter(NullFormatter())
 
 
-def _short(each: Found) -> str:
+def _short(each: PointFindings) -> str:
     """Name of a grid point for a legend."""
     return verbatim(each.name or "all runs")

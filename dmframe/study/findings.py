@@ -1,4 +1,4 @@
-"""Findings of a study for its report: shares, quantiles, comparisons, influences and maps."""
+"""Findings of a study for its report: proportions, quantiles, comparisons, influences and maps."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Final, final
 
 import numpy as np
 
-from dmframe.errors import DmframeError, UnknownNameError, ValueFault, raise_all
+from dmframe.common.errors import DmframeError, UnknownNameError, ValueFault, raise_all
+from dmframe.common.units import plain, to_unit
 from dmframe.study.results import Results
 from dmframe.study.sheet import LEAST, Sheet, is_time
 from dmframe.study.statistics import (
@@ -17,16 +18,15 @@ from dmframe.study.statistics import (
     Influence,
     Map,
     Paired,
+    Proportion,
     Quantile,
-    Share,
     adjusted,
     influence,
     map_of,
     paired,
+    proportion,
     quantile,
-    share,
 )
-from dmframe.units import plain, to_unit
 
 DIVERGED: Final = "diverged"
 EIGHTHS: Final = tuple(f"rms_{k}" for k in range(1, 9))
@@ -89,7 +89,7 @@ def event_of(text: str, units: Mapping[str, str]) -> Event:
 
 @final
 @dataclass(frozen=True)
-class Found:
+class PointFindings:
     """Findings at one grid point.
 
     Parameters
@@ -97,7 +97,7 @@ class Found:
     runs, failed, missing
         Numbers of completed runs, of runs that could not be prepared, and of runs that have not been computed.
     alone, together
-        Share of each event, with intervals for this point alone, and with intervals that hold at all points at once.
+        Proportion of each event, with intervals for this point, and with intervals that hold at all points at once.
     quantiles
         By figure.
     eighths
@@ -111,8 +111,8 @@ class Found:
     runs: int
     failed: int
     missing: int
-    alone: tuple[Share, ...]
-    together: tuple[Share, ...]
+    alone: tuple[Proportion, ...]
+    together: tuple[Proportion, ...]
     quantiles: Mapping[str, tuple[Quantile, ...]]
     eighths: np.ndarray
     influences: Mapping[str, tuple[Influence, ...]]
@@ -133,7 +133,7 @@ class Compared:
 
 @final
 @dataclass(frozen=True)
-class Drawn:
+class PointMap:
     """A map of one grid point, or of all if one of its axes is a grid quantity."""
 
     x: str
@@ -150,12 +150,12 @@ class Findings:
     results: Results
     sheet: Sheet
     events: tuple[Event, ...]
-    points: tuple[Found, ...]
+    points: tuple[PointFindings, ...]
     comparisons: tuple[Compared, ...]
-    maps: tuple[Drawn, ...]
+    maps: tuple[PointMap, ...]
 
     @property
-    def steady(self) -> list[Found]:
+    def steady(self) -> list[PointFindings]:
         """The points with runs, none of which diverged."""
         place = [event.figure for event in self.events].index(DIVERGED)
         return [found for found in self.points if found.runs and not found.alone[place].count]
@@ -203,20 +203,20 @@ def findings_of(results: Results) -> Findings:
     )
 
 
-def _found(results: Results, sheet: Sheet, events: Sequence[Event], figures: Sequence[str], k: int) -> Found:
+def _found(results: Results, sheet: Sheet, events: Sequence[Event], figures: Sequence[str], k: int) -> PointFindings:
     independent = results.independent
     happened = [event.happened(sheet)[k][event.known(sheet)[k]] for event in events]
     values = {figure: sheet.of(k, sheet.figure(figure)) for figure in figures}
     values = {figure: column[~np.isnan(column)] for figure, column in values.items()}
     ps = results.study.file.report.quantiles if sheet.samples > 1 else ()
-    return Found(
+    return PointFindings(
         k,
         results.names[k],
         int(sheet.done[k].sum()),
         int(sheet.failed[k].sum()),
         int((~sheet.done[k] & ~sheet.failed[k]).sum()),
-        tuple(share(each, independent=independent) for each in happened),
-        tuple(share(each, independent=independent, together=sheet.points) for each in happened),
+        tuple(proportion(each, independent=independent) for each in happened),
+        tuple(proportion(each, independent=independent, together=sheet.points) for each in happened),
         {
             figure: tuple(quantile(column, p, independent=independent) for p in ps)
             for figure, column in values.items()
@@ -255,11 +255,11 @@ def _influences(results: Results, sheet: Sheet, k: int) -> dict[str, tuple[Influ
         each = [influence(name, sheet.draws(name, k), values, independent=results.independent) for name in factors]
         ps = adjusted([item.chance for item in each])
         each = [
-            Influence(item.factor, item.share, None if item.p is None else p, p)
+            Influence(item.factor, item.explained, None if item.p is None else p, p)
             for item, p in zip(each, ps, strict=True)
         ]
         if each:
-            found[figure] = tuple(sorted(each, key=lambda item: -item.share))
+            found[figure] = tuple(sorted(each, key=lambda item: -item.explained))
     return found
 
 
@@ -283,24 +283,24 @@ def _compared(results: Results, sheet: Sheet) -> tuple[Compared, ...]:
     )
 
 
-def _maps(results: Results, sheet: Sheet) -> list[Drawn]:
+def _maps(results: Results, sheet: Sheet) -> list[PointMap]:
     grid = {column.name for column in results.study.varied if column.kind == "grid"}
     logs = {
         name: factor.spread is not None and factor.spread.kind == "log"
         for factor in results.study.factors
         for name in factor.columns
     }
-    values, found = sheet.figure(results.main), list[Drawn]()
+    values, found = sheet.figure(results.main), list[PointMap]()
     for x, y in _pairs(results, sheet):
         if not {x, y} <= sheet.columns.keys():
             continue  # texts cannot be on an axis
         both = logs.get(x, False), logs.get(y, False)
         if {x, y} & grid:
             across, up = sheet.columns[x], sheet.columns[y]
-            found.append(Drawn(x, y, "", map_of(across.ravel(), up.ravel(), values.ravel(), logs=both)))
+            found.append(PointMap(x, y, "", map_of(across.ravel(), up.ravel(), values.ravel(), logs=both)))
             continue
         found += [
-            Drawn(x, y, results.names[k], map_of(sheet.draws(x, k), sheet.draws(y, k), values[k], logs=both))
+            PointMap(x, y, results.names[k], map_of(sheet.draws(x, k), sheet.draws(y, k), values[k], logs=both))
             for k in range(min(sheet.points, SHOWN))
         ]
     return found

@@ -7,11 +7,11 @@ from typing import Annotated, Any, Final, Literal, TypeAlias, final
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, model_validator
 
+from dmframe.common.errors import DmframeError, Faults
 from dmframe.config.document import Document, Kind
 from dmframe.config.grammar import Path, Section, seed_of, shown
 from dmframe.config.grammar import version as checked_version
 from dmframe.config.places import placed
-from dmframe.errors import DmframeError, Faults
 
 STUDY: Final = Kind("study", "dmframe-study: 1")
 VERSION: Final = "dmframe-study"
@@ -55,7 +55,7 @@ Labels: TypeAlias = Annotated[
     BeforeValidator(_labels),
     WithJsonSchema({"type": ["string", "array"], "items": {"type": "string"}}),
 ]
-"""Names, or one of them alone."""
+"""A name, or a list of names."""
 
 KINDS: Final = ("uniform", "log", "normal")
 _DRAWN: Final = {
@@ -108,7 +108,7 @@ class Variation(Distribution):
 
     scale: Factors = Field(None, description="a factor of the graph's own value")
     shift: Factors = Field(None, description="a difference from the graph's own value")
-    of: Labels = Field((), description="the parameters that vary together, by one draw, under a name of your own")
+    of: Labels = Field((), description="the parameters that vary together, by one draw, under a name of your choice")
     per: Literal["joint", "element"] | None = Field(
         None, description="a draw for each joint, or for each element; by default, one for all"
     )
@@ -154,7 +154,7 @@ class SampleSection(_Open):
     runs: Count = Field(1, description="how many samples; each is run at every point of the grid")
     method: Literal["random", "latin_hypercube", "sobol"] = Field(
         "random",
-        description="random: independent; sobol: evenly spread, and it extends; latin_hypercube: so, of fixed size",
+        description="random: independent; sobol: evenly spread, extensible; latin_hypercube: even, of fixed size",
     )
     seed: Annotated[int, BeforeValidator(seed_of)] = Field(0, description="seed of all random numbers")
 
@@ -183,7 +183,7 @@ class ReportSection(Section):
         ("diverged",), description="events whose probability is estimated: diverged, or a figure beyond a limit"
     )
     quantiles: tuple[Annotated[float, BeforeValidator(_fraction)], ...] = Field(
-        (0.5, 0.95, 0.99), description="of the figures, between 0 and 1"
+        (0.5, 0.95, 0.99), description="probabilities of the quantiles, between 0 and 1"
     )
     worst: dict[str, Count] = Field({"rms_final": 3}, description="how many of the worst runs by a figure are saved")
     map: Annotated[tuple[tuple[str, str], ...], BeforeValidator(_maps)] = Field(
@@ -244,7 +244,7 @@ def keys_at(path: Path) -> Sequence[str]:
     return list(Distribution.model_fields) if len(path) == 3 and within else []
 
 
-def own_name(key: str) -> bool:
+def is_user_name(key: str) -> bool:
     """True for a name other than ``block.parameter``."""
     return "." not in key
 

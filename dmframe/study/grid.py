@@ -9,20 +9,20 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from dmframe.common.errors import DmframeError, MissingError, UnknownNameError, ValueFault, raise_all
+from dmframe.common.files import made_distinct
+from dmframe.common.units import shorten
 from dmframe.config.document import Document, Node, mapping_of
 from dmframe.config.given import node_of
 from dmframe.config.grammar import KEYS, shown
 from dmframe.config.overrides import put_at
 from dmframe.config.reality import names_reality
-from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault, raise_all
-from dmframe.files import made_distinct
 from dmframe.graph.graph import Graph
-from dmframe.study.grammar import own_name
+from dmframe.study.grammar import is_user_name
 from dmframe.study.varied import SETTINGS, Factor
-from dmframe.units import shorten
 
 GRAPH: Final = "graph"
-"""The axis whose values are graphs."""
+"""Name of the axis whose values are graphs."""
 _LONGEST: Final = 40  # of a text value in a table
 _TIMES: Final = {"clock": "s", "duration": "s", "jitter": "s", "solver.step": "s", "robot.friction_velocity": "rad/s"}
 
@@ -30,7 +30,7 @@ _TIMES: Final = {"clock": "s", "duration": "s", "jitter": "s", "solver.step": "s
 @final
 @dataclass(frozen=True)
 class Given:
-    """A value that the study file sets in a graph; `place` is the value's place in the file."""
+    """Value that the study file sets in a graph; `place` is its position in the file."""
 
     label: str
     node: Node
@@ -60,13 +60,13 @@ class Case:
     Parameters
     ----------
     value
-        In the table: a number in the axis's unit, or a text.
+        Value in the table: a number in the axis's unit, or a text.
     sets
-        Values that it sets in the graph.
+        Values to be set in the graph.
     factor
-        Of the axis's parameters.
+        Factor on the axis's parameters.
     graph
-        Name of its graph; empty for the study's own.
+        Name of the graph; empty for the study's graph.
     """
 
     value: float | str
@@ -141,7 +141,7 @@ def _scaled(name: str, entry: Mapping[str, tuple[Node, Node]], path: tuple[str, 
     labels = [of] if isinstance(of, str) else of
     if not isinstance(labels, list) or not labels or not all(isinstance(item, str) for item in labels):
         raise ValueFault(f"grid.{name}.of: expected names of parameters, found {shown(of)}", path=(*path, "of"))
-    if "of" not in data and own_name(name) and name not in SETTINGS:
+    if "of" not in data and is_user_name(name) and name not in SETTINGS:
         raise MissingError(
             f"grid.{name}: expected block.parameter, or a key of, the parameters that are scaled", path=path
         )
@@ -157,7 +157,7 @@ def _scaled(name: str, entry: Mapping[str, tuple[Node, Node]], path: tuple[str, 
 
 
 def _named(name: str, key: str, node: Node, document: Document) -> Case:
-    """A named case, which sets several values."""
+    """Named case, which sets several values."""
     path = ("grid", name, key)
     if not isinstance(node.value, dict):
         raise ValueFault(f"grid.{name}.{key}: expected keys with values, found {shown(node.value)}", path=path)
@@ -217,7 +217,7 @@ def with_values_of(axis: Axis, graphs: Sequence[Graph]) -> Axis:
 
 def _number(label: str, graph: Graph) -> tuple[float | None, str]:
     """A value as the graph parses it, and its unit; None if it is not one number."""
-    from dmframe.parameter import specs
+    from dmframe.block.parameter import specs
 
     keys = label.removeprefix("blocks.").split(".")
     if len(keys) == 2 and keys[0] in graph.blocks:

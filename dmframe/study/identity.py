@@ -1,4 +1,4 @@
-"""Identity of a study: everything that decides the numbers of a row, and nothing else."""
+"""Identity of a study: all inputs that determine the numbers of a row."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from dmframe.common.version import version
 from dmframe.config.resolved import companions, resolved, robot_source
 from dmframe.graph.graph import Graph
 from dmframe.study.design import Spread
-from dmframe.version import version
 
 if TYPE_CHECKING:
     from dmframe.study.plan import Study
@@ -72,7 +72,7 @@ def key_of(identity: Mapping[str, Any]) -> str:
 
 
 def files_of(study: Study) -> dict[str, str]:
-    """Digest of each file that decides the dynamics: sources of blocks, models of robots."""
+    """Digest of each file that determines the dynamics: sources of blocks, models of robots."""
     found = dict[str, str]()
     for graph in graphs_of(study):
         for path in _paths(graph):
@@ -81,7 +81,7 @@ def files_of(study: Study) -> dict[str, str]:
 
 
 def graphs_of(study: Study) -> list[Graph]:
-    """Its graphs, and one for each case with a block or a robot of its own: together they name all files."""
+    """Graphs that together name all files: those of the study, and one per case with its own block or robot."""
     points = study.cases_that(lambda axis: any(label.split(".")[0] in ("blocks", "robot") for label in axis.labels))
     return [*study.bases.values(), *(point.graph for point in points)]
 

@@ -1,4 +1,4 @@
-"""Journal of a study's folder: ``study.lock.json``, which study it holds, and ``chunks.jsonl``, a line per chunk."""
+"""Journal of a study's folder: ``study.lock.json`` with its identity, and ``chunks.jsonl``, a line per chunk."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any, Final, final
 
-from dmframe.errors import OutputError
-from dmframe.files import append, is_hidden, put
+from dmframe.common.errors import OutputError
+from dmframe.common.files import append, is_hidden, put
+from dmframe.common.units import shorten
 from dmframe.study.chunks import Extent
 from dmframe.study.executor import versions
-from dmframe.units import shorten
 
 LOCK: Final = "study.lock.json"
 CHUNKS: Final = "chunks.jsonl"
@@ -23,7 +23,7 @@ _SHOWN: Final = 4
 
 @final
 @dataclass(frozen=True)
-class Kept:
+class ChunkEntry:
     """A chunk that was written: one line of ``chunks.jsonl``."""
 
     file: str
@@ -33,16 +33,16 @@ class Kept:
     made: Mapping[str, str]
 
 
-def kept_in(folder: Path) -> dict[str, Kept]:
-    """The last line of each file; an incomplete line is of a process that was ended."""
-    found = dict[str, Kept]()
+def entries_in(folder: Path) -> dict[str, ChunkEntry]:
+    """Last line of each file; an incomplete line was left by a process that was ended."""
+    found = dict[str, ChunkEntry]()
     try:
         text = (folder / CHUNKS).read_text(encoding="utf-8", errors="replace")
     except FileNotFoundError:
         return found
     for line in text.splitlines():
         try:
-            kept = Kept(**json.loads(line))
+            kept = ChunkEntry(**json.loads(line))
         except (ValueError, TypeError):
             continue
         found[kept.file] = kept
@@ -82,13 +82,13 @@ def read_lock(path: Path) -> dict[str, Any] | None:
         return None
     except (OSError, ValueError, TypeError, AttributeError):
         raise OutputError(
-            f"{path / LOCK}: expected what a study has written, found something else; name another folder"
+            f"{path / LOCK}: expected the record of a study, found something else; name another folder"
         ) from None
     return dict(lock)
 
 
-def begun_as(path: Path) -> str:
-    """Name of the study that a folder holds; empty if it holds none."""
+def study_name_in(path: Path) -> str:
+    """Name of the study in a folder; empty if there is none."""
     try:
         name = json.loads((path / LOCK).read_text(encoding="utf-8"))["study"]
     except (OSError, ValueError, KeyError, TypeError):
@@ -108,9 +108,9 @@ def _checked(lock: Mapping[str, Any]) -> None:
 
 
 def difference(lock: Mapping[str, Any], identity: Mapping[str, Any]) -> str:
-    """What has changed since a study was begun, in one sentence; empty if nothing has."""
-    old = _leaves(lock["identity"]) | _leaves(lock["versions"], "versions.")
-    now = _leaves(plain(identity)) | _leaves(dict(versions()), "versions.")
+    """Changes since a study was started, in one sentence; empty if there are none."""
+    old = _items(lock["identity"]) | _items(lock["versions"], "versions.")
+    now = _items(plain(identity)) | _items(dict(versions()), "versions.")
     changed = [name for name in {**old, **now} if old.get(name) != now.get(name)]
     shown = [f"{name} was {_shown(old, name)}, now {_shown(now, name)}" for name in changed[:_SHOWN]]
     more = f"; and {len(changed) - _SHOWN} more" if len(changed) > _SHOWN else ""
@@ -122,12 +122,12 @@ def plain(data: Any) -> Any:
     return json.loads(json.dumps(data, default=str))
 
 
-def _leaves(data: Any, path: str = "") -> dict[str, str]:
+def _items(data: Any, path: str = "") -> dict[str, str]:
     """Each number and text in nested data, by its path."""
     if not isinstance(data, dict):
         return {path.strip("."): json.dumps(data)}
-    return {name: leaf for key, value in data.items() for name, leaf in _leaves(value, f"{path}{key}.").items()}
+    return {name: leaf for key, value in data.items() for name, leaf in _items(value, f"{path}{key}.").items()}
 
 
-def _shown(leaves: Mapping[str, str], name: str) -> str:
-    return shorten(leaves[name]) if name in leaves else "nothing"
+def _shown(items: Mapping[str, str], name: str) -> str:
+    return shorten(items[name]) if name in items else "nothing"

@@ -1,4 +1,4 @@
-"""Locks among processes that the operating system releases when their owner ends, however it ends."""
+"""File locks that the operating system releases when their process ends."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, final
 
-from dmframe.files import flocked, writing
+from dmframe.common.files import flocked, writing
 
 FOLDER_LOCK: Final = ".dmframe-study.lock"
 """The file that is locked while a process writes to a study's folder."""
@@ -18,8 +18,8 @@ FOLDER_LOCK: Final = ".dmframe-study.lock"
 class KernelLock:
     """``flock`` on a file next to the locked one, with Optuna's interface: `acquire` and `release`.
 
-    Optuna's own lock is a file that exists while the lock is taken: the file of a killed process stays, and delays the
-    next one for half a minute. Here the file may stay.
+    Optuna's lock is a file that exists while the lock is taken: after a killed process it remains, and delays the next
+    one for half a minute. A `flock` is released with its process.
     """
 
     def __init__(self, path: Path) -> None:
@@ -51,7 +51,7 @@ def journal_lock(path: Path) -> Any:
 
 
 @contextmanager
-def alone_in(folder: Path) -> Iterator[None]:
+def exclusive(folder: Path) -> Iterator[None]:
     """Lock a folder while this process uses it, if the system has ``flock``. Raises `OutputError` if it is locked."""
     busy = f"{folder}: another study or race runs there; wait until it has ended, or name another folder"
     with writing(folder, "folder"):

@@ -1,16 +1,16 @@
-"""Numbers in a study's page; a limit is rounded to the side that keeps it true."""
+"""Numbers in a study's page; limits are rounded conservatively."""
 
 from __future__ import annotations
 
 import math
 from typing import Final
 
-from dmframe.study.statistics import Quantile, Share
+from dmframe.common.units import plain
+from dmframe.study.statistics import Proportion, Quantile
 from dmframe.study.varied import Factor
-from dmframe.units import plain
 
 ALMOST: Final = 0.999999
-"""Largest share that is printed with more digits."""
+"""Largest proportion that is printed with more digits."""
 
 
 def count(number: int) -> str:
@@ -18,15 +18,15 @@ def count(number: int) -> str:
     return f"{number:,}".replace(",", " ")
 
 
-def percent(share: float, up: bool | None = None) -> str:
-    """A share with two digits, rounded up or down if it is a limit; near 1, two digits of its difference from 1."""
-    if not math.isfinite(share):
+def percent(proportion: float, up: bool | None = None) -> str:
+    """Percentage with two digits, rounded up or down if it is a limit; near 1, two digits of its difference from 1."""
+    if not math.isfinite(proportion):
         return "-"
-    if share > ALMOST:
-        return "100 %" if up or share >= 1 else "99.9999 %"
-    if share > 0.99:
-        return f"{100 - _two(100 * (1 - share), None if up is None else not up):.10g} %"
-    return f"{_two(100 * share, up):.10g} %"
+    if proportion > ALMOST:
+        return "100 %" if up or proportion >= 1 else "99.9999 %"
+    if proportion > 0.99:
+        return f"{100 - _two(100 * (1 - proportion), None if up is None else not up):.10g} %"
+    return f"{_two(100 * proportion, up):.10g} %"
 
 
 def _two(value: float, up: bool | None) -> float:
@@ -40,11 +40,11 @@ def _two(value: float, up: bool | None) -> float:
     return float(f"{rounded * power:.12g}")
 
 
-def interval(share: Share) -> str:
-    """Two-sided interval of a share; empty without one."""
-    if share.low is None or share.high is None:
+def interval(proportion: Proportion) -> str:
+    """Two-sided interval of a proportion; empty without one."""
+    if proportion.low is None or proportion.high is None:
         return ""
-    return f"{percent(share.low, up=False)} to {percent(share.high, up=True)}"
+    return f"{percent(proportion.low, up=False)} to {percent(proportion.high, up=True)}"
 
 
 def figure(value: float, unit: str) -> str:
@@ -76,7 +76,7 @@ def span(low: float, high: float, unit: str) -> str:
 
 
 def distribution(factor: Factor) -> str:
-    """How a quantity is sampled or searched, in words."""
+    """Distribution of a sampled or searched quantity as text."""
     spread, unit = factor.spread, factor.unit
     if spread is None:
         return ""

@@ -11,10 +11,10 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.batch.columns import Column
+from dmframe.block.port import Side
+from dmframe.common.errors import DmframeError, UnknownNameError, ValueFault
+from dmframe.common.units import plain, to_unit
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError, UnknownNameError, ValueFault
-from dmframe.port import Side
-from dmframe.units import plain, to_unit
 
 EFFORT: Final = "effort"
 """Figure of the servo's voltages: Euclidean norm of their RMS in the last eighth."""
@@ -37,18 +37,18 @@ class Statistic:
     ----------
     text
         In the study's file, ``worst rms_final``.
-    share
+    probability
         Probability of the quantile: 1 for the worst, 0.5 for the median; None for the mean.
     figure
-        The figure's name, or `EFFORT`.
+        Name of the figure, or `EFFORT`.
     columns
-        Of the table: the figure is the norm of RMS values over a signal's rows, the largest of other figures.
+        Columns of the table; RMS values of a signal's rows are combined by their norm, other figures by their maximum.
     unit
-        Of the figure.
+        Unit of the figure.
     """
 
     text: str
-    share: float | None
+    probability: float | None
     figure: str
     columns: tuple[str, ...]
     unit: str
@@ -70,11 +70,11 @@ class Statistic:
         return self.at_least(figures, len(figures))
 
     def at_least(self, figures: np.ndarray, runs: int) -> float:
-        """Lower bound of the statistic over `runs` runs, of which only these figures are known."""
+        """Lower bound of the statistic over `runs` runs if only these figures are known."""
         rest, floor = runs - len(figures), 0.0 if _NOT_NEGATIVE.fullmatch(self.figure) else -math.inf
-        if self.share is None:
+        if self.probability is None:
             return float((figures.sum() + (rest * floor if rest else 0.0)) / runs)
-        place = max(math.ceil(self.share * runs - 1e-9), 1) - 1 - rest
+        place = max(math.ceil(self.probability * runs - 1e-9), 1) - 1 - rest
         return float(np.sort(figures)[place]) if place >= 0 else floor
 
     def shown(self, value: float) -> str:
@@ -96,7 +96,7 @@ class Bound:
         """The constraint in words."""
         return f"{self.statistic.text} {'>=' if self.above else '<='} {plain(self.limit, self.statistic.unit, 4)}"
 
-    def excess(self, value: float) -> float:
+    def violation(self, value: float) -> float:
         """Violation relative to the limit; at most zero if the constraint holds."""
         beyond = self.limit - value if self.above else value - self.limit
         return min(beyond / (abs(self.limit) or 1.0), 1e6)
@@ -137,9 +137,9 @@ def statistic(text: str, columns: Sequence[Column], diagram: Diagram) -> Statist
             f"expected worst, median, mean or quantile 0.95 and a figure, such as worst rms_final, found {text!r:.60}"
         )
     word, quantile, figure = found.groups()
-    share = {"worst": 1.0, "median": 0.5, "mean": None}[word] if word else _share(quantile)
+    probability = {"worst": 1.0, "median": 0.5, "mean": None}[word] if word else _probability(quantile)
     names, unit = _columns(figure, columns, diagram)
-    return Statistic(text.strip(), share, figure, names, unit)
+    return Statistic(text.strip(), probability, figure, names, unit)
 
 
 def bound(text: str, columns: Sequence[Column], diagram: Diagram) -> Bound:
@@ -162,14 +162,14 @@ def least_period(text: str) -> float | None:
     return to_unit(found[3], "s")
 
 
-def _share(text: str) -> float:
+def _probability(text: str) -> float:
     try:
-        share = float(text)
+        probability = float(text)
     except ValueError:
-        share = math.nan
-    if not 0 < share <= 1:
+        probability = math.nan
+    if not 0 < probability <= 1:
         raise ValueFault(f"expected a quantile between 0 and 1, found {text}")
-    return share
+    return probability
 
 
 def _columns(figure: str, columns: Sequence[Column], diagram: Diagram) -> tuple[tuple[str, ...], str]:

@@ -1,4 +1,4 @@
-"""Files that go with a study: into its folder, and to workers on other machines."""
+"""Files of a study for its folder and for workers on other machines."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
+from dmframe.common.files import encoded, write_text, writing
 from dmframe.config.document import Document
 from dmframe.config.resolved import companions, resolved_text
-from dmframe.files import encoded, write_text, writing
 from dmframe.graph.graph import Graph
 from dmframe.study.identity import graphs_of
 
@@ -35,9 +35,9 @@ def write_graph(graph: Graph, path: Path) -> None:
 
 
 def folder_files(study: Study) -> dict[str, bytes]:
-    """Contents of the files of a study's folder, by name, which make the folder self-contained.
+    """Contents, by name, of the files that make a study's folder self-contained.
 
-    The study itself; its graph with all defaults written out; graphs, blocks and robots that it names by path.
+    These are the study, its graph with all defaults, and graphs, blocks and robots that it names by path.
     """
     text, found = study.text, {GRAPH: encoded(resolved_text(study.bases[""]))}
     for key, graph in study.bases.items():

@@ -11,7 +11,7 @@ from dmframe.report.tags import Html, joined, plain, tag
 
 
 def study_page(kind: str, name: str, title: str, note: str, answer: Lead, sections: Sequence[Section]) -> str:
-    """The page as one self-contained file; `kind` stands above the name, the title and a note below it."""
+    """The page as one self-contained file; `kind` is printed above the name, the title and a note below it."""
     head = [tag("p", plain(kind), class_="doc-kind"), tag("h1", plain(name))]
     head += [tag("p", plain(title), class_="doc-title")] if title else []
     head += [tag("p", plain(note), class_="note")] if note else []

@@ -1,4 +1,4 @@
-"""A study: a graph, what varies over how many runs, and each of its runs as a row or as a graph of its own."""
+"""Study: a graph, its varied quantities, and its runs as table rows or as graphs."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 
 from dmframe.batch.columns import Column, Columns, columns_of, joined, limits_in, row_of, rows_of, units_of
-from dmframe.batch.figures import ERROR, TURN, Wanted
+from dmframe.batch.figures import ERROR, TURN, MeasuredSignals
 from dmframe.batch.runner import Runner, Runs
+from dmframe.common.errors import DmframeError, UnknownNameError, ValueFault, raise_all
 from dmframe.config.document import Document
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError, UnknownNameError, ValueFault, raise_all
 from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording
 from dmframe.study.design import Design
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from dmframe.study.results import Results
 
 _READY: Final = 4
-"""Unpickled studies that a worker process keeps, with their closed loops."""
+"""Number of unpickled studies, with their closed loops, in a worker's cache."""
 
 
 @final
@@ -41,9 +41,9 @@ class Point:
     Parameters
     ----------
     index
-        Its number; the last axis changes first.
+        Index of the point; the last axis varies fastest.
     values
-        By column of the grid.
+        Values by column of the grid.
     """
 
     index: int
@@ -53,7 +53,7 @@ class Point:
 
     @cached_property
     def graph(self) -> Graph:
-        """The study's graph at this point, without what is sampled. Raises `DmframeError` at its place in the study."""
+        """Graph at this point, without sampled quantities. Raises `DmframeError` at its place in the study."""
         study = self.study
         base = study.bases[next((case.graph for case in reversed(self.cases) if case.graph), "")]
         found = changed(base, [given for case in self.cases for given in case.sets])
@@ -68,7 +68,7 @@ class Point:
 @final
 @dataclass(frozen=True, repr=False, eq=False)
 class Study:
-    """Graphs, what varies, and the number of runs; immutable.
+    """Graphs, varied quantities, and the number of runs; immutable.
 
     Parameters
     ----------
@@ -83,11 +83,11 @@ class Study:
     file
         The same, validated.
     bases
-        The graphs with the section ``set`` applied: the study's own under "", others by their name in the grid.
+        The graphs with the section ``set`` applied: the study's graph under "", others by their name in the grid.
     axes
-        Of the grid.
+        Axes of the grid.
     factors
-        What is sampled.
+        Sampled quantities.
     """
 
     name: str
@@ -146,7 +146,7 @@ class Study:
 
     @property
     def varied(self) -> tuple[Column, ...]:
-        """The table's columns of what varies."""
+        """Columns of varied quantities in the table."""
         grid = [Column(axis.name, axis.unit, "grid", "scale" if axis.scaled else "value") for axis in self.axes]
         sampled = [
             Column(name, factor.unit, "sampled", factor.how) for factor in self.factors for name in factor.columns
@@ -155,7 +155,7 @@ class Study:
 
     @cached_property
     def measures(self) -> tuple[Column, ...]:
-        """The table's columns of figures, of all closed loops that the grid has.
+        """Columns of figures in the table, for all closed loops of the grid.
 
         Raises
         ------
@@ -175,36 +175,36 @@ class Study:
                 found.setdefault(column.name, column)
         return tuple(found.values())
 
-    def wanted(self, diagram: Diagram) -> Wanted:
+    def wanted(self, diagram: Diagram) -> MeasuredSignals:
         """What to measure of a loop: the signals of the study's file that it has, and limits in their units."""
         units, section = units_of(diagram), self.file.measure
         limits, faults = limits_in(units, section.limits, "measure.limits")
         raise_placed(faults, self.document)
         signals = dict.fromkeys([*(label for label in section.signals if label in units), *limits])
-        return Wanted(tuple(label for label in signals if label not in (ERROR, TURN)), limits)
+        return MeasuredSignals(tuple(label for label in signals if label not in (ERROR, TURN)), limits)
 
     @cached_property
     def key(self) -> str:
-        """Digest of everything that decides the numbers of a row, but not of the number of rows."""
+        """Digest of all inputs that determine the numbers of a row; the number of rows is not included."""
         return key_of(self.identity)
 
     @cached_property
     def identity(self) -> Mapping[str, Any]:
-        """The plain data whose digest is `key`, to report how two studies differ."""
+        """Data whose digest is `key`, for the comparison of two studies."""
         return identity_of(self)
 
     def drawn(self, first: int, stop: int) -> dict[str, np.ndarray]:
-        """What is drawn for the samples [first, stop), by column."""
+        """Drawn values of the samples [first, stop), by column."""
         return self.drawn_at(np.arange(first, stop, dtype=np.int64))
 
     def drawn_at(self, samples: np.ndarray) -> dict[str, np.ndarray]:
-        """What is drawn for some samples, by column."""
+        """Drawn values of some samples, by column."""
         design, first = self.design, int(samples.min(initial=self.samples))
         points = design.points(first, int(samples.max(initial=first - 1)) + 1)[samples - first]
         found = dict[str, np.ndarray]()
         for factor in self.factors:
             for name in factor.columns:
-                assert factor.spread is not None  # only a grid's factors have none
+                assert factor.spread is not None  # only factors of a grid have none
                 found[name] = factor.spread.at(points[:, design.names.index(name)])
         return found
 
@@ -243,7 +243,7 @@ class Study:
         return joined([head | rows_of(part, self.measures) for head, part in zip(heads, found, strict=True)])
 
     def _head(self, point: int, samples: np.ndarray) -> Columns:
-        """Numbers of the runs, and what varies."""
+        """Numbers of the runs, and the values of varied quantities."""
         count = len(samples)
         head: Columns = {"run": samples * len(self.points) + point, "point": np.full(count, point, dtype=np.int32)}
         head["sample"] = np.asarray(samples, dtype=np.int64)
@@ -289,22 +289,22 @@ class Study:
 
     @property
     def engine(self) -> str:
-        """What ran the last rows of this process: ``SIMD batch of 8``, ``compiled``, ``interpreted``."""
+        """Engine of the last rows in this process: ``SIMD batch of 8``, ``compiled``, ``interpreted``."""
         return self.runner.engine
 
     @cached_property
     def runner(self) -> Runner:
-        """Closed loops that this process has ready."""
+        """Closed loops that this process has built."""
         return Runner()
 
     def altered(self, **changes: Any) -> Study:
-        """The study with other fields, on the closed loops that are ready."""
+        """Copy of the study with other fields and the same closed loops."""
         other = replace(self, **changes)
         other.__dict__["runner"] = self.runner
         return other
 
     def check(self) -> None:
-        """Build each closed loop, and prepare a run's values at each point.
+        """Build each closed loop, and prepare the values of a run at each point.
 
         Raises
         ------
@@ -322,7 +322,7 @@ class Study:
 
     @cached_property
     def diagrams(self) -> list[Diagram]:
-        """The closed loops of the cases of each axis, the others at their first case."""
+        """Closed loops of the cases of each axis, with the other axes at their first case."""
         points = [self.points[0], *self.cases_that(_shapes)]
         found = [self.runner.loop_of(point.graph)[0] for point in points]
         return list({id(diagram): diagram for diagram in found}.values())

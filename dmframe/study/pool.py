@@ -20,7 +20,7 @@ from multiprocessing.connection import Connection, Pipe, wait
 from queue import SimpleQueue
 from typing import IO, Any, Final, final
 
-from dmframe.errors import EngineError, visible
+from dmframe.common.errors import EngineError, visible
 from dmframe.simulate.many import cores
 from dmframe.study.chunks import Chunk
 from dmframe.study.executor import Answer, Computable, Executor, Failed, compute
@@ -99,7 +99,7 @@ class Pool(Executor):
                 worker.pipe.send(worker.chunk)
 
     def _read(self, worker: _Worker) -> None:
-        """Take an answer; of a worker that ended, its chunk as failed."""
+        """Read the answer of a worker; if the worker has ended, its chunk failed."""
         chunk = worker.chunk
         try:
             answer = worker.pipe.recv()
@@ -139,14 +139,14 @@ class _Worker:
             self.pipe.send_bytes(study)
 
     def close(self) -> str:
-        """Close the connection, upon which the process ends; returns why it ended, if it had ended before."""
+        """Close the connection, which ends the process; returns the reason if it had ended before."""
         self.pipe.close()
         status = self.process.wait()
         with self._errors as file:
             file.seek(0)
             lines = file.read().decode("utf-8", "replace").strip().splitlines()
         if status == -signal.SIGKILL:
-            return "killed, as by a system that runs out of memory"
+            return "killed, possibly because memory ran out"
         if status < 0:
             return f"signal {-status}"
         return visible(lines[-1]) if lines else f"exit status {status}"

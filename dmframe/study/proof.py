@@ -10,16 +10,16 @@ from dmframe.block.model import SYMBOLIC
 from dmframe.certify import Verdict, verify
 from dmframe.certify.checked import Checked
 from dmframe.certify.over import NEEDED
+from dmframe.common.errors import DmframeError
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
-from dmframe.errors import DmframeError
 from dmframe.graph.graph import Graph
 from dmframe.study.box import Box, box_of, hull
-from dmframe.study.drawn import Drawn, drawn_of
 from dmframe.study.plan import Study
+from dmframe.study.sample_proofs import SampleProofs, sample_proofs_of
 
 MOST: Final = 12
-"""Grid points at which the proof is decided, about two seconds each."""
+"""Largest number of grid points at which the proof is decided, about two seconds each."""
 
 State = Literal["proved", "refuted", "not_applicable", "not_known"]
 
@@ -34,7 +34,7 @@ class Proof:
     verdict
         None if the graph could not be built, for the reason `why`.
     drawn
-        If the whole box is not proved: which of the first samples meet every condition.
+        If the whole box is not proved: the first samples that meet every condition.
     """
 
     index: int
@@ -42,7 +42,7 @@ class Proof:
     box: Box
     verdict: Verdict | None
     why: str = ""
-    drawn: Drawn | None = None
+    drawn: SampleProofs | None = None
 
     @property
     def state(self) -> State:
@@ -93,5 +93,5 @@ def _proof(study: Study, index: int, name: str, diagram: Diagram, graph: Graph) 
         verdict = verify(diagram, uncertain=hull(box.intervals, graph.intervals(diagram)), start=start)
     drawn = None
     if (verdict.outcome != "proved" or box.unknown) and study.samples > 1 and study.factors:
-        drawn = drawn_of(study, index, diagram, box, verdict)
+        drawn = sample_proofs_of(study, index, diagram, box, verdict)
     return Proof(index, name, box, verdict, drawn=drawn)

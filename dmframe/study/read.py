@@ -11,15 +11,15 @@ from typing import Any
 from pydantic import ValidationError
 
 from dmframe.catalogue import find_graph
+from dmframe.common.errors import DmframeError, UnknownNameError, ValueFault
+from dmframe.common.files import expanded
 from dmframe.config.document import Document, Steps, read_document, read_file
 from dmframe.config.given import document_of
 from dmframe.config.grammar import fault_of
-from dmframe.errors import DmframeError, UnknownNameError, ValueFault
-from dmframe.files import expanded
 from dmframe.graph.graph import Graph
-from dmframe.study.grammar import STUDY, StudyFile, keys_at, own_name, raise_placed
+from dmframe.study.grammar import STUDY, StudyFile, is_user_name, keys_at, raise_placed
 from dmframe.study.grid import Axis, Given, axis_of, changed, scaled, with_values_of
-from dmframe.study.journal import begun_as
+from dmframe.study.journal import study_name_in
 from dmframe.study.plan import Study
 from dmframe.study.varied import SETTINGS, Factor, factors_of, set_twice
 
@@ -84,10 +84,10 @@ def load_study(
 
 
 def _name(path: Path | None) -> str:
-    """The file's name without its ending; in a folder of results, the name under which the study was begun."""
+    """The file's name without its ending; in a folder of results, the name under which the study was started."""
     if path is None:
         return TEXT
-    return (begun_as(path.parent) if path.name == KEPT else "") or path.stem
+    return (study_name_in(path.parent) if path.name == KEPT else "") or path.stem
 
 
 def _read(source: Any) -> tuple[Document, str, Path | None]:
@@ -123,7 +123,7 @@ def _checked(document: Document) -> tuple[StudyFile, list[DmframeError]]:
         entries = found if isinstance(found, dict) else {}
         for key in entries:
             known = [*keys_at((section,))]
-            if own_name(key) and key not in (*known, *SETTINGS) and not _is_group(entries[key]):
+            if is_user_name(key) and key not in (*known, *SETTINGS) and not _is_group(entries[key]):
                 faults.append(UnknownNameError(f"{section}.{key}", "key", key, known, path=(section, key)))
                 data[section] = {other: value for other, value in data[section].items() if other != key}
     try:

@@ -9,10 +9,10 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from dmframe.copies import shared
-from dmframe.files import write_bytes, write_text, writing
-from dmframe.plotting import files_of
-from dmframe.port import Side
+from dmframe.block.port import Side
+from dmframe.common.copies import shared
+from dmframe.common.files import write_bytes, write_text, writing
+from dmframe.common.plotting import files_of
 from dmframe.study.answer import ReportData, Saved, best_of, lead
 from dmframe.study.figures import figures_of
 from dmframe.study.findings import Findings, findings_of
@@ -39,7 +39,7 @@ class Reported(NamedTuple):
     answer
         Its first sentence: the verdict on the proof, and the result of the runs.
     outcome
-        Of both together: ``proved``, ``refuted``, ``not_applicable`` or ``open``.
+        Common outcome: ``proved``, ``refuted``, ``not_applicable`` or ``open``.
     proofs
         For each examined setting its name, and ``proved``, ``refuted``, ``not_applicable`` or ``not_known``.
     """
@@ -53,7 +53,7 @@ class Reported(NamedTuple):
 def reported(folder: str | Path, results: Results | None = None, *, proofs: bool = True) -> Reported:
     """Write ``report.html``, ``figures/`` and the worst runs, ``worst_1.yaml`` and so on, into a study's folder.
 
-    Earlier ones are replaced. Nothing is simulated: the table is read, and the proof is decided over what was drawn.
+    Earlier ones are replaced. No simulation: the table is read, and the proof is decided over the sampled box.
 
     Parameters
     ----------

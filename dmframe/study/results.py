@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from dmframe.errors import EngineError, MissingError, UnknownNameError, ValueFault
-from dmframe.files import expanded
+from dmframe.common.errors import EngineError, MissingError, UnknownNameError, ValueFault
+from dmframe.common.files import expanded
 from dmframe.graph.progress import counting
 from dmframe.results.folder import safe_name
 from dmframe.study.execute import State, run_study
-from dmframe.study.journal import begun_as
+from dmframe.study.journal import study_name_in
 from dmframe.study.sheet import Sheet, is_time, least_is_worst, names_of, sheet_of
-from dmframe.study.statistics import quantile, share
+from dmframe.study.statistics import proportion, quantile
 from dmframe.study.store import ROW, RUNS, polars
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 STUDY: Final = "study"
 """Name of the study's file in its folder, without the ending."""
 FINAL: Final = "rms_final"
-"""The figure that ranks runs, unless the study names another one."""
+"""Default figure for ranking runs."""
 
 
 @final
@@ -67,10 +67,10 @@ class Results:
 
     @cached_property
     def name(self) -> str:
-        """Name under which the study was begun: in the folder, the file of every study has the same name."""
-        begun = begun_as(self.folder)
-        if begun:
-            return begun
+        """Name under which the study was started: in the folder, the file of every study has the same name."""
+        name = study_name_in(self.folder)
+        if name:
+            return name
         return self.folder.resolve().name if self.study.name == STUDY else self.study.name
 
     @property
@@ -127,7 +127,7 @@ class Results:
         for point in self.study.points:
             k = point.index
             row = {"point": k, **{key: plain_value(each) for key, each in point.values.items()}}
-            lost = share(sheet.of(k, sheet.diverged), independent=self.independent)
+            lost = proportion(sheet.of(k, sheet.diverged), independent=self.independent)
             row |= {"runs": lost.runs, "failed": int(sheet.failed[k].sum()), "diverged": lost.count}
             row |= {"low": lost.low, "high": lost.high, "at_most": lost.most}
             if self.main:

@@ -6,7 +6,8 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
-from dmframe.errors import listed
+from dmframe.common.errors import listed
+from dmframe.common.units import plain
 from dmframe.report.parts import (
     Badge,
     Cell,
@@ -23,12 +24,11 @@ from dmframe.report.parts import (
 )
 from dmframe.study.answer import METHODS, ReportData, code, no_interval, outside_the_box, summary
 from dmframe.study.figures import FACTORS
-from dmframe.study.findings import DIVERGED, SHOWN, Found
+from dmframe.study.findings import DIVERGED, SHOWN, PointFindings
 from dmframe.study.numbers import between, chance, count, distribution, figure, interval, percent, span
 from dmframe.study.plan import Study
 from dmframe.study.proof import Proof
 from dmframe.study.statistics import BINS, Paired
-from dmframe.units import plain
 
 ROWS: Final = 60
 """Grid points in a table of the page; the folder's table has all."""
@@ -61,14 +61,14 @@ def sections(t: ReportData, pictures: Pictures) -> Iterator[Section]:
     if t.worst:
         yield Section("worst", "The worst runs", [*_worst(t)])
     if t.proofs:
-        drawn = " over all that was drawn" if t.found.results.study.factors else ""
+        drawn = " over the sampled box" if t.found.results.study.factors else ""
         yield Section("proof", f"The proof{drawn}", [*proof_section(t)])
     yield Section("design", "Varied quantities", [*_design(t)])
     yield Section("repeat", "To repeat the study", [*_repeat(t)])
 
 
 def _by_setting(
-    t: ReportData, heads: Sequence[Cell], cells: Callable[[Found], Sequence[Cell]], **options: Any
+    t: ReportData, heads: Sequence[Cell], cells: Callable[[PointFindings], Sequence[Cell]], **options: Any
 ) -> Table:
     """A table with a row per setting."""
     keys = ["setting"] * t.several
@@ -83,13 +83,13 @@ def _settings(t: ReportData, pictures: Pictures) -> Iterator[Part]:
         yield from _single(t)
         return
     for place, event in enumerate(found.events):
-        heads: list[Cell] = ["runs", event.name, "share", *["95 % interval", "at most"] * independent]
+        heads: list[Cell] = ["runs", event.name, "fraction", *["95 % interval", "at most"] * independent]
         heads += ["at most, all together"] * (independent and t.several)
 
-        def cells(each: Found, place: int = place) -> list[Cell]:
-            share, together = each.alone[place], each.together[place]
-            row: list[Cell] = [count(share.runs), count(share.count), percent(share.value)]
-            row += [interval(share), percent(share.most, up=True)] if share.most is not None else []
+        def cells(each: PointFindings, place: int = place) -> list[Cell]:
+            proportion, together = each.alone[place], each.together[place]
+            row: list[Cell] = [count(proportion.runs), count(proportion.count), percent(proportion.value)]
+            row += [interval(proportion), percent(proportion.most, up=True)] if proportion.most is not None else []
             return row + ([percent(together.most, up=True)] if together.most is not None and t.several else [])
 
         failing = [k for k, each in enumerate(shown) if each.alone[place].count and event.figure == DIVERGED]
@@ -117,7 +117,7 @@ def _single(t: ReportData) -> Iterator[Part]:
     names = [name for name in names if name in sheet.columns]
     ended = [float(sheet.diverged_at[each.index, 0]) for each in found.points]
 
-    def cells(each: Found) -> list[Cell]:
+    def cells(each: PointFindings) -> list[Cell]:
         row: list[Cell] = [figure(sheet.figure(name)[each.index, 0], t.unit(name)) for name in names]
         return [*row, plain(ended[each.index], "s") if math.isfinite(ended[each.index]) else ""]
 
@@ -136,7 +136,7 @@ def _quantiles(t: ReportData, name: str) -> Iterator[Part]:
     ps = next(each.quantiles[name] for each in t.found.points if name in each.quantiles)
     independent = t.found.results.independent
 
-    def cells(each: Found) -> list[Cell]:
+    def cells(each: PointFindings) -> list[Cell]:
         row = list[Cell]()
         for q in each.quantiles.get(name, ()):
             row += [figure(q.value, t.unit(name)), *([between(q, t.unit(name))] if independent else [])]
@@ -153,8 +153,8 @@ def _spread(t: ReportData, pictures: Pictures) -> Iterator[Part]:
     drawn = list[Titled]()
     if "distribution" in pictures:
         caption = Marked(
-            f"Share of the runs with at most so large a `{t.found.results.main}`. A curve that ends below 100 % lacks "
-            f"the runs that diverged.{few}"
+            f"Fraction of the runs with at most so large a `{t.found.results.main}`. A curve that ends below 100 % "
+            f"omits the runs that diverged.{few}"
         )
         drawn.append(Titled("At the end", Picture(pictures["distribution"], "distribution", caption)))
     if "eighths" in pictures:
@@ -222,31 +222,31 @@ def _maps(t: ReportData, pictures: Pictures) -> Iterator[Part]:
 def _influence(t: ReportData, pictures: Pictures) -> Iterator[Part]:
     found, main = t.found, t.found.results.main
     if "influence" in pictures:
-        caption = Marked(f"Share of the variance of `{main}`, in ranks, that each quantity explains alone.")
+        caption = Marked(f"Fraction of the variance of `{main}`, in ranks, that each quantity explains alone.")
         yield Picture(pictures["influence"], "influence", caption)
     shown = [each for each in found.points[:SHOWN] if each.influences]
     for name in dict.fromkeys(name for each in shown for name in each.influences):
         points = [each for each in shown if name in each.influences]
         tested = points[0].influences[name][0].p is not None
-        heads, rest = list[Cell](["quantity"]), list[Cell](["the rest: interactions, and effects within a bin"])
+        heads, rest = list[Cell](["quantity"]), list[Cell](["remainder: interactions, and effects within a bin"])
         rows: list[list[Cell]] = [[Word(item.factor, "code")] for item in points[0].influences[name][:FACTORS]]
         for each in points:
-            heads += [Word(each.name, "code") if each.name else "share", *["by chance"] * tested]
+            heads += [Word(each.name, "code") if each.name else "fraction", *["by chance"] * tested]
             items = {item.factor: item for item in each.influences[name]}
             for row, first in zip(rows, points[0].influences[name], strict=False):
-                row += [percent(items[first.factor].share), *[chance(items[first.factor].p)] * tested]
-            left = max(0.0, 1 - sum(item.share for item in items.values()))
+                row += [percent(items[first.factor].explained), *[chance(items[first.factor].p)] * tested]
+            left = max(0.0, 1 - sum(item.explained for item in items.values()))
             rest += [percent(left), *[""] * tested]
-        caption_ = (Word(name, "code"), ": share of the variance of ranks")
+        caption_ = (Word(name, "code"), ": fraction of the variance of ranks")
         yield Table([*rows, rest], heads, caption_, "study", keys=True, numbers=range(1, len(heads)))
     yield Paragraph(
         Marked(
             "First-order Sobol indices of the ranks, estimated from the runs themselves: the correlation ratio over "
             f"at most {BINS} bins of each quantity, without what so many bins explain by chance. Ranks are used, as "
             "an error spans decades; a run that diverged has the last rank. “By chance” is the probability of so large "
-            "a share if the quantity has no influence (Kruskal and Wallis, adjusted for the number of quantities after "
-            "Holm); a design that spreads its points has none. Interactions, and effects within a bin, are in the last "
-            "row only; with fewer runs the bins are coarser."
+            "a fraction if the quantity has no influence (Kruskal and Wallis, adjusted for the number of quantities "
+            "after Holm); a design that spreads its points has none. Interactions, and effects within a bin, are in "
+            "the last row only; with fewer runs the bins are coarser."
         ),
         note=True,
     )

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from dmframe.errors import ValueFault
-from dmframe.units import plain
+from dmframe.common.errors import ValueFault
+from dmframe.common.units import plain
 
 if TYPE_CHECKING:
     import polars as pl
@@ -45,7 +45,7 @@ class Sheet:
     diverged : (points, samples) bool
     diverged_at : (points, samples) [s]
     columns
-        Figures and factors of the table, (points, samples); nan without a row. Texts are left out.
+        Figures and factors of the table, (points, samples); NaN without a row. Texts are omitted.
     """
 
     done: np.ndarray
@@ -86,7 +86,7 @@ class Sheet:
 
 
 def sheet_of(frame: pl.LazyFrame, points: int, samples: int, names: Collection[str]) -> Sheet:
-    """Read some columns of a table; one row a run, in any order.
+    """Read some columns of a table; one row per run, in any order.
 
     Raises
     ------

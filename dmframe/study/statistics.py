@@ -1,4 +1,4 @@
-"""Statistics of many runs: shares, quantiles, comparisons and influences, with confidence intervals if they are valid.
+"""Statistics of many runs: proportions, quantiles, comparisons, influences, and their confidence intervals if valid.
 
 The figure of a run that diverged is infinite, so that it is worse than every completed run and no quantile ignores it.
 Intervals are exact or distribution-free and require independent draws; for a design that spreads its points (Sobol,
@@ -26,8 +26,8 @@ BINS: Final = 16
 
 @final
 @dataclass(frozen=True)
-class Share:
-    """Share of runs with an event.
+class Proportion:
+    """Proportion of runs with an event.
 
     Parameters
     ----------
@@ -46,12 +46,12 @@ class Share:
 
     @property
     def value(self) -> float:
-        """Share of the runs; nan without runs."""
+        """Proportion of the runs; nan without runs."""
         return self.count / self.runs if self.runs else float("nan")
 
 
-def share(happened: np.ndarray, *, independent: bool, level: float = LEVEL, together: int = 1) -> Share:
-    r"""The share of True, with the exact binomial interval of Clopper and Pearson.
+def proportion(happened: np.ndarray, *, independent: bool, level: float = LEVEL, together: int = 1) -> Proportion:
+    r"""Proportion of True values, with the exact binomial interval of Clopper and Pearson.
 
     With k of n, the upper end p of the two-sided interval solves :math:`P(B(n, p) \le k) = (1 - level) / 2`, and the
     one-sided limit the same with :math:`1 - level`.
@@ -62,7 +62,7 @@ def share(happened: np.ndarray, *, independent: bool, level: float = LEVEL, toge
     independent
         The runs are independent draws; otherwise there is no interval.
     together
-        Number of shares whose intervals hold simultaneously (Bonferroni).
+        Number of proportions whose intervals hold simultaneously (Bonferroni).
 
     References
     ----------
@@ -71,10 +71,10 @@ def share(happened: np.ndarray, *, independent: bool, level: float = LEVEL, toge
     """
     count, runs = int(np.count_nonzero(happened)), len(happened)
     if not independent or runs == 0:
-        return Share(count, runs)
+        return Proportion(count, runs)
     miss = (1 - level) / together
     low, high = (_limit(count, runs, miss / 2, upper=upper) for upper in (False, True))
-    return Share(count, runs, low, high, _limit(count, runs, miss, upper=True))
+    return Proportion(count, runs, low, high, _limit(count, runs, miss, upper=True))
 
 
 def _limit(count: int, runs: int, miss: float, *, upper: bool) -> float:
@@ -202,16 +202,16 @@ class Influence:
 
     Parameters
     ----------
-    share
-        Explained share of the variance of the figure's ranks, from 0 to 1.
+    explained
+        Explained fraction of the variance of the figure's ranks, from 0 to 1.
     p
-        Probability of so large a share if the factor has no influence; None unless the draws are independent.
+        Probability of so large a fraction if the factor has no influence; None unless the draws are independent.
     chance
         The same for any design, as a threshold for naming a factor.
     """
 
     factor: str
-    share: float
+    explained: float
     p: float | None
     chance: float
 
@@ -226,9 +226,9 @@ def influence(factor: str, draws: np.ndarray, values: np.ndarray, *, independent
         \eta^2 = \frac{\mathrm{var}(E[r \mid \text{bin}])}{\mathrm{var}(r)}, \qquad
         S = 1 - (1 - \eta^2) \frac{N - 1}{N - M},
 
-    where S excludes the share that M bins explain by chance. Ranks are used because an error spans decades; a run that
-    diverged has the last rank. Without any influence, :math:`(N - 1) \eta^2` is the statistic of Kruskal and Wallis,
-    which is chi-squared with M - 1 degrees of freedom.
+    where S excludes the fraction that M bins explain by chance. Ranks are used because an error spans decades; a run
+    that diverged has the last rank. Without any influence, :math:`(N - 1) \eta^2` is the statistic of Kruskal and
+    Wallis, which is chi-squared with M - 1 degrees of freedom.
 
     Parameters
     ----------

@@ -16,24 +16,24 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from dmframe.errors import MissingError, OutputError, ValueFault, visible
-from dmframe.files import append, encoded, expanded, put, writing
-from dmframe.seal import digest
+from dmframe.common.errors import MissingError, OutputError, ValueFault, visible
+from dmframe.common.files import append, encoded, expanded, put, writing
+from dmframe.common.seal import digest
 from dmframe.study.chunks import Chunk, Extent
 from dmframe.study.executor import Computed, versions
 from dmframe.study.journal import (
     CHUNKS,
     LOCK,
-    Kept,
+    ChunkEntry,
     difference,
     end_line,
+    entries_in,
     is_partial,
-    kept_in,
     plain,
     put_below,
     read_lock,
 )
-from dmframe.study.kernel_lock import FOLDER_LOCK, alone_in
+from dmframe.study.kernel_lock import FOLDER_LOCK, exclusive
 
 if TYPE_CHECKING:
     from dmframe.study.plan import Study
@@ -61,11 +61,11 @@ class Store:
     Attributes
     ----------
     extents, each
-        How the runs are divided into chunks, see `Sizes`.
+        Division of the runs into chunks, see `Sizes`.
     done
         Chunks whose rows are in the folder.
     notices
-        Warnings about the folder as it was found.
+        Warnings about existing files of the folder.
     """
 
     def __init__(self, path: Path, study: Study) -> None:
@@ -73,7 +73,7 @@ class Store:
         self.extents: list[Extent] = []
         self.each: tuple[int, int] | None = None
         self.done = set[Chunk]()
-        self.kept = dict[str, Kept]()
+        self.kept = dict[str, ChunkEntry]()
         self.notices: list[str] = []
         self._columns = {column.name: column.unit for column in (*study.varied, *study.measures)}
         self._types: dict[str, str] | None = None
@@ -120,7 +120,7 @@ class Store:
         buffer = io.BytesIO()
         frame.write_parquet(buffer)
         content, target = buffer.getvalue(), self.file(chunk)
-        kept = Kept(target.name, digest(content), chunk.runs, computed.seconds, computed.made)
+        kept = ChunkEntry(target.name, digest(content), chunk.runs, computed.seconds, computed.made)
         with writing(self.path, "folder"):
             append(self.path / CHUNKS, json.dumps(asdict(kept), sort_keys=True) + "\n")
             put(target, content)
@@ -175,7 +175,7 @@ class Store:
 
     def _found(self) -> None:
         """Check every chunk against its line in the journal."""
-        lines = kept_in(self.path)
+        lines = entries_in(self.path)
         end_line(self.path / CHUNKS)
         wanted = {f"{chunk.name(self.key)}.parquet": chunk for extent in self.extents for chunk in extent}
         wrong = list[str]()
@@ -193,34 +193,34 @@ class Store:
         if wrong:
             others = f" and {len(wrong) - 3} more" if len(wrong) > 3 else ""
             self.notices.append(
-                f"{self.path / RUNS}: {', '.join(wrong[:3])}{others}: not what this study has written; renamed to "
-                ".refused, and computed again if it is one of its chunks"
+                f"{self.path / RUNS}: {', '.join(wrong[:3])}{others}: not written by this study; renamed to "
+                ".refused, and recomputed if a chunk of the study"
             )
 
 
 @contextmanager
 def opened(path: str | Path, study: Study, files: Mapping[str, bytes], *, force: bool = False) -> Iterator[Store]:
-    """Open a folder for a study, new or begun before, and lock it against other processes.
+    """Open a new or existing folder of a study, and lock it against other processes.
 
     Parameters
     ----------
     files
         Files next to the runs, by name: the study, its graphs.
     force
-        If the folder holds another study, delete its runs.
+        Delete the runs of another study in the folder.
 
     Raises
     ------
     OutputError
-        Another process uses it, it holds something else, or it cannot be written.
+        Another process uses the folder, it contains other files, or it cannot be written.
     ValueFault
-        It holds another study, or more samples of this one; the message names the difference.
+        It contains another study, or more samples of this one; the message names the difference.
     """
     polars()
     path = expanded(path)
     with writing(path, "folder"):
         path.mkdir(parents=True, exist_ok=True)
-    with alone_in(path):
+    with exclusive(path):
         store = Store(path, study)
         lock = read_lock(path)
         if lock is None:
@@ -234,7 +234,7 @@ def opened(path: str | Path, study: Study, files: Mapping[str, bytes], *, force:
                 )
         elif changed := difference(lock, study.identity):
             if not force:
-                raise ValueFault(f"{path}: {changed}; name another folder, or take --force, which deletes those runs")
+                raise ValueFault(f"{path}: {changed}; name another folder, or use --force, which deletes those runs")
             _clear(path)
         else:
             if study.samples < lock["samples"]:

@@ -1,4 +1,4 @@
-"""Trials of a search in a folder's journal, kept by Optuna, and the Pareto front among them."""
+"""Trials of a search in an Optuna journal, and their Pareto front."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
-from dmframe.errors import MissingError, OutputError
-from dmframe.files import writing
+from dmframe.common.errors import MissingError, OutputError
+from dmframe.common.files import writing
 from dmframe.study.identity import key_of
 from dmframe.study.kernel_lock import journal_lock
 
@@ -113,7 +113,7 @@ def feasible(search: optuna.Study) -> list[list[float]]:
 
 
 def hardest(search: optuna.Study, size: int) -> list[int]:
-    """All plants, beginning with those that were the hardest for the best trial so far."""
+    """All plants, first those that were hardest for the best trial so far."""
     from optuna.trial import TrialState
 
     found = [
@@ -132,13 +132,13 @@ class Trial:
     Parameters
     ----------
     values
-        By column.
+        Values by column.
     figures
-        The objectives, in their order; lower bounds of them for a trial that was stopped early.
+        Objectives, in order; lower bounds for a trial that was stopped early.
     state
         ``ran``, ``stopped``, ``broken`` (a constraint, or a run that diverged) or ``refused`` before any run.
     why
-        Reason of the rejection, in words.
+        Reason for the rejection.
     """
 
     number: int

@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from dmframe.errors import DmframeError, MissingError, ValueFault
-from dmframe.files import expanded
+from dmframe.common.errors import DmframeError, MissingError, ValueFault
+from dmframe.common.files import expanded
+from dmframe.common.units import plain
 from dmframe.simulate.many import cores
-from dmframe.study.candidate import Proofs, excess, rounded, rows_of_runs, unstable, with_tuned
+from dmframe.study.candidate import Proofs, rounded, rows_of_runs, unstable, violation, with_tuned
 from dmframe.study.grammar import TuneSection, raise_placed
 from dmframe.study.objective import (
     CONDITIONS,
@@ -50,7 +51,6 @@ from dmframe.study.trials import (
     opened,
 )
 from dmframe.study.varied import Factor, factors_of
-from dmframe.units import plain
 
 if TYPE_CHECKING:
     import optuna
@@ -66,7 +66,7 @@ class Tuning:
     Parameters
     ----------
     study
-        With all signals measured that objectives and constraints need.
+        Study that measures all signals of the objectives and constraints.
     factors
         Searched quantities.
     """
@@ -186,7 +186,7 @@ class Tuning:
             for condition in self.conditions:
                 failing = self.proofs.failing(candidate, point, everywhere=condition == EVERYWHERE)
                 if failing:
-                    return None, f"refused: {failing[0].name} does not hold", condition, excess(failing)
+                    return None, f"refused: {failing[0].name} does not hold", condition, violation(failing)
             if self.period is not None:
                 beyond = unstable(candidate, point, self.period)
                 if beyond is None:
@@ -201,8 +201,8 @@ class Tuning:
         """Run the hardest plants first, and the others unless the candidate is already dominated or infeasible."""
         size, ran = self.study.runs, list[int]()
         order, best = hardest(search, size), feasible(search)
-        share = self.section.screen
-        first = size if share is None or size < 8 else max(1, math.ceil(share * size))
+        fraction = self.section.screen
+        first = size if fraction is None or size < 8 else max(1, math.ceil(fraction * size))
         parts = [dict[str, Any]()]
         for chunk in (order[place : place + first] for place in range(0, size, first)):
             parts.append(rows_of_runs(candidate, chunk, self.threads))
@@ -216,7 +216,7 @@ class Tuning:
             if not all(map(math.isfinite, least)) and max(least) == math.inf:
                 return None, f"{round(lost * len(ran))} of {len(ran)} runs diverged", "finite", 1.0 + lost
             for each in self.bounds:
-                beyond = each.excess(each.statistic.at_least(each.statistic.figures(rows), size))
+                beyond = each.violation(each.statistic.at_least(each.statistic.figures(rows), size))
                 if (len(ran) == size and beyond > 0) or each.broken(each.statistic.figures(rows), size):
                     return None, f"{each.text} does not hold", each.text, beyond
             if len(ran) < size and any(dominates(other, least) for other in best):
@@ -240,7 +240,7 @@ def load_tuning(source: str | Path | Mapping[str, Any] | Study, *, threads: int 
     Parameters
     ----------
     source, options
-        As of `load_study`.
+        As in `load_study`.
     threads
         Number of threads; by default all cores.
 
@@ -280,7 +280,7 @@ def load_tuning(source: str | Path | Mapping[str, Any] | Study, *, threads: int 
 
 
 def _measuring(study: Study, section: TuneSection) -> Study:
-    """The study with all signals measured that objectives and constraints need."""
+    """Study that measures all signals of the objectives and constraints."""
     texts = (*section.minimise, *section.subject_to)
     needed = [signal for text in texts for signal in signals_of(text)]
     if any(text.partition("<")[0].split()[-1:] == [EFFORT] for text in texts):
@@ -347,7 +347,7 @@ def tune(
 
 
 def _own(each: Factor, study: Study) -> list[float] | None:
-    """The values of a factor that do not change the graph."""
+    """Values of a factor at which the graph is unchanged."""
     if each.how != "value":
         return [1.0 if each.how == "scale" else 0.0] * len(each.columns)
     found = dict[str, np.ndarray]()

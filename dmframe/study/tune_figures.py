@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from dmframe.plotting import COLUMN, GREY, PAGE, look, names_above, page, unit_text, verbatim
-from dmframe.results.drawn_runs import shown_unit
+from dmframe.common.plotting import COLUMN, GREY, PAGE, look, names_above, page, unit_text, verbatim
 from dmframe.results.error_figure import log_ticks
+from dmframe.results.plotting import shown_unit
 from dmframe.study.figures import plain_log_axis
 from dmframe.study.objective import Statistic
 from dmframe.study.trials import front_of

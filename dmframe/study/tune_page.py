@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from dmframe.plotting import figure_svg
+from dmframe.common.plotting import figure_svg
+from dmframe.common.units import plain
 from dmframe.report.parts import Badge, Bullets, Cell, Lead, Marked, Paragraph, Picture, Section, Table, Word
 from dmframe.study.cautions import LONGER
 from dmframe.study.numbers import distribution
 from dmframe.study.pages import study_page
-from dmframe.units import plain
 
 if TYPE_CHECKING:
     from dmframe.study.plan import Study
@@ -72,7 +72,7 @@ def _sections(found: Tuned, figures: Mapping[str, Any]) -> Iterator[Section]:
     if pictures:
         yield Section("search", "The search", pictures)
     yield Section("problem", "The problem", [_problem(found)])
-    yield Section("again", "To repeat it", [_again(found)])
+    yield Section("again", "To repeat it", [_repetition(found)])
 
 
 def _table(found: Tuned) -> Table:
@@ -139,7 +139,7 @@ def _plants(study: Study) -> str:
     return f"{drawn} {each}".rstrip()
 
 
-def _again(found: Tuned) -> Bullets:
+def _repetition(found: Tuned) -> Bullets:
     study, place = found.tuning.study, found.folder.name
     file = study.path.name if study.path is not None else "study.yaml"
     items: list[Cell] = [
@@ -147,6 +147,6 @@ def _again(found: Tuned) -> Bullets:
         (Word(f"dmframe tune {file} --out AGAIN", "command"), " repeats the search; a single process finds the same"),
     ]
     if found.front:
-        again = f"dmframe verify {place}/{found.front[0].label}.yaml"
-        items.append((Word(again, "command"), " proves the best again"))
+        command = f"dmframe verify {place}/{found.front[0].label}.yaml"
+        items.append((Word(command, "command"), " proves the best again"))
     return Bullets(items)

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from dmframe.analysis.period import TOLERANCE, sampled_radius
-from dmframe.errors import MissingError
-from dmframe.files import write_bytes, write_text, writing
+from dmframe.common.errors import MissingError
+from dmframe.common.files import write_bytes, write_text, writing
 from dmframe.graph.graph import Graph
 from dmframe.study.cautions import LONGER, notices, with_unit
 from dmframe.study.packing import write_graph
@@ -175,7 +175,7 @@ class Tuned:
         OutputError
             The folder cannot be written.
         """
-        from dmframe.plotting import files_of
+        from dmframe.common.plotting import files_of
         from dmframe.report.write import write_report
         from dmframe.study.tune_figures import figures_of
         from dmframe.study.tune_page import as_html
@@ -305,7 +305,7 @@ def _other_noise(base: Graph) -> Graph:
 def _broken(tuning: Tuning, rows: Mapping[str, Any], where: str) -> list[str]:
     """Constraints that are violated, with the value of their statistic."""
     values = [(each, each.statistic.of(each.statistic.figures(rows))) for each in tuning.bounds]
-    beyond = [(each, value) for each, value in values if not each.excess(value) <= 0]  # true for nan
+    beyond = [(each, value) for each, value in values if not each.violation(value) <= 0]  # true for nan
     return [f"{where} {each.text} does not hold: it is {each.statistic.shown(value)}" for each, value in beyond]
 
 

@@ -9,14 +9,14 @@ from typing import Any, Final, Literal, final
 
 import numpy as np
 
+from dmframe.block.gain import Prior
+from dmframe.block.parameter import PAIRS, specs
+from dmframe.common.errors import DmframeError, UnknownNameError, ValueFault
+from dmframe.common.units import plain, to_unit
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError, UnknownNameError, ValueFault
-from dmframe.gain import Prior
 from dmframe.graph.graph import Graph
-from dmframe.parameter import PAIRS, specs
 from dmframe.study.design import Spread, columns_of
-from dmframe.study.grammar import Distribution, Variation, own_name
-from dmframe.units import plain, to_unit
+from dmframe.study.grammar import Distribution, Variation, is_user_name
 
 How = Literal["value", "scale", "shift"]
 START: Final = "start."
@@ -37,11 +37,11 @@ class Target:
     Parameters
     ----------
     value
-        The graph's own, in the parameter's unit; None if the graph does not state it.
+        The graph's value, in the parameter's unit; None if the graph does not set it.
     shape
-        As of a port; empty for one number.
+        Shape as of a port; empty for one number.
     spreads
-        One number may replace all its elements.
+        True if one number may replace all elements.
     """
 
     label: str
@@ -79,7 +79,7 @@ def target(label: str, graph: Graph, diagram: Callable[[], Diagram]) -> Target:
         raise ValueFault(f"{label}: {PAIRS[spec.form]} cannot be sampled; list values of it under grid")
     if isinstance(value, Prior):
         raise ValueFault(
-            f"{label}: the graph has it from {value.inverse_of}; list values under grid, or set a number first"
+            f"{label}: the graph derives it from {value.inverse_of}; list values under grid, or set a number first"
         )
     spreads = spec.form in ("diagonal", "gain")
     return Target(label, spec.unit, spec.sign, value_in(label, graph), spec.shape, spreads)
@@ -117,17 +117,17 @@ class Factor:
     Parameters
     ----------
     name
-        Of its column: its only parameter, or a name of the user's choice.
+        Name of the column: the parameter, or a name of the user's choice.
     labels
-        The parameters that it changes.
+        Labels of the changed parameters.
     how
         A drawn number is the parameter's value, a factor of the graph's own value, or a difference from it.
     spread
         Distribution; None if a grid lists its values.
     elements
-        How many numbers are drawn, one per element of the parameter; None for one number for all elements.
+        Number of draws, one per element of the parameter; None for one draw for all elements.
     unit
-        Of the drawn numbers.
+        Unit of the drawn numbers.
     """
 
     name: str
@@ -184,7 +184,7 @@ def factor(name: str, variation: Variation, graph: Graph, diagram: Callable[[], 
         An unknown parameter, a wrong unit, a distribution that violates the parameter's sign.
     """
     labels = variation.of or (name,)
-    if own_name(name) and name not in SETTINGS and not variation.of:
+    if is_user_name(name) and name not in SETTINGS and not variation.of:
         raise ValueFault(f"expected block.parameter, or {name}: {{..., of: [block.parameter, ...]}}")
     targets = list[Target]()
     for label in labels:
@@ -272,9 +272,9 @@ def _elements(name: str, variation: Variation, targets: Sequence[Target], diagra
     counts = set[int]()
     for each in targets:
         if variation.per == "joint" and each.shape != "n" and not each.label.startswith(START):
-            raise ValueFault(f"per: {each.label} has no value for each joint; write per: element", path=("per",))
+            raise ValueFault(f"per: {each.label} has no value per joint; use per: element", path=("per",))
         if not each.shape or (each.value is not None and each.value.ndim > 1):
-            raise ValueFault(f"per: {each.label} has no elements that vary alone; leave per out", path=("per",))
+            raise ValueFault(f"per: {each.label} has no independent elements; omit per", path=("per",))
         counts.add(_count(each, diagram))
     if len(counts) > 1:
         found = ", ".join(f"{each.label} {_count(each, diagram)}" for each in targets)

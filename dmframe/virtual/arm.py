@@ -11,8 +11,8 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from dmframe.common.errors import EngineError, RobotError, listed
 from dmframe.config import BaseGraph
-from dmframe.errors import EngineError, RobotError, listed
 from dmframe.robot.chain import SerialChain, pin_configuration
 from dmframe.robot.library import find_robot
 from dmframe.runtime.ur_arm import JOINTS
@@ -56,7 +56,7 @@ class Arm:
 
     @property
     def whole(self) -> bool:
-        """True where all six joints move."""
+        """True if all six joints move."""
         return len(self.places) == len(JOINTS)
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Generic, TypeVar, final
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 
 Value = TypeVar("Value")
 

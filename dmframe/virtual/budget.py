@@ -10,7 +10,7 @@ MOST_ELEMENTS: Final = 10_000
 """Elements of one value, including those of nested lists; eight characters of a text count as one."""
 MOST_NESTED: Final = 20
 """Nesting depth of lists."""
-MOST_HELD: Final = 200_000
+MOST_STORED: Final = 200_000
 """Elements of all variables of a script, including those of active calls."""
 MOST_THREADS: Final = 50
 """Threads of a script."""
@@ -26,7 +26,7 @@ LEAST_BURST: Final = 1_000
 """Operations with which a program begins at least."""
 BURSTS: Final = 4 * BURST
 """Operations with which programs in close succession begin together."""
-COUNTED: Final = MOST_HELD
+COUNTED: Final = MOST_STORED
 """Copied elements between two counts of the stored elements."""
 
 INVERSE: Final = 50
@@ -41,7 +41,7 @@ COSTS: Final = {
 
 
 @final
-class Allowance:
+class Budget:
     """Budget of operations, or of words (token bucket).
 
     Parameters

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from dmframe.errors import EngineError
+from dmframe.common.errors import EngineError
 from dmframe.virtual.arithmetic import FUNCTIONS, Pose, is_number, six, text
-from dmframe.virtual.budget import COSTS, INVERSE, Allowance, weight
-from dmframe.virtual.motion import Along, Motion, Servo, Speed, Stop, cycles, straight
+from dmframe.virtual.budget import COSTS, INVERSE, Budget, weight
+from dmframe.virtual.motion import Motion, PathMotion, Servo, Speed, Stop, cycles, straight
 from dmframe.virtual.registers import INPUTS
 from dmframe.virtual.socket_functions import SocketFunctions, Waits, waits
 from dmframe.virtual.words import ScriptError
@@ -102,7 +102,7 @@ class Functions(SocketFunctions):
     Names, order and defaults of arguments follow the maker's manual; ``*_`` collects arguments without effect.
     """
 
-    def __init__(self, robot: VirtualRobot, program: Program, allowance: Allowance) -> None:
+    def __init__(self, robot: VirtualRobot, program: Program, allowance: Budget) -> None:
         super().__init__(robot)
         self._robot, self._program, self._allowance = robot, program, allowance
         found: dict[str, Callable[..., Any]] = {**FUNCTIONS, **{name: getattr(self, name) for name in _own(Functions)}}
@@ -170,7 +170,7 @@ class Functions(SocketFunctions):
         path, length = straight(self._robot.target.q, self._joints(q))
         if t > 0 and length > 0:  # a third of the time to speed up, a third to slow down
             a, v = 4.5 * length / t**2, 1.5 * length / t
-        return self._moved(Along(path, length, _positive("movej: v", v), _positive("movej: a", a)))
+        return self._moved(PathMotion(path, length, _positive("movej: v", v), _positive("movej: a", a)))
 
     @waits
     def movel(self, pose: Any, a: Any = 1.2, v: Any = 0.25, t: Any = 0, r: Any = 0) -> Waits:
@@ -186,7 +186,7 @@ class Functions(SocketFunctions):
             last[0] = robot.arm.inverse(_between(start, goal, s / length), last[0], NEXT_STEPS)
             return last[0]
 
-        return self._moved(Along(at, length, _positive("movel: v", v), _positive("movel: a", a)))
+        return self._moved(PathMotion(at, length, _positive("movel: v", v), _positive("movel: a", a)))
 
     @waits
     def sync(self) -> Waits:

@@ -125,7 +125,7 @@ class Servo(Motion):
 
 
 @final
-class Along(Motion):
+class PathMotion(Motion):
     """``movej`` and ``movel``: along a path from rest to rest, with a trapezoidal speed profile.
 
     Parameters
@@ -138,13 +138,13 @@ class Along(Motion):
 
     def __init__(self, path: Callable[[float], np.ndarray], length: float, most: float, acceleration: float) -> None:
         self._path, self._length, self._most, self._acceleration = path, length, most, acceleration
-        self._s, self._rate, self._begun = 0.0, 0.0, False
+        self._s, self._rate, self._started = 0.0, 0.0, False
 
     def speed(self, target: Target, dt: float, scale: float) -> np.ndarray:
         """Move to the point of the path one cycle later."""
-        if not self._begun and not target.still:
+        if not self._started and not target.still:
             return ramped(target.qd, np.zeros(6), STOP * dt)
-        self._begun = True
+        self._started = True
         left = self._length - self._s
         if left <= 0:
             self.done = True
@@ -160,10 +160,10 @@ class Along(Motion):
 
 def straight(start: np.ndarray, goal: np.ndarray) -> tuple[Callable[[float], np.ndarray], float]:
     """Straight line between joint angles, parametrized by radians of the joint that moves most, and its length."""
-    way = goal - start
-    length = float(np.max(np.abs(way)))
+    displacement = goal - start
+    length = float(np.max(np.abs(displacement)))
 
     def at(s: float) -> np.ndarray:
-        return goal.copy() if s >= length else start + way * (s / length)
+        return goal.copy() if s >= length else start + displacement * (s / length)
 
     return at, length

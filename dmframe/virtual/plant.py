@@ -16,13 +16,13 @@ from dmframe.build.library import address, bound
 from dmframe.build.trial import called
 from dmframe.codegen.function import ONE, written
 from dmframe.codegen.source import shipped
+from dmframe.common.errors import EngineError, ValueFault
+from dmframe.common.slices import slices
 from dmframe.config import BaseGraph
 from dmframe.diagram.parts import split
-from dmframe.errors import EngineError, ValueFault
 from dmframe.export.program import Member
 from dmframe.export.robot import Robot, robot_of
 from dmframe.simulate.engine import Choice
-from dmframe.slices import slices
 
 FINEST: Final = 1e-9
 """Relative tolerance for a cycle that is a whole number of the graph's steps."""

@@ -10,15 +10,15 @@ from contextlib import suppress
 from types import GeneratorType
 from typing import TYPE_CHECKING, Any, Final, cast, final
 
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.virtual.arithmetic import Pose, is_number
 from dmframe.virtual.budget import (
     COUNTED,
-    MOST_HELD,
+    MOST_STORED,
     MOST_THREADS,
     RATE,
     SECONDARY_FRACTION,
-    Allowance,
+    Budget,
     copied,
     elements,
 )
@@ -68,7 +68,7 @@ class Thread:
             self._steps.close()
 
     @property
-    def held(self) -> list[Any]:
+    def stored(self) -> list[Any]:
         """Variables of all active calls."""
         found, steps = list[Any](), cast(Any, self._steps)
         while isinstance(steps, GeneratorType):
@@ -93,7 +93,7 @@ class Program:
         self.secondary = found.secondary
         self.words = found.words
         refill = RATE * robot.dt * (SECONDARY_FRACTION if self.secondary else 1)
-        self._allowance = Allowance(refill, robot.bursts.drawn())
+        self._allowance = Budget(refill, robot.bursts.drawn())
         self._robot, self._functions = robot, Functions(robot, self, self._allowance)
         self._globals = dict[str, Any]()
         names: dict[str, Any] = {
@@ -158,9 +158,9 @@ class Program:
         if self._allowance.copied < COUNTED:
             return None
         self._allowance.copied = 0
-        held = [*self._globals.values(), *(value for thread in self._threads for value in thread.held)]
-        if elements([value for value in held if isinstance(value, list | str)], MOST_HELD) > MOST_HELD:
-            return f"expected variables of no more than {MOST_HELD} elements in all, found more"
+        stored = [*self._globals.values(), *(value for thread in self._threads for value in thread.stored)]
+        if elements([value for value in stored if isinstance(value, list | str)], MOST_STORED) > MOST_STORED:
+            return f"expected variables of no more than {MOST_STORED} elements in all, found more"
         return None
 
     def close(self) -> None:
@@ -231,7 +231,7 @@ class Program:
             thread.close()
             if self.mover is thread:
                 self.free(thread)
-                self._robot.let_go()
+                self._robot.release()
 
     def _join(self, thread: Any) -> Generator[None, None, None]:
         while isinstance(thread, Thread) and thread.alive:

@@ -6,7 +6,7 @@ import struct
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final, final
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 
 if TYPE_CHECKING:
     from dmframe.virtual.robot import VirtualRobot

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, final
 
 import numpy as np
 
+from dmframe.common.errors import DmframeError, EngineError, ValueFault
 from dmframe.config import BaseGraph
-from dmframe.errors import DmframeError, EngineError, ValueFault
 from dmframe.runtime.ur_arm import JOINTS
 from dmframe.simulate.engine import Choice
 from dmframe.virtual.arm import Arm, arm_of
 from dmframe.virtual.behaviour import Checked, count, fraction
-from dmframe.virtual.budget import BURSTS, MOST_SECONDARY, RATE, Allowance
+from dmframe.virtual.budget import BURSTS, MOST_SECONDARY, RATE, Budget
 from dmframe.virtual.motion import Motion, Stop, Target
 from dmframe.virtual.plant import Plant
 from dmframe.virtual.registers import Registers
@@ -152,7 +152,7 @@ class VirtualRobot:
         self._draw = np.random.default_rng(seed)
         self._to_lose, self.sample_lost = 0, False
         self._servers: Servers | None = None
-        self.encoded, self.bursts = dict[str, bytes](), Allowance(RATE * self.dt, BURSTS, BURSTS)
+        self.encoded, self.bursts = dict[str, bytes](), Budget(RATE * self.dt, BURSTS, BURSTS)
         self.slider, self.command_delay = slider, command_delay
         self.measurement_delay, self.lost = measurement_delay, lost
         self._measure()
@@ -301,9 +301,9 @@ class VirtualRobot:
         program.close()
         self.watchdogs.clear()
         self.report(f"{program.name} ends: {why}")
-        self.let_go()
+        self.release()
 
-    def let_go(self) -> None:
+    def release(self) -> None:
         """Decelerate the arm after its last motion command."""
         if self.safety.ready and (self.motion is not None or not self.target.still):
             self.motion = Stop()

@@ -169,8 +169,8 @@ class Rtde:
 
     def _warn(self, text: str) -> None:
         """Queue a text message of the level warning."""
-        said, by = text.encode()[:255], b"RTDE"
-        self._queue("M", bytes([len(said)]) + said + bytes([len(by)]) + by + b"\2")
+        message, by = text.encode()[:255], b"RTDE"
+        self._queue("M", bytes([len(message)]) + message + bytes([len(by)]) + by + b"\2")
 
     def _queue(self, kind: str, payload: bytes) -> None:
         self.pending += struct.pack(">HB", HEADER + len(payload), ord(kind)) + payload

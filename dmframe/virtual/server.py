@@ -10,12 +10,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Final, final
 
-from dmframe.errors import OutputError, ValueFault
+from dmframe.common.errors import OutputError, ValueFault
 from dmframe.virtual import dashboard, primary
-from dmframe.virtual.budget import Allowance
+from dmframe.virtual.budget import Budget
 from dmframe.virtual.program import Program
 from dmframe.virtual.rtde import Rtde
-from dmframe.virtual.words import MOST_WORDS, Arriving, ScriptError
+from dmframe.virtual.words import MOST_WORDS, ScriptBuffer, ScriptError
 
 if TYPE_CHECKING:
     from dmframe.virtual.robot import VirtualRobot
@@ -127,12 +127,12 @@ class _ScriptClient(_Client):
         sent: Callable[[VirtualRobot], bytes],
         every: int,
         first: bytes,
-        words: Allowance,
+        words: Budget,
     ) -> None:
         self._robot, self._name, self._sent, self._every = robot, name, sent, every
-        self._arriving, self.pending = Arriving(), bytearray(first)
+        self._arriving, self.pending = ScriptBuffer(), bytearray(first)
         self._decoded = codecs.getincrementaldecoder("utf-8")("replace").decode  # a character may arrive in pieces
-        self._words = (words, Allowance(WORDS * robot.dt, MOST_WORDS, MOST_WORDS))
+        self._words = (words, Budget(WORDS * robot.dt, MOST_WORDS, MOST_WORDS))
 
     def received(self, data: bytes) -> bool:
         self._arriving.text += self._decoded(data)
@@ -185,7 +185,7 @@ class Servers:
         self._robot, self._selector = robot, selectors.DefaultSelector()
         self._clients = dict[socket.socket, _Client]()
         self._doors = dict[socket.socket, Callable[[], _Client]]()
-        self._rtde, self._words, self._served = list[Rtde](), Allowance(WORDS * robot.dt, ALL_WORDS, ALL_WORDS), 0
+        self._rtde, self._words, self._served = list[Rtde](), Budget(WORDS * robot.dt, ALL_WORDS, ALL_WORDS), 0
         every = round(1 / (STATES * robot.dt))
 
         def scripts(name: str, sent: Callable[[VirtualRobot], bytes], every: int, first: bytes = b"") -> _Client:
@@ -303,8 +303,8 @@ class Servers:
         clients = list(self._clients.items())
         first = self._robot.cycles % max(1, len(clients))  # the clients take turns
         for connection, client in clients[first:] + clients[:first]:
-            goes_on = client.cycle(self._robot)
-            if not goes_on or len(client.pending) > 2 * MOST_WAITING:  # it does not read its answers either
+            continues = client.cycle(self._robot)
+            if not continues or len(client.pending) > 2 * MOST_WAITING:  # it does not read its answers either
                 self._send(connection)
                 self._drop(connection)
             else:

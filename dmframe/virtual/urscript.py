@@ -69,14 +69,14 @@ class _Reader(Expressions):
         """Translate the whole script."""
         while self._next.kind == "newline":
             self._at += 1
-        name, begun = "", self._at
+        name, first = "", self._at
         whole, secondary = self._sees("def", "sec"), self._sees("sec")
         if whole:
             self._at += 1
             name = self._name()
             for end in ("(", ")", ":"):
                 self._expect(end)
-        plain, local = self._assigned[begun if whole else -1]
+        plain, local = self._assigned[first if whole else -1]
         self._globals = plain | local | self._shared
         self._put(0, "def main():", self._next.line)
         self._body(1, ("end",) if whole else ("",))
@@ -90,12 +90,12 @@ class _Reader(Expressions):
         return Transpiled(name, secondary, "\n".join(self._out) + "\n", tuple(self._lines), len(self._tokens))
 
     def _body(self, depth: int, ends: tuple[str, ...]) -> None:
-        begun = len(self._out)
+        first = len(self._out)
         while not (self._next.kind in ("word", "over") and self._next.text in ends):
             if self._next.kind == "over":
                 raise self._fault("end")
             self._statement(depth)
-        if len(self._out) == begun:
+        if len(self._out) == first:
             self._put(depth, "pass", self._next.line)
 
     def _statement(self, depth: int) -> None:
@@ -142,11 +142,11 @@ class _Reader(Expressions):
             self._end_of_line()
 
     def _element_or_call(self, depth: int, line: int) -> None:
-        begun = self._at
+        first = self._at
         left = self._expression()
         if self._accept("="):
             value, end = self._expression(), self._at
-            self._at = begun
+            self._at = first
             whole, places = self._place()
             if places is None or not self._accept("="):
                 raise ScriptError(f"line {line}: expected a variable or an element on the left of =")
@@ -156,26 +156,26 @@ class _Reader(Expressions):
             self._put(depth, left, line)
 
     def _loop(self, depth: int) -> None:
-        begun = self._at
+        first = self._at
         self._at += 1
         condition = self._expression()
         self._expect(":")
-        self._put(depth, f"while _true({condition}):", self._tokens[begun].line)
+        self._put(depth, f"while _true({condition}):", self._tokens[first].line)
         turn = self._turn(depth + 1)
         self._loops += 1
         self._body(depth + 1, ("end",))
         self._loops -= 1
         self._expect("end")
-        self._counted(turn, begun)
+        self._counted(turn, first)
 
     def _turn(self, depth: int) -> int:
         """Emit a line for the operations of an iteration or a call, and return its index."""
         self._put(depth, "_turn(", self._next.line)
         return len(self._out) - 1
 
-    def _counted(self, turn: int, begun: int) -> None:
+    def _counted(self, turn: int, first: int) -> None:
         """Complete that line after the body has been translated."""
-        self._out[turn] += f"{1 + (self._at - begun) // TOKENS})"
+        self._out[turn] += f"{1 + (self._at - first) // TOKENS})"
 
     def _assignment(self, depth: int, name: str) -> None:
         line = self._next.line
@@ -207,7 +207,7 @@ class _Reader(Expressions):
         self._expect("end")
 
     def _function(self, depth: int) -> None:
-        begun, line = self._at, self._take().line
+        first, line = self._at, self._take().line
         name, arguments = self._name(), dict[str, None]()
         self._expect("(")
         given = list[str]()
@@ -219,7 +219,7 @@ class _Reader(Expressions):
                 self._expect(",")
         self._expect(":")
         loops, self._loops = self._loops, 0
-        plain, local = self._assigned[begun]
+        plain, local = self._assigned[first]
         self._scopes.append(arguments.keys() | local | plain - self._globals)
         self._put(depth, f"def f_{name}({', '.join(given)}):", line)
         turn = self._turn(depth + 1)
@@ -227,7 +227,7 @@ class _Reader(Expressions):
             self._put(depth + 1, f"v_{argument} = _copy(v_{argument})", line)
         self._body(depth + 1, ("end",))
         self._put(depth + 1, "if False: yield", self._next.line)
-        self._counted(turn, begun)
+        self._counted(turn, first)
         self._scopes.pop()
         self._loops = loops
         self._expect("end")

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import Final, NamedTuple, final
 
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 
 
 @final
@@ -54,8 +54,8 @@ def tokens(text: str) -> list[Token]:
         kind, word = match.lastgroup or "", match.group()
         place = match.end()
         if kind == "newline" or word == ";":
-            goes_on = depth > 0 or (found and found[-1].text in _BINARY and found[-1].kind != "text")
-            if not goes_on and found and found[-1].kind != "newline":
+            continues = depth > 0 or (found and found[-1].text in _BINARY and found[-1].kind != "text")
+            if not continues and found and found[-1].kind != "newline":
                 found.append(Token("newline", "\n", line))
         elif kind != "space":
             depth = max(0, depth + (word in "([{") - (word in ")]}")) if kind == "sign" else depth
@@ -96,7 +96,7 @@ def scopes(words: Sequence[Token]) -> tuple[dict[int, Names], set[str]]:
 
 
 @final
-class Arriving:
+class ScriptBuffer:
     """Buffer for a text that arrives in pieces; it scans each character once and returns whole programs."""
 
     def __init__(self) -> None:

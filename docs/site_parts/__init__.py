@@ -1,1 +1,1 @@
-"""What `docs/make_site.py` and `docs/conf.py` are made of; all but `extension` work without Sphinx."""
+"""Modules of `docs/make_site.py` and `docs/conf.py`; all but `extension` work without Sphinx."""

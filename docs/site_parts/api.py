@@ -1,4 +1,4 @@
-"""Pages of the Python interface: the public names, what they return, and what a block's author imports."""
+"""Pages of the Python interface: the public names, their results, and the names for authors of blocks."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ class Chapter(NamedTuple):
     Parameters
     ----------
     modules, names
-        What it documents: modules, and single names with their module.
+        Documented modules, and single names with their module.
     but, shared
-        Names that another page documents, and modules whose public names it does.
+        Names that another page documents, and modules with public names on another page.
     bases
-        Whether it says what classes inherit.
+        Whether base classes are shown.
     """
 
     title: str
-    says: str
+    text: str
     modules: tuple[str, ...] = ()
     names: tuple[str, ...] = ()
     but: tuple[str, ...] = ()
@@ -37,48 +37,60 @@ CHAPTERS: Final[Mapping[str, Chapter]] = {
         but=("DmframeError",),  # listed with the other errors
     ),
     "results": Chapter(
-        "What the calls return",
-        "Not constructed directly: the functions and methods of :mod:`dmframe` return them.",
+        "Results of calls",
+        "These classes are not constructed directly: the functions and methods of :mod:`dmframe` return them.",
         names=(
             "dmframe.report.verification.Verification",
             "dmframe.report.analysis.Analysis",
             "dmframe.drawing.Drawing",
             "dmframe.page.Page",
             "dmframe.runtime.Controller",
-            "dmframe.config.named.Named",
+            "dmframe.config.registry.Registry",
         ),
     ),
     "errors": Chapter(
-        "dmframe.errors: what is raised",
+        "dmframe.common.errors: exceptions",
         "A user's mistake raises one of these, with *where: what was expected and found; the nearest right choice*.",
-        modules=("dmframe.errors",),
+        modules=("dmframe.common.errors",),
         bases=True,
     ),
     "block": Chapter(
-        "dmframe.block: what a block is",
-        "The classes that a block inherits, and what its methods take and return. ``from dmframe.block import ...`` "
-        "has the names of the following pages too.",
+        "dmframe.block: blocks",
+        "The base classes of blocks, and the arguments and results of their methods. ``from dmframe.block import ...`` "
+        "provides the names of the following pages too.",
         modules=("dmframe.block",),
-        shared=("dmframe.port", "dmframe.parameter", "dmframe.certificate", "dmframe.linalg", "dmframe.naming"),
+        shared=(
+            "dmframe.block.port",
+            "dmframe.block.parameter",
+            "dmframe.block.certificate",
+            "dmframe.block.linalg",
+            "dmframe.block.naming",
+        ),
         bases=True,
     ),
-    "port": Chapter("dmframe.port: ports and states", "What a block shows of itself.", modules=("dmframe.port",)),
+    "port": Chapter(
+        "dmframe.block.port: ports and states",
+        "The inputs, outputs and states of a block.",
+        modules=("dmframe.block.port",),
+    ),
     "parameter": Chapter(
-        "dmframe.parameter: parameters",
-        "How a block declares its gains, with sign, size and unit.",
-        modules=("dmframe.parameter",),
+        "dmframe.block.parameter: parameters",
+        "Declarations of a block's gains, with sign, size and unit.",
+        modules=("dmframe.block.parameter",),
     ),
     "certificate": Chapter(
-        "dmframe.certificate: storage, dissipation, supply",
-        "What a block states of its energy; see :doc:`../certificate`.",
-        modules=("dmframe.certificate",),
+        "dmframe.block.certificate: storage, dissipation, supply",
+        "The storage function of a block and its rate; see :doc:`../certificate`.",
+        modules=("dmframe.block.certificate",),
     ),
     "linalg": Chapter(
-        "dmframe.linalg: small matrices",
-        "Linear algebra on expressions, in a form that the exact test can follow.",
-        modules=("dmframe.linalg",),
+        "dmframe.block.linalg: small matrices",
+        "Linear algebra on expressions, in a form that the exact test supports.",
+        modules=("dmframe.block.linalg",),
     ),
-    "naming": Chapter("dmframe.naming: names", "What names of blocks and signals may be.", modules=("dmframe.naming",)),
+    "naming": Chapter(
+        "dmframe.block.naming: names", "Valid names of blocks and signals.", modules=("dmframe.block.naming",)
+    ),
 }
 USERS: Final = ("dmframe", "results", "errors")
 
@@ -88,7 +100,7 @@ def pages() -> dict[str, str]:
     found = {f"reference/api/{name}.rst": _page(chapter) for name, chapter in CHAPTERS.items()}
     authors = [name for name in CHAPTERS if name not in USERS]
     lines = _title("Python interface")
-    lines += ["Made from the types and docstrings of the code.", ""]
+    lines += ["Generated from the types and docstrings of the code.", ""]
     for caption, names in (("To use it", USERS), ("To write blocks", authors)):
         lines += [
             ".. toctree::",
@@ -102,7 +114,7 @@ def pages() -> dict[str, str]:
 
 
 def public(name: str) -> list[str]:
-    """Names that the page of a module documents."""
+    """Names on the page of a module."""
     module = import_module(name)
     own = [key for key, value in vars(module).items() if getattr(value, "__module__", None) == name]
     return list(getattr(module, "__all__", [key for key in own if not key.startswith("_")]))
@@ -113,7 +125,7 @@ def _title(text: str) -> list[str]:
 
 
 def _page(chapter: Chapter) -> str:
-    lines = [*_title(chapter.title), chapter.says, ""]
+    lines = [*_title(chapter.title), chapter.text, ""]
     but = [*chapter.but, *(name for module in chapter.shared for name in public(module))]
     for module in chapter.modules:
         lines += [f".. automodule:: {module}", "   :members:", *["   :show-inheritance:"] * chapter.bases]

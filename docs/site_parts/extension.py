@@ -1,4 +1,4 @@
-"""What the site adds to Sphinx: live pages, formulas without a network, lessons to take away."""
+"""Sphinx extension of the site: live pages, formulas without a network, lessons as notebooks."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from sphinx.ext.napoleon.docstring import NumpyDocstring
 from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.lessons import lessons, notebook
 from site_parts import live, mathematics
 
 LOG = logging.getLogger(__name__)
 COURSE = "course/"
 BEGUN = time.time()
-"""A live page that is younger than this is of this build: each is written once, whichever process needs it first."""
+"""A live page newer than this belongs to this build: each is written once, by the first process that needs it."""
 NUMPYDOC = Config(napoleon_use_ivar=True, napoleon_use_rtype=False, napoleon_attr_annotations=True)
 
 
@@ -120,7 +120,7 @@ def take_away(app: Sphinx, page: str, template: str, context: dict[str, Any], do
     folder = Path(app.outdir, COURSE)
     folder.mkdir(parents=True, exist_ok=True)
     folder.joinpath(name).write_text(notebook(lesson), encoding="utf-8")
-    link = f'<p class="take-away"><a href="{name}" download>Take this lesson away as a notebook</a></p>'
+    link = f'<p class="take-away"><a href="{name}" download>Download this lesson as a notebook</a></p>'
     number = f'<p class="take-away">Lesson {lesson.number} of the course</p>'
     context["body"] = context["body"].replace("</h1>", f"</h1>{number}{link}", 1)
 

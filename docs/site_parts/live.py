@@ -1,4 +1,4 @@
-"""Live pages of the site: a file for each graph with its settings, and what embeds it in a page."""
+"""Live pages of the site: a file for each graph with its settings, and the HTML that embeds it in a page."""
 
 from __future__ import annotations
 
@@ -64,15 +64,15 @@ def embedded(
     wide
         Wider than the text around it.
     command
-        What gives the same page on a reader's own machine.
+        Command that writes the same page on a reader's machine.
     """
     behind = f' style="background-image:url({escape(still)})"' if still else ""
-    said = f" or by <code>{escape(shlex.join(command))}</code>" if command else ""
+    alternative = f" or by <code>{escape(shlex.join(command))}</code>" if command else ""
     return (
         f'<figure class="live{" wide" * wide}"><div class="live-frame"{behind}>'
         f'<iframe loading="lazy" title="{escape(title)}" src="{escape(address)}" '
         f'height="{height}"></iframe></div>'
-        f'<figcaption>{escape(title)}. <a href="{escape(address)}" target="_blank">Open it alone</a>{said}.'
+        f'<figcaption>{escape(title)}. <a href="{escape(address)}" target="_blank">Open it alone</a>{alternative}.'
         "</figcaption></figure>"
     )
 

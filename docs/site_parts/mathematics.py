@@ -1,4 +1,4 @@
-r"""Formulas as MathML, made while the site is built: a browser sets them without a script, a font or a network."""
+r"""Formulas as MathML, generated while the site is built: a browser shows them without script, font or network."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which files are pages of the site, where each stands there, and where the links between them lead."""
+"""Pages of the site: their files, their places in the site, and the targets of links between them."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ DOCS: Final = ROOT / "docs"
 AT_ROOT: Final = ("CLAIMS.md", "KNOWN_GAPS.md", "CHANGELOG.md", "CONTRIBUTING.md")
 """Pages in the root of the repository; in the site they are next to the first page."""
 PAGES: Final = (".md", ".png", ".svg", ".csv", ".gif")
-"""What is a page under `docs`, or a part of one."""
+"""Suffixes of pages under `docs`, and of their parts."""
 CATALOGUE: Final = "reference/blocks"
 """Where the site has a page for each block."""
 SHOWN: Final = {".py": "python", ".yaml": "yaml", ".bib": "bibtex", ".toml": "toml", ".md": "markdown"}
-"""Files that pages point at and that are no pages: the site shows them as they are, by language."""
+"""Linked files that are not pages: the site shows their source, by language."""
 
 FENCE: Final = re.compile(r"^\s*(`{3,}|:{3,})\s*(.*?)\s*$")
 CODE: Final = ("{code-cell}", "{code-block}", "{toctree}", "{live}", "{math}", "{eval-rst}")
-"""Directives whose fences hold something else than prose."""
+"""Directives with fences that do not contain prose."""
 LINK: Final = re.compile(r"(?P<image>!?)\[(?P<text>(?:[^\[\]]|\[[^\[\]]*\])*)\]\((?P<target>[^()\s]+)\)")
 TREE: Final = re.compile(r"^```\{toctree\}\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
 class LinkError(Exception):
-    """A link that leads nowhere."""
+    """A link without a target."""
 
 
 def sources() -> dict[str, Path]:
-    """The pages that people write, by their place in the site, ``how_to/laws.md``."""
+    """The hand-written pages, by their place in the site, ``how_to/laws.md``."""
     found = {str(path.relative_to(DOCS)): path for path in sorted(DOCS.rglob("*.md"))}
     return found | {name: ROOT / name for name in AT_ROOT}
 
@@ -46,7 +46,7 @@ def place_of(path: Path) -> str | None:
 
 
 def shown_place(path: Path) -> str:
-    """Where the site shows a file that is no page."""
+    """Place in the site of a file that is not a page."""
     return f"files/{path.relative_to(ROOT)}.md"
 
 
@@ -80,7 +80,7 @@ def linked(text: str, page: Path, place: str, show: Callable[[Path], object]) ->
         target, hash_, anchor = found["target"].partition("#")
         if not target or "://" in target or target.startswith("mailto:"):
             return found[0]
-        # normpath, not resolve: a checkout may stand behind a link
+        # normpath, not resolve: the checkout may be behind a symbolic link
         path = Path(os.path.normpath(page.parent / target))
         if not path.exists() and not (path.is_relative_to(DOCS / CATALOGUE) and path.suffix == ".md"):
             raise LinkError(f"{page.relative_to(ROOT)}: {found['target']} leads nowhere")
@@ -92,8 +92,8 @@ def linked(text: str, page: Path, place: str, show: Callable[[Path], object]) ->
                 return found["text"]
             new = shown_place(path)
             show(path)
-        said = linked(found["text"], page, place, show)
-        return f"{found['image']}[{said}]({os.path.relpath(new, Path(place).parent)}{hash_}{anchor})"
+        label = linked(found["text"], page, place, show)
+        return f"{found['image']}[{label}]({os.path.relpath(new, Path(place).parent)}{hash_}{anchor})"
 
     return "".join(LINK.sub(moved, part) if is_prose else part for is_prose, part in parted(text))
 
@@ -130,7 +130,7 @@ def parted(text: str) -> list[tuple[bool, str]]:
 
 
 def _block_page(path: Path) -> str | None:
-    """The page of the block that a file holds; None where it holds none."""
+    """The page of the block in a file; None without a block."""
     from dmframe.catalogue import block_types
 
     mine = path.suffix == ".py" and path.parent.name == "dmframe_blocks" and path.stem in block_types()
@@ -138,6 +138,6 @@ def _block_page(path: Path) -> str | None:
 
 
 def children(text: str) -> list[str]:
-    """What the tables of contents of a page list, as it stands there."""
+    """The entries of the tables of contents of a page."""
     lines = [line.strip() for tree in TREE.findall(text) for line in tree.splitlines()]
     return [line for line in lines if line and not line.startswith(":")]

@@ -1,4 +1,4 @@
-"""The page of references, from the bibliography of the blocks: what ``[Key]_`` in a docstring points at."""
+"""The page of references, from the bibliography of the blocks: targets of ``[Key]_`` in docstrings."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Ten thousand robots for every packaged controller: ``python docs/study/every_controller.py [RUNS] [GRAPH...]``.
 
-Of each graph the servo's gains and the robot's friction are drawn for each run within a factor of two, and it runs for
-20 s at most. Results go to ``studies/every_controller``, where what is there already is not computed again; the table
-goes to ``every_controller.csv`` and to the page. With names, only their rows are put in, among those that are there.
+For each run of a graph the servo's gains and the robot's friction are drawn within a factor of two; a run takes 20 s at
+most. Results go to ``studies/every_controller``, where existing rows are not computed again; the table goes to
+``every_controller.csv`` and to the page. With names, only their rows are replaced.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import dmframe as dm
-from dmframe.port import Side
+from dmframe.block.port import Side
+from dmframe.common.units import plain
 from dmframe.study.proof import proofs_of
-from dmframe.units import plain
 
 FOLDER = Path(__file__).parent
 PAGE, TABLE = FOLDER / "every_controller.md", FOLDER / "every_controller.csv"
@@ -44,13 +44,13 @@ def study_of(name: str, runs: int) -> dict[str, Any]:
 
 
 def row_of(name: str, runs: int) -> dict[str, Any]:
-    """What the study of a graph says."""
+    """The row of a graph, from its study."""
     data = study_of(name, runs)
     study = dm.load_study(data)
     results = study.run(Path("studies/every_controller") / name)
     found = results.table.row(0, named=True)
     (proof,) = proofs_of(study, [name])
-    varied = " and ".join(factor for factor in VARIED if factor in data["sample"]) or "nothing"
+    varied = " and ".join(factor for factor in VARIED if factor in data["sample"]) or "none"
     figures = (found.get("rms_final_median"), found.get("rms_final_q99"))
     return {"graph": name, "varied": varied, "runs": found["runs"], "diverged": found["diverged"]} | {
         "at_most": found["at_most"],
@@ -62,7 +62,7 @@ def row_of(name: str, runs: int) -> dict[str, Any]:
 
 
 def table(rows: list[dict[str, str]]) -> str:
-    """As the page shows it."""
+    """The row as shown in the page."""
     lines = ["| graph | varied | diverged | at most | median | 99 % | proved |", "|" + "---|" * 7]
     for row in rows:
         share = f"{int(row['diverged']) / int(row['runs']):.2%}" if int(row["diverged"]) else "none"

@@ -1,4 +1,4 @@
-"""What a reset does for a load, in the tables of ``docs/how_to/payload.md``: ``python docs/study/payload.py``.
+"""Effect of a reset on a load's estimate, for ``docs/how_to/payload.md``: ``python docs/study/payload.py``.
 
 Of one law after another: the error of the mass about 10 s and 30 s after 4 kg have become 1 kg, and that of the tool;
 then the largest error where 4 kg are taken up and put down in turn, the second time.
@@ -24,7 +24,7 @@ NO_BOX: Final = {"dynamics.a_d_hat_box": None}
 
 
 def graph_with(masses: Sequence[float], at: Sequence[float]) -> dm.Graph:
-    """`ur10_payload` with these loads, the gripper alone where the mass is its own."""
+    """`ur10_payload` with these loads; the mass of the gripper means no other load."""
     bodies = [GRIPPER[1:] if mass == GRIPPER[0] else HELD for mass in masses]
     center, inertia = [body[0] for body in bodies], [body[1] for body in bodies]
     loads = {"mass": list(masses), "at": list(at), "center": center, "inertia": inertia}
@@ -48,7 +48,7 @@ def _arm() -> Any:
 
 
 def errors(run: dm.Run) -> np.ndarray:
-    """How far the tool is from where the path's joints would have it [mm]."""
+    """Distance of the tool from its position for the desired joint angles [mm]."""
     arm, recording = _arm(), run.recording
     data, tool, found = arm.createData(), arm.getFrameId("ee_link"), []
     for q in recording["path.q_d"]:

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import dmframe as dm
-from dmframe.errors import DmframeError
-from dmframe.port import Side
-from dmframe.units import plain
+from dmframe.block.port import Side
+from dmframe.common.errors import DmframeError
+from dmframe.common.units import plain
 
 FOLDER = Path(__file__).parent
 PAGE, TABLE = FOLDER / "robustness.md", FOLDER / "robustness.csv"
@@ -43,7 +43,7 @@ def controllers() -> list[str]:
 
 
 def changed(name: str, clock: str, case: str) -> dm.Graph:
-    """One controller in one reality; half of the robot's arm's usual load comes at half time."""
+    """One controller with one set of non-idealities; a load is added after half of the time."""
     graph = dm.load(name)
     reality = dict(CASES[case])
     if case == "load":
@@ -53,23 +53,23 @@ def changed(name: str, clock: str, case: str) -> dm.Graph:
         delayed = [label for label in graph.blocks if "delay" in type(graph.blocks[label]).model_fields]
         if delayed != [
             "task"
-        ]:  # whose goal is that of a later sample, which is right where a predictor says from where
+        ]:  # its goal is that of a later sample: correct if a predictor outputs the start of that sample
             graph = graph.set({f"{label}.delay": 1 for label in delayed})
     return graph.reality(reality) if reality else graph
 
 
 def _load(graph: dm.Graph) -> str:
-    """Some 5 kg at a UR10: a sixth of what its links weigh."""
+    """A sixth of the mass of the links, some 5 kg for a UR10."""
     robot = graph.diagram.robot
     assert robot is not None  # it has a servo
     return f"{sum(float(link[0]) for link in robot.inertia) / 6:.1f} kg"
 
 
 def row_of(name: str, clock: str, case: str) -> dict[str, Any]:
-    """What a run says; a graph that cannot be run so has an empty row."""
+    """The row of a run; empty for a graph that cannot be run in this way."""
     empty = dict.fromkeys(HEADS, "") | {"graph": name, "clock": clock, "case": case}
     if case == "load" and any(kind == "loaded_manipulator" for kind in _types(name)):
-        return empty  # it has a load of its own, in place of which none comes
+        return empty  # the graph has its own load, which is not replaced
     try:
         run = changed(name, clock, case).run(progress=False)
     except DmframeError:
@@ -88,7 +88,7 @@ def _types(name: str) -> list[str]:
 
 
 def table(rows: list[dict[str, str]]) -> Iterator[str]:
-    """As the page shows it: a table a clock."""
+    """The tables of the page, one per clock."""
     for clock in CLOCKS:
         yield f"\n## {clock}\n"
         yield "| graph | ideal | encoder | and a sample of delay | and a load at 30 s (peak) |"
@@ -128,7 +128,7 @@ def draw() -> None:
 
 
 def main(words: list[str]) -> None:
-    """Compute what is missing, row by row, and write each as it comes."""
+    """Compute the missing rows, and write each when it is complete."""
     if "--draw" in words:
         draw()
         return

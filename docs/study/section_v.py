@@ -4,8 +4,8 @@
     python docs/study/section_v.py           gather their runs from studies/, write section_v.csv, then draw
     python docs/study/section_v.py --draw    figures and tables from section_v.csv alone
 
-One row of the CSV is one run. Every run is a packaged graph with other numbers, so each can be had alone by ``dmframe
-study studies/section_v_map --rerun N``.
+One row of the CSV is one run. Every run is a packaged graph with other numbers; ``dmframe study studies/section_v_map
+--rerun N`` repeats a single one.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 
 FOLDER = Path(__file__).parent
 CSV, PAGE = FOLDER / "section_v.csv", FOLDER / "section_v.md"
@@ -31,15 +31,15 @@ BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
 
 TASKS = {"fast": 0.008, "slow": 0.09}  # the paper's sampling periods [s]
 FORMS = {"velocity": "(32)", "position": "(34)"}
-"""What the PID inverse ties to the robot, and the paper's equation."""
+"""The option `tie` of the PID inverse, and the paper's equation."""
 
-# The map: how the servo's stiffness, friction and the clock decide where adaptation helps.
+# The map: effect of the servo's stiffness, of friction and of the clock on the benefit of adaptation.
 SERVOS = (0.1, 0.3, 1.0, 3.0, 10.0)
 FRICTIONS = (0.0, 1.0, 3.0)
 CLOCKS = (0.002, 0.008, 0.03, 0.09)  # [s]
 MAPPED = ("paper", "boxed_10", "boxed_100")
 
-# The unknowns: what the paper does not give, at its own sampling periods. M_bar > 0 in all of it.
+# The unknowns: quantities that are not in the paper, at its sampling periods. M_bar > 0 everywhere.
 STIFFNESS = (0.3, 1.0, 3.0)
 PROPORTIONAL = (0.5, 1.0, 3.0)  # of K_P/K_D = 2.2 1/s
 INTEGRAL = (0.3, 1.0, 2.0)  # of K_I/K_D = 0.7 1/s^2
@@ -50,7 +50,7 @@ Place = tuple[str, float, float, float, float, float]
 
 @dataclass(frozen=True)
 class Cell:
-    """One run: where, with which law and gains, and what came out; `diverged` is a time, or nothing."""
+    """One run: place, law, gains and results; `diverged` is a time, or nan."""
 
     task: str
     servo: float
@@ -65,7 +65,7 @@ class Cell:
 
     @property
     def place(self) -> Place:
-        """Where, whatever the controller."""
+        """The place, independent of the controller."""
         return self.task, self.servo, self.proportional, self.integral, self.friction, self.clock
 
 
@@ -75,7 +75,7 @@ def mapped() -> list[Place]:
 
 
 def unknown() -> list[Place]:
-    """The places where only what the paper does not give is varied."""
+    """The places at which only quantities that are not in the paper vary."""
     each = product(TASKS.items(), STIFFNESS, PROPORTIONAL, INTEGRAL, FRICTIONS)
     return [(task, *unknowns, T) for (task, T), *unknowns in each]
 
@@ -104,7 +104,7 @@ def cell_of(values: Mapping[str, Any]) -> Cell:
 
 
 def gather(folders: Iterable[Path]) -> list[Cell]:
-    """All cells, from the folders in which the studies lie."""
+    """All cells, from the folders of the studies."""
     from dmframe.study.results import Results
 
     found = dict[Cell, Cell]()
@@ -253,7 +253,7 @@ def table(rows: Sequence[Cell]) -> str:
 
 
 def generated(rows: Sequence[Cell]) -> str:
-    """What stands between the page's marks."""
+    """The text between the page's marks."""
     parts = (
         "What the paper does not give varied, at its sampling periods:",
         counts(rows, unknown(), CHOSEN),

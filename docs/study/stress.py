@@ -1,9 +1,9 @@
 """The sampled law where its assumptions fail: ``python docs/study/stress.py [--draw] [CASE...]``.
 
-The slow circle at 90 ms, commanded by the kinematic controllers, the sampled law, the law under its supervisor, the
-disturbance observer, and the paper's law with its own and with tuned gains; a case each of what may be otherwise on a
-real robot. What is drawn at random is drawn three times, and the worst of them counts. Rows go to ``stress.csv``, where
-one that is there is not computed again, and from there to the page; ``--draw`` does the last alone.
+The slow circle at 90 ms, with the kinematic controllers, the sampled law, the supervised law, the disturbance observer,
+and the paper's law with the paper's and with tuned gains, for cases in which a real robot differs from the model. Cases
+with random numbers are run three times; the row has the worst run. Rows go to ``stress.csv``, where existing rows are
+not computed again, and from there to the page; ``--draw`` only writes the page.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from typing import Any, Final, final
 import numpy as np
 
 import dmframe as dm
-from dmframe.errors import DmframeError
-from dmframe.units import plain
+from dmframe.common.errors import DmframeError
+from dmframe.common.units import plain
 
 FOLDER = Path(__file__).parent
 PAGE, TABLE = FOLDER / "stress.md", FOLDER / "stress.csv"
@@ -39,9 +39,9 @@ START: Final = (2.023732, -1.174227, 1.336627)
 SERVO: Final = {"K_D": (800, 800, 400), "K_P": (1760, 1760, 880), "K_I": (560, 560, 280)}
 LATE: Final = {"transport_delay": {"samples": 1}}
 STEPS: Final = {"encoder": {"step": "47.94 urad"}}
-SETTLED: Final = 2.0  # [s] after which the peak counts, since each controller starts from nothing
+SETTLED: Final = 2.0  # [s] after which the peak counts, since estimates start at zero
 SEEDS: Final = 3
-NOTHING: Final = 1e-6  # [m] below which the page says 0
+NOTHING: Final = 1e-6  # [m] below which the page shows 0
 BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
 
 
@@ -64,7 +64,7 @@ def servo(scale: float) -> dict[str, Any]:
 
 
 def off(angle: float) -> dict[str, Any]:
-    """The servo's target starts off the pose by an angle [rad] that no controller knows."""
+    """The servo's initial target differs from the pose by an angle [rad] that is unknown to the controllers."""
     return {"start.servo.q_c": [q + angle for q in START]}
 
 
@@ -143,7 +143,7 @@ CASES: Final[dict[str, Case]] = {
     "a drive ends at 75 of 81 N m, delay 1": Case(
         reality=LATE | {"torque_limits": {"torque": [100, 75, 100]}}, configured=1
     ),
-    "maker compensates gravity": Case({"arm.maker_gravity": 1}),
+    "manufacturer compensates gravity": Case({"arm.maker_gravity": 1}),
     "standing still": Case({"path.rate": 0}),
 }
 
@@ -164,7 +164,7 @@ def changed(name: str, case: Case, seed: int = 0) -> dm.Graph:
 
 
 def _has(graph: dm.Graph, key: str) -> bool:
-    """Whether a graph has what is to be set: the baselines lack some of a law's parameters."""
+    """Whether a graph has the parameter: the baselines lack some of a law's parameters."""
     name, _, parameter = key.partition(".")
     if name in ("blocks", "start", "wires"):
         return True
@@ -172,7 +172,7 @@ def _has(graph: dm.Graph, key: str) -> bool:
 
 
 def row_of(case: str, name: str) -> dict[str, Any]:
-    """What the worst run says [m]; a graph that cannot be run so has the reason in its row."""
+    """The row of the worst run [m]; for a graph that cannot be run in this way, the reason."""
     found = [_figures(case, name, seed) for seed in range(SEEDS if CASES[case].random else 1)]
     return max(found, key=lambda row: math.inf if row["diverged_at"] != "" or row["fault"] else row["rms_final"])
 
@@ -199,7 +199,7 @@ def _figures(case: str, name: str, seed: int) -> dict[str, Any]:
 
 
 def table(rows: list[dict[str, str]]) -> Iterator[str]:
-    """As the page shows it."""
+    """The table of the page."""
     yield f"| case | {' | '.join(CONTROLLERS.values())} |"
     yield "|---" * (1 + len(CONTROLLERS)) + "|"
     for case in CASES:
@@ -223,7 +223,7 @@ def _millimetres(error: float) -> str:
 
 
 def read() -> list[dict[str, str]]:
-    """The rows that there are."""
+    """The stored rows."""
     if not TABLE.exists():
         return []
     with TABLE.open(encoding="utf-8", newline="") as file:
@@ -253,7 +253,7 @@ def draw() -> None:
 
 
 def main(words: list[str]) -> None:
-    """Compute what is missing, and write after each case."""
+    """Compute the missing rows, and write them after each case."""
     if "--draw" in words:
         draw()
         return

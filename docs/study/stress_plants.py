@@ -1,4 +1,4 @@
-"""Robots and a path that only ``stress.py`` has."""
+"""Robots and a path for ``stress.py``."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.linalg import solve_spd
-from dmframe.parameter import Diagonal, NonNegative, Positive, Real, Scalar, Vector
-from dmframe.port import TIME, Access, Input, Output, Side, State
+from dmframe.block.linalg import solve_spd
+from dmframe.block.parameter import Diagonal, NonNegative, Positive, Real, Scalar, Vector
+from dmframe.block.port import TIME, Access, Input, Output, Side, State
 
 
 @final
 class GearedArm(AbstractBlock):
-    """A rigid arm each of whose motors turns with its joint, through a gear: only its own inertia feels it."""
+    """A rigid arm with rotors: each adds an inertia to its own joint only."""
 
     side = Side.PLANT
     uses_robot = True
@@ -46,7 +46,7 @@ class GearedArm(AbstractBlock):
 
 @final
 class PoseFriction(AbstractBlock):
-    """Friction that rises and falls along each joint's way, on top of that of the arm."""
+    """Friction that varies with the joint angle, in addition to that of the arm."""
 
     side = Side.PLANT
     uses_robot = True
@@ -69,7 +69,7 @@ class PoseFriction(AbstractBlock):
 
 @final
 class MotorEncoders(AbstractBlock):
-    """Reads the motors of elastic joints, which is all that a controller has of the joints."""
+    """Measures the motors of elastic joints; controllers have no other measurement of the joints."""
 
     side = Side.PLANT
     uses_robot = True
@@ -87,13 +87,13 @@ class MotorEncoders(AbstractBlock):
     )
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """Pose, velocity, and where the tool would be without springs."""
+        """Pose, velocity, and the tool position without springs."""
         return Equations({"q_motor": u.theta, "dq_motor": u.dtheta, "x_motor": p.robot.position(u.theta)})
 
 
 @final
 class StopAndGo(AbstractBlock):
-    """A circle that is run through for half of each `period`, and stood still on for the other half."""
+    """A circle with motion during half of each `period`, and a stop during the other half."""
 
     side = Side.SOURCE
     inputs = (TIME,)
@@ -105,7 +105,7 @@ class StopAndGo(AbstractBlock):
     period: Scalar = Positive("", "s")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """Each stretch begins and ends without velocity and acceleration; `rate` is the mean over both halves."""
+        """Each motion begins and ends with zero velocity and acceleration; `rate` is the mean over both halves."""
         done = ca.floor(u.t / p.period)
         s = ca.fmin(2 * (u.t / p.period - done), 1)
         angle = p.rate * p.period * (done + s * s * s * (10 - 15 * s + 6 * s * s))

@@ -1,4 +1,4 @@
-"""Servos that are not what controllers take them for, for ``stress.py``."""
+"""Servos that differ from the controllers' models, for ``stress.py``."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from typing import final
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX
-from dmframe.parameter import Diagonal, Positive, Scalar
-from dmframe.port import Access, Input, Output, Side, State
+from dmframe.block.certificate import SX
+from dmframe.block.parameter import Diagonal, Positive, Scalar
+from dmframe.block.port import Access, Input, Output, Side, State
 
 
 @final
 class VelocityServo(AbstractBlock):
-    """P servo of the joint velocities: it has no target position, and gravity pulls the robot down."""
+    """P servo of the joint velocities: it has no target position, and the robot sags under gravity."""
 
     side = Side.PLANT
     inputs = (Input("dq", "n", "rad/s"), Input("dq_c", "n", "rad/s"))
@@ -27,7 +27,7 @@ class VelocityServo(AbstractBlock):
 
 
 class AbstractPositionServo(AbstractBlock):
-    """PID servo of the joint positions; what kind of one, its equations say."""
+    """PID servo of the joint positions, with equations of the subclass."""
 
     side = Side.PLANT
     inputs = (
@@ -44,18 +44,18 @@ class AbstractPositionServo(AbstractBlock):
     K_I: Diagonal = Positive("n", "V/(rad s)")
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
-        """At rest, holding gravity."""
+        """At rest, with the integrator balancing gravity."""
         return {"q_c": u.q, "i": -truth.g / (truth.K * p.K_I)}
 
 
 @final
 class DriftingServo(AbstractPositionServo):
-    """PID servo of the joint positions whose target integrates a share of the commands alone."""
+    """PID servo of the joint positions with a target that integrates a fraction of the commands."""
 
     share: Scalar = Positive(default=0.99)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """The voltage, and a target that falls behind."""
+        """The voltage, and the rate of the target."""
         voltage = -p.K_D * (u.dq - u.dq_c) - p.K_P * (u.q - x.q_c) - p.K_I * x.i
         return Equations({"q_c": x.q_c, "u": voltage}, rates={"q_c": p.share * u.dq_c, "i": u.q - x.q_c})
 
@@ -69,7 +69,7 @@ class FilteredServo(AbstractPositionServo):
     time_constant: Scalar = Positive("", "s")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """The voltage, of a velocity error that lags behind."""
+        """The voltage, from the filtered velocity error."""
         voltage = -p.K_D * x.slip - p.K_P * (u.q - x.q_c) - p.K_I * x.i
         behind = (u.dq - u.dq_c - x.slip) / p.time_constant
         return Equations({"q_c": x.q_c, "u": voltage}, rates={"q_c": u.dq_c, "i": u.q - x.q_c, "slip": behind})
@@ -77,11 +77,11 @@ class FilteredServo(AbstractPositionServo):
 
 @final
 class HurriedServo(AbstractPositionServo):
-    """PID servo of the joint positions whose clock is fast: `pace` of its seconds pass in one."""
+    """PID servo of the joint positions with a fast clock: `pace` of its seconds pass in one second."""
 
     pace: Scalar = Positive()
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """The voltage; what it integrates, and the velocity that it sees, are by its own clock."""
+        """The voltage, with integration and velocity in the servo's own time."""
         voltage = -p.K_D * (u.dq / p.pace - u.dq_c) - p.K_P * (u.q - x.q_c) - p.K_I * x.i
         return Equations({"q_c": x.q_c, "u": voltage}, rates={"q_c": p.pace * u.dq_c, "i": p.pace * (u.q - x.q_c)})

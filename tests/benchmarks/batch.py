@@ -30,12 +30,12 @@ def in_simd(size: int, seconds: float, step: float) -> dict[str, Any]:
     from dataclasses import replace
 
     from dmframe.batch.batch import Batch
-    from dmframe.batch.figures import Wanted
+    from dmframe.batch.figures import MeasuredSignals
     from dmframe.graph.graph import Graph
 
     loaded = Graph.read(GRAPH)
     settings = {**loaded.settings, "solver": replace(loaded.solver, step=step)}
-    batch = Batch.of(loaded.diagram, seconds, wanted=Wanted(("arm.q",)), engine="compiled", **settings)
+    batch = Batch.of(loaded.diagram, seconds, wanted=MeasuredSignals(("arm.q",)), engine="compiled", **settings)
     gamma, Gamma, Lambda = grid(size).T
     values = {"task.gamma": gamma, "dynamics.Gamma": Gamma, "inverse.Lambda": Lambda}
     batch.measure({label: column[:2] for label, column in values.items()})
@@ -164,7 +164,7 @@ METHODS: dict[str, tuple[str, dict[str, Any], str, str]] = {
         "one run after the other; it compiles at each call, which is in its time; records the plant's state",
     ),
     "Jaxonomy, simulate_batch(use_vmap=True)": ("by_jaxonomy", {"together": True}, "jaxonomy", "as above, vectorised"),
-    "JAX, vmap by hand": ("by_vmap", {}, "jax", "scalar code, vectorised; compilation left out, nothing recorded"),
+    "JAX, vmap by hand": ("by_vmap", {}, "jax", "scalar code, vectorised; without compilation, and without a record"),
 }
 
 
@@ -191,7 +191,7 @@ def section(
         f"{size} runs of {GRAPH} over a grid of three gains, {seconds:g} s each, all cores; plant at {step * 1e3:g} ms",
         "how many times as long as dmframe's",
         tuple(rows),
-        (f"A row counts where no last joint angle of any run is further than {TOLERANCE:g} rad from ours.",),
+        (f"A row counts if no last joint angle of a run differs by more than {TOLERANCE:g} rad from dmframe's.",),
     )
 
 

@@ -85,9 +85,10 @@ def section(
         f"how many times as fast {name} is",
         tuple(rows),
         (
-            f"A row counts where no joint angle at any sampling instant is further than {TOLERANCE:g} rad from ours. "
-            "What a tool compiles or builds before the first step is left out, of ours too: see (e). "
-            f"The time is that of the best of up to {MOST} runs, and ours is measured before and after the others.",
+            f"A row counts if no joint angle at any sampling instant differs by more than {TOLERANCE:g} rad from that "
+            "of dmframe. Compiling and building before the first step are excluded, for dmframe too: see (e). "
+            f"The time is that of the best of up to {MOST} runs, and that of dmframe is measured before and after the "
+            "others.",
         ),
     )
 

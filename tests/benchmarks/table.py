@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 Status = Literal["ok", "missing", "disagrees", "failed"]
-COLUMNS = ("what", "version", "measured", "ratio", "agreement", "how, and what is unfair")
+COLUMNS = ("what", "version", "measured", "ratio", "agreement", "method and remarks")
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import scipy
 
 import dmframe as dm
 from dmframe.catalogue import find_block
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.robot.library import load as load_robot
 from dmframe.simulate.instants import DRAWN, Instants
 

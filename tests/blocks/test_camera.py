@@ -16,8 +16,8 @@ import dmframe as dm
 from dmframe.analysis import linearise, linearised_period, prove_stability
 from dmframe.catalogue import find_block
 from dmframe.graph.graph import Graph
-from dmframe.results.drawn_runs import coordinate_labels
 from dmframe.results.metrics import tracking_error
+from dmframe.results.plotting import coordinate_labels
 from dmframe.simulate import Solver, simulate
 from dmframe_blocks import adaptive_camera
 from dmframe_blocks._image import image_regressor

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from dmframe.certificate import Certificate
+from dmframe.block.certificate import Certificate
 from dmframe.diagram import Diagram
 from dmframe.diagram.view import view
 from dmframe.graph.graph import Graph

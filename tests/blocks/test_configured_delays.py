@@ -11,12 +11,12 @@ from sampled_arm2 import sampled_arm2
 
 import dmframe as dm
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.parameter import Positive, Scalar
+from dmframe.block.port import Input, Output, Side, State
 from dmframe.certify import Verdict, verify
 from dmframe.certify.claim import claim_of
 from dmframe.certify.delays import decided_delays
 from dmframe.diagram import Diagram
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import Input, Output, Side, State
 from dmframe_blocks.sampled_inverse import SampledInverse
 
 

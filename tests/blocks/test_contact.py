@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 import dmframe as dm
 from dmframe.block import AbstractBlock
-from dmframe.certificate import Assumption, Certificate, Driven
+from dmframe.block.certificate import Assumption, Certificate, StableLinear
 from dmframe.certify import Verdict, verify
+from dmframe.common.errors import DmframeError
 from dmframe.config.document import read_document
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError
 from dmframe.graph.graph import Graph
 from dmframe.results.metrics import tracking_error
 from dmframe.robot.library import find_robot
@@ -234,8 +234,8 @@ BOUNDED = (Assumption("f is bounded"),)
 def driven(inputs: Any, otherwise: Any = BOUNDED) -> Callable[..., Certificate]:
     def certificate(self: AbstractBlock, u: Any, x: Any, p: Any, truth: Any) -> Certificate:
         rates = ((0, 1), (-p.K_a / p.M_a, -p.D_a / p.M_a))  # type: ignore[attr-defined]
-        item = Driven((x.x_a, x.v_a), rates, (x.x_a, x.v_a), otherwise, inputs=inputs(u, p))
-        return Certificate(driven=(item,))
+        item = StableLinear((x.x_a, x.v_a), rates, (x.x_a, x.v_a), otherwise, inputs=inputs(u, p))
+        return Certificate(linear=(item,))
 
     return certificate
 

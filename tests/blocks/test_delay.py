@@ -11,8 +11,8 @@ from test_sampled_supervisor import Line
 import dmframe as dm
 from dmframe.analysis.delay import FittedDelay, fitted_delay, recorded_delay
 from dmframe.catalogue import block_types
+from dmframe.common.errors import ValueFault
 from dmframe.diagram import Diagram
-from dmframe.errors import ValueFault
 from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording, simulate
 

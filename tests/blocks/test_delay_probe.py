@@ -9,7 +9,7 @@ import pytest
 
 import dmframe as dm
 from dmframe.catalogue import block_types
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 
 KIND = block_types()["delay_probe"]
 T = 0.05
@@ -118,8 +118,10 @@ def test_in_doubt_the_delay_is_the_longer_one() -> None:
     """38 % of the response in the first sample, measured with noise: without confidence both delays occur."""
     found: dict[float, set[float]] = {0.0: set(), 3.0: set()}
     for confidence, seen in found.items():
-        for seed in range(8):
-            block = KIND(delay_up_to=6, taps=8, settling=0.0, lasting=2.0, confidence=confidence)
+        block = KIND(delay_up_to=6, taps=8, settling=0.0, lasting=2.0, confidence=confidence)
+        for seed in range(5 if confidence else 40):
+            if seen == {0.0, 1.0}:
+                break
             rng, q, v, last, states = np.random.default_rng(seed), 0.0, 0.0, 0.0, dict[str, Any](q_before=[0.0])
             for _ in range(44):
                 toss = rng.uniform(-1, 1)

@@ -13,7 +13,7 @@ import dmframe as dm
 from dmframe.block import Equations
 from dmframe.catalogue import block_types
 from dmframe.certify import verify
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 
 KIND = block_types()["expert_aggregation"]
 T, RATE = 0.02, 5.0

@@ -8,7 +8,7 @@ import pytest
 import scipy
 
 from dmframe.certify import Verdict, verify
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.graph.graph import Graph
 from dmframe.robot.chain import SerialChain, pin_configuration
 from dmframe.simulate import Solver, simulate
@@ -113,7 +113,7 @@ def test_the_offset_of_the_servos_integrator_has_one_place(overrides: list[str],
 
 def test_without_accelerations_the_torque_based_arm_follows_its_path_better_and_better() -> None:
     graph = Graph.read("torque_indirect_filtered_pi")
-    assert not any("ddq" in leaf.name for leaf in graph.diagram.loop.crossings)
+    assert not any("ddq" in leaf.name for leaf in graph.diagram.loop.sampled_signals)
     run = simulate(graph.diagram, 100.0, clock=None, solver=graph.solver, start=graph.start)
     assert run.divergence is None
     for signal, target in (("filter.e_f", 0.7), ("error", 0.7)):

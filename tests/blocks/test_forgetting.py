@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import scipy
 
-from dmframe.adaptation import Fit
-from dmframe.certificate import SX, Certificate, Gathered
+from dmframe.block.adaptation import Fit
+from dmframe.block.certificate import SX, Certificate, InformationSquare
 from dmframe.certify import Verdict, verify
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.formula.docstring import check_docstring
 from dmframe.graph.graph import Graph
 from dmframe.report.terms import terms_of
@@ -124,13 +124,13 @@ def test_a_memory_that_does_not_move_as_its_term_says_is_refuted_though_dv_dt_wo
 
     def lying(self: Any, *signals: Any) -> Certificate:
         stated = right(self, *signals)
-        term = Gathered(signals[0].q, ca.SX(0), ca.SX.zeros(3, 3), ca.SX.eye(3), ca.SX.ones(3), ca.SX(1))
+        term = InformationSquare(signals[0].q, ca.SX(0), ca.SX.zeros(3, 3), ca.SX.eye(3), ca.SX.ones(3), ca.SX(1))
         return Certificate(
             (*stated.storage, term),
             stated.dissipation,
             stated.supply,
             task=True,
-            excess=stated.excess,
+            residual=stated.residual,
             truth=stated.truth,
             estimates=stated.estimates,
         )

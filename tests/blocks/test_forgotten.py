@@ -13,7 +13,7 @@ import pytest
 import dmframe as dm
 from dmframe.catalogue import find_block
 from dmframe.cli import _unexpected
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 
 ARM: dict[str, Any] = {
     "dmframe": 1,

@@ -14,12 +14,12 @@ from faulty import verdict_with
 from jsonschema import Draft202012Validator
 
 import dmframe as dm
-from dmframe import linalg
+from dmframe.block import linalg
 from dmframe.certify import Verdict, verify
+from dmframe.common.errors import DmframeError
 from dmframe.config.schema import json_schema
 from dmframe.diagram.projection import Ball, Box
 from dmframe.diagram.values import with_values
-from dmframe.errors import DmframeError
 from dmframe.graph.graph import Graph
 from dmframe.report.linear import LinearView
 from dmframe.robot.pseudo_inertia import natural_gain

@@ -16,7 +16,7 @@ from dmframe.block import AbstractBlock, Signals
 from dmframe.block.model import model_block
 from dmframe.block.sizes import bind_sizes, parameter_arrays
 from dmframe.catalogue import find_block
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.graph.graph import Graph
 from dmframe.robot.library import load
 from dmframe.robot.symbolic import SymbolicRobot

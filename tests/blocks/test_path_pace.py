@@ -9,7 +9,7 @@ import pytest
 
 import dmframe as dm
 from dmframe.catalogue import block_types
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 
 T, LIMIT = 0.04, 0.4
 PACE = {"type": "path_pace", "u_max": LIMIT}

@@ -1,4 +1,4 @@
-"""A load at the tool: against Pinocchio, proved between its steps, estimated, and how much of it was felt."""
+"""A load at the tool: against Pinocchio, proved between its steps, estimated, and its excitation."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 
 import dmframe as dm
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.port import TIME, Output, Side
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.projections import outside
+from dmframe.common.errors import DmframeError
 from dmframe.config.document import read_document
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError
 from dmframe.graph.graph import Graph
-from dmframe.port import TIME, Output, Side
 from dmframe.results.along import along
-from dmframe.results.shown import felt
+from dmframe.results.reported import excitation
 from dmframe.robot.library import find_robot
 from dmframe_blocks._loads import with_body, with_held
 from dmframe_blocks.loaded_manipulator import LoadedManipulator
@@ -146,14 +146,14 @@ def test_before_it_is_there_and_once_it_is_put_down_the_gripper_is_left() -> Non
     assert [ran(until).shown[0].values[0] for until in (30.0, 120.0)] == pytest.approx([GRIPPER] * 2, abs=0.2)
 
 
-def test_what_is_felt_is_what_no_other_column_could_do() -> None:
+def test_excitation_is_what_no_other_column_compensates() -> None:
     rng = np.random.default_rng(0)
     W = rng.normal(size=(300, 5)) * [1, 10, 0.1, 3, 1]
     others = np.delete(W, 1, axis=1)
     left = W[:, 1] - others @ np.linalg.lstsq(others, W[:, 1], rcond=None)[0]
-    assert felt(W, 100, np.eye(5)[1:2]) == pytest.approx(np.linalg.norm(left) / np.sqrt(100))
+    assert excitation(W, 100, np.eye(5)[1:2]) == pytest.approx(np.linalg.norm(left) / np.sqrt(100))
     W[:, 4] = W[:, 0] - 2 * W[:, 2]  # three that no row distinguishes; their sum is determined
-    found = felt(W, 100, np.vstack([np.eye(5), [1, 0, -2, 0, 0], [1, 0, 0, 0, 1]]))
+    found = excitation(W, 100, np.vstack([np.eye(5), [1, 0, -2, 0, 0], [1, 0, 0, 0, 1]]))
     assert list(found > 0) == [False, True, False, True, False, False, True]
 
 
@@ -162,16 +162,16 @@ def test_two_joints_feel_a_mass_by_the_difference_of_their_torques_and_a_single_
     text = SMALL.replace("clock: continuous", "clock: 1 ms") + "  holds:    {type: payload_estimate}\n"
     alone = text.replace("arm2", "pendulum").replace("[0.5, 0.9]", "[0.5]").replace("[1, 2]", "[2]")
     alone = alone.replace("[60, 30]", "[30]").replace("[240, 120]", "[120]")
-    felt_by = [dm.load(graph).run(until=8).shown[0].felt for graph in (text, alone)]
-    assert felt_by[1] == (0.0,)
-    assert felt_by[0] is not None
-    assert felt_by[0][0] > 0.1
+    excitations = [dm.load(graph).run(until=8).shown[0].excitation for graph in (text, alone)]
+    assert excitations[1] == (0.0,)
+    assert excitations[0] is not None
+    assert excitations[0][0] > 0.1
 
 
 def test_a_run_says_what_the_tool_holds_in_kilograms_and_metres() -> None:
     mass, center = ran().shown
-    assert mass.felt is not None
-    assert mass.felt[0] > 1.0
+    assert mass.excitation is not None
+    assert mass.excitation[0] > 1.0
     assert "mass of the load 3.9" in str(ran())
     assert "N m/kg" in str(ran())
     assert ran().summary["shown"][1]["signal"] == center.label == "holds.c_load_hat"

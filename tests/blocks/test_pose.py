@@ -18,7 +18,7 @@ from dmframe.catalogue import find_block
 from dmframe.certify import verify
 from dmframe.certify.closure import Closure
 from dmframe.certify.limits import Combinations, Goal, Made, Vanishing, combined
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.exact import zero_test
 from dmframe.graph.graph import Graph
 from dmframe.results.metrics import turn_error
@@ -212,7 +212,7 @@ def test_it_goes_with_a_pi_servo_and_ends_in_position_and_orientation() -> None:
     assert claim is not None
     (task,) = (part.certificate for part in claim.parts if part.certificate.errors)
     b, e_R = task.dissipation[0], task.errors[0]
-    known = cast(Closure, SimpleNamespace(uncertain=frozenset(), prime=2**127 - 1, seed=0, driven=[], driving=[]))
+    known = cast(Closure, SimpleNamespace(uncertain=frozenset(), prime=2**127 - 1, seed=0, linear=[], driving=[]))
 
     def concluded(vector: Any) -> Made | None:
         field = Combinations(claim, known.prime, known.seed)

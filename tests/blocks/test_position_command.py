@@ -11,7 +11,7 @@ import scipy
 
 from dmframe.catalogue import graphs
 from dmframe.certify import verify
-from dmframe.errors import AccessError
+from dmframe.common.errors import AccessError
 from dmframe.graph.graph import Graph
 from dmframe.results.metrics import tracking_error
 from dmframe.simulate import Recording, simulate

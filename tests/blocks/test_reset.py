@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 import dmframe as dm
 from dmframe.certify import claim_of, verify
 from dmframe.certify.hypotheses import BETWEEN
+from dmframe.common.errors import DmframeError
 from dmframe.config.document import read_document
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError
 from dmframe.graph.graph import Graph
 from dmframe.results.along import along
 from dmframe.robot.library import find_robot
@@ -129,9 +129,9 @@ def test_a_reset_begins_at_the_prior_leaves_friction_and_finds_the_mass() -> Non
     assert np.abs(a_d_hat[k, 10:] - prior[10:]).max() > 0.1  # which had been learnt
     assert np.mean(a_d_hat[(time > 30) & (time < 50), 0]) == pytest.approx(HEAVY, rel=0.1)
     assert np.mean(a_d_hat[time > 60, 0]) == pytest.approx(LIGHT, abs=0.4)
-    felt = ran().shown[0].felt
-    assert felt is not None
-    assert felt[0] > 0.5
+    excitation = ran().shown[0].excitation
+    assert excitation is not None
+    assert excitation[0] > 0.5
 
 
 def test_it_is_proved_at_any_instant_of_grasping_and_the_part_of_v_that_jumps_is_named() -> None:

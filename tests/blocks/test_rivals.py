@@ -13,7 +13,7 @@ from sampled_arm2 import sampled_arm2
 import dmframe as dm
 from dmframe.catalogue import block_types
 from dmframe.certify import verify
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.robot.library import load
 
 BLOCKS = block_types()

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dmframe.adaptation import Adaptation
-from dmframe.certificate import SX
+from dmframe.block.adaptation import Adaptation
+from dmframe.block.certificate import SX
 from dmframe.certify import Verdict, verify
 from dmframe.cli import main
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.graph.graph import Graph
 from dmframe.report.linear import LinearView
 from dmframe.report.verification import Verification
@@ -207,8 +207,8 @@ def test_a_start_outside_its_ball_is_refused() -> None:
 SENSOR = """
 import casadi as ca
 from dmframe.block import AbstractBlock, Equations
-from dmframe.parameter import Real
-from dmframe.port import Access, Input, Output, Side, TIME
+from dmframe.block.parameter import Real
+from dmframe.block.port import Access, Input, Output, Side, TIME
 
 
 class WrongSensor(AbstractBlock):

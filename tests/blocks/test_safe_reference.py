@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import dmframe as dm
+from dmframe.block.certificate import Barrier, Certificate
 from dmframe.catalogue import block_types
-from dmframe.certificate import Barrier, Certificate
 from dmframe.certify import claim_of
 from dmframe.certify.barriers import Tube, tubes
 from dmframe.certify.checked import Numbers

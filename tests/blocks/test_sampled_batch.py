@@ -13,9 +13,9 @@ from sampled_arm2 import sampled_arm2
 import dmframe as dm
 import dmframe.simulate.engine
 from dmframe.batch.batch import Batch
+from dmframe.block.linalg import inverse_factors, inverting
 from dmframe.build.compiler import find_compiler
-from dmframe.linalg import inverse_factors, inverting
-from dmframe.simulate.engine import SCALES, SHARES, TAME, Trial
+from dmframe.simulate.engine import FRACTIONS, SCALES, TAME, Trial
 
 
 @pytest.fixture(scope="module")
@@ -43,10 +43,10 @@ def test_a_longer_share_of_the_period_is_taken_where_the_shorter_one_overflows(
     batch: Batch, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     period = float(batch.prepared.step.period)
-    assert Trial.of(batch.prepared.step).step.period == pytest.approx(SHARES[0] * period)
-    overflows = property(lambda trial: trial.step.period > 1.01 * SHARES[0] * period)
+    assert Trial.of(batch.prepared.step).step.period == pytest.approx(FRACTIONS[0] * period)
+    overflows = property(lambda trial: trial.step.period > 1.01 * FRACTIONS[0] * period)
     monkeypatch.setattr(Trial, "_moderate", overflows)
-    assert Trial.of(batch.prepared.step).step.period == pytest.approx(SHARES[1] * period)
+    assert Trial.of(batch.prepared.step).step.period == pytest.approx(FRACTIONS[1] * period)
 
 
 @pytest.mark.skipif(find_compiler() is None, reason="no C compiler")

@@ -12,7 +12,7 @@ from sampled_arm2 import sampled_arm2
 import dmframe as dm
 from dmframe.catalogue import block_types
 from dmframe.certify import verify
-from dmframe.errors import WiringError
+from dmframe.common.errors import WiringError
 
 BLOCKS = block_types()
 ARM = dm.load("ur10_slow_sampled").robot

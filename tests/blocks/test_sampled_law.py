@@ -13,15 +13,15 @@ from test_sampled_by_hand import K_D, K_I, K_P, PATH, START, STEP, T, ur10
 
 import dmframe as dm
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.port import Access, Input, Output, Side, State
+from dmframe.block.steps import unpacked
 from dmframe.catalogue import block_types
+from dmframe.common.errors import DmframeError
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError
 from dmframe.graph.graph import Graph
-from dmframe.port import Access, Input, Output, Side, State
 from dmframe.robot.library import find_robot
 from dmframe.robot.parameters import DynamicParameters
 from dmframe.simulate import Log, Recording, simulate
-from dmframe.steps import unpacked
 from dmframe_blocks._averaged_servo import averaged_servo
 
 BLOCKS = block_types()

@@ -9,8 +9,8 @@ import pytest
 from sampled_arm2 import sampled_arm2
 
 import dmframe as dm
+from dmframe.block.linalg import inverse_spd
 from dmframe.certify import Verdict, verify
-from dmframe.linalg import inverse_spd
 from dmframe.robot.symbolic import SymbolicRobot
 from dmframe_blocks._averaged_servo import AveragedServo, averaged_servo
 from dmframe_blocks._sample_estimators import LeastSquares

@@ -13,11 +13,11 @@ from test_sampled_by_hand import K_D, K_I, K_P, PATH, START, T, ur10
 
 import dmframe as dm
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.port import Input, Output, Side, State
 from dmframe.certify import verify
+from dmframe.common.errors import DmframeError, WiringError
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError, WiringError
 from dmframe.graph.graph import Graph
-from dmframe.port import Input, Output, Side, State
 from dmframe.simulate import Recording, simulate
 from dmframe_blocks.sampled_supervisor import SampledSupervisor
 

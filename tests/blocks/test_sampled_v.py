@@ -14,10 +14,10 @@ from sampled_by_hand import Array, Plant, SampledLaw, closed_loop
 from test_sampled_by_hand import K_D, K_I, K_P, PATH, START, T, inertial, ur10
 
 import dmframe as dm
-from dmframe.certify.verify import verify
-from dmframe.errors import DmframeError
+from dmframe.certify import verify
+from dmframe.common.errors import DmframeError
 from dmframe.report.measured import measure
-from dmframe.results.along import Along
+from dmframe.results.along import StorageTrace
 from dmframe.results.claimed import claimed_along
 from dmframe.simulate import Log, Recording, simulate
 
@@ -47,7 +47,7 @@ def run_of(data: dict[str, Any], *overrides: tuple[str, Any]) -> dm.Run:
     return dm.load(yaml.safe_dump(data)).set(dict(overrides)).run(judge=False)
 
 
-def along_of(run: dm.Run, **changed: Any) -> Along:
+def along_of(run: dm.Run, **changed: Any) -> StorageTrace:
     """V along a run whose recording was changed."""
     recording = replace(run.recording, **changed)
     return claimed_along(recording, {}, run.graph.start)[1]
@@ -115,7 +115,7 @@ def test_v_rises_at_no_sample_by_more_than_its_claim_allows(inverse: dict[str, A
     assert found.residual.shape == found.V.shape
     assert found.beyond == 0
     assert np.all(np.diff(run["V"]) <= np.asarray(run["V_residual"])[:-1] + 1e-6 * np.asarray(run["V"])[:-1])
-    assert found.crossings == ()
+    assert found.notes == ()
     assert np.abs(found.steps).max() > 1e-3  # it moves
 
 
@@ -172,14 +172,14 @@ def test_states_that_are_not_kept_are_recomputed_with_what_each_sample_drew(inve
 def test_a_run_that_does_not_keep_every_sample_has_no_v_and_says_why() -> None:
     run = run_of({**arm2(), "log": {"every": "80 ms"}})
     with pytest.raises(
-        DmframeError, match=r"expected a run that keeps inverse\.rows.* or a simulation that keeps every"
+        DmframeError, match=r"expected a run that records inverse\.rows.* or a simulation that records every"
     ):
         run["V"]
 
 
 def test_a_constant_that_no_sample_determines_is_named() -> None:
     run = run_of(arm2(u_max=1e-6))  # each command is clipped, and nothing is learnt
-    (note,) = run.storage.along.crossings
+    (note,) = run.storage.along.notes
     assert note.startswith("no sample of the run determines inverse.offset[1] and inverse.offset[2]")
     assert note in run.storage.notice
     assert not np.any(np.diff(run["V"]))
@@ -187,8 +187,8 @@ def test_a_constant_that_no_sample_determines_is_named() -> None:
 
 def test_a_constant_outside_its_box_is_named_and_v_rises_beyond_its_claim() -> None:
     run = run_of(arm2(filtered=False, offset_box=[-1e-3, 1e-3]))
-    assert len(run.storage.along.crossings) == 2
-    assert "inverse.theta[3] that leaves least of the data unexplained, -0.41" in run.storage.notice
+    assert len(run.storage.along.notes) == 2
+    assert "inverse.theta[3] identified from the run, -0.41" in run.storage.notice
     assert run.storage.along.beyond > 0
 
 
@@ -215,7 +215,7 @@ def test_a_report_shows_v_and_with_which_constants(short: dm.Run) -> None:
     experiment = short.graph
     diagram = experiment.diagram
     found = measure(experiment, verify(diagram, start=experiment.start))
-    assert found.sentence.startswith("The theorem is one over samples")
+    assert found.sentence.startswith("The theorem is in discrete time and covers the estimates")
     assert "$V$ is evaluated with inverse.offset = [" in found.sentence
     assert "At no sample did it rise by more than its theorem allows." in found.sentence
     assert found.numbers["beyond"] == 0

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, type_name
+from dmframe.block.parameter import specs
+from dmframe.block.port import Access, Side, Signal, State
 from dmframe.block.prose import about
 from dmframe.catalogue import block_types, graphs
+from dmframe.common.units import compatible
 from dmframe.graph.graph import Graph
-from dmframe.parameter import specs
-from dmframe.port import Access, Side, Signal, State
 from dmframe.simulate import simulate
-from dmframe.units import compatible
 
 BLOCKS = block_types()
 GRAPHS = sorted(graphs())

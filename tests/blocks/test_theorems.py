@@ -12,7 +12,7 @@ import pytest
 
 from dmframe.certify import Verdict, verify
 from dmframe.graph.graph import Graph
-from dmframe.results.along import Along, along
+from dmframe.results.along import StorageTrace, along
 from dmframe.simulate import Recording, simulate
 
 THEOREMS = ("theorem_1", "theorem_2", "theorem_3", "theorem_4")
@@ -46,7 +46,7 @@ def done(name: str) -> tuple[Recording, Verdict]:
 
 
 @cache
-def fall(name: str) -> Along:
+def fall(name: str) -> StorageTrace:
     run, verdict = done(name)
     assert verdict.claim is not None
     return along(verdict.claim, run, float(verdict.kappa.chosen) if verdict.kappa else 1.0)

@@ -13,15 +13,15 @@ import yaml
 import dmframe as dm
 from dmframe.block import AbstractBlock
 from dmframe.block.model import model_block
+from dmframe.block.parameter import PAIRS, Spec, specs
+from dmframe.block.port import ANY
 from dmframe.block.sizes import bind_sizes, parameter_arrays
 from dmframe.catalogue import block_types, graphs
+from dmframe.common.errors import DmframeError, raise_all
 from dmframe.diagram import Diagram
 from dmframe.dimensions import check as check_module
-from dmframe.dimensions.check import Check, element_units, unlike
+from dmframe.dimensions.check import Check, declaration_faults, element_units
 from dmframe.dimensions.dimension import BASES, ONE
-from dmframe.errors import DmframeError, raise_all
-from dmframe.parameter import PAIRS, Spec, specs
-from dmframe.port import ANY
 
 CHEAP: Final = ("pendulum", "arm2_joint", "slotine_li", "computed_torque", "torque_direct_pi", "torque_direct_pid")
 PREFERRED: Final = ("known_tracking_composite_pi",)
@@ -212,11 +212,11 @@ def test_a_wrong_exponent_of_any_parameter_is_found(kind: str) -> None:
 @pytest.mark.parametrize("kind", sorted(block_types()))
 def test_a_start_and_a_box_have_the_unit_of_their_state(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     block = block_types()[kind]
-    assert list(unlike(block)) == []
+    assert list(declaration_faults(block)) == []
     for name in compared_by_name(block):
         own = specs(block)
         other = {**own, name: replace(own[name], unit=f"A {own[name].unit}")}
         monkeypatch.setattr(check_module, "specs", lambda _, other=other: other)
-        (text,) = unlike(block)
+        (text,) = declaration_faults(block)
         assert text.startswith(f"expected {name}, the ")
         monkeypatch.undo()

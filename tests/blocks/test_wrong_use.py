@@ -8,7 +8,7 @@ import pytest
 
 from dmframe.catalogue import graphs
 from dmframe.certify import verify
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.graph.graph import Graph
 from dmframe.simulate import simulate
 

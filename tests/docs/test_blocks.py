@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 import dmframe as dm
+from dmframe.block.parameter import specs
 from dmframe.catalogue import block_types, graphs
 from dmframe.formula.alone import plainest
-from dmframe.parameter import specs
 
 ROOT = Path(__file__).parents[2]
 
@@ -75,7 +75,7 @@ def test_a_page_lists_each_port_state_and_parameter_with_unit_and_meaning(dynami
     assert "| `tau_dc` | n | N m | dynamic compensation, Y_d a_d_hat and the task's torque | controller |" in signals
     assert "Adaptation gain" in parameters
     inverse = "\n".join(make_blocks._signals(KINDS["pid_inverse"]))
-    assert "commanded velocity | controller, and the plant takes it as a command |" in inverse
+    assert "commanded velocity | controller, and plant as a command |" in inverse
     servo = "\n".join(make_blocks._signals(KINDS["pid_servo"]))
     assert "| `u` | n | V | armature voltage | plant and proofs |" in servo
     assert re.search(r"\| `q_c` \| n \| rad \| [^|]* \| all: it is measured \|", servo)

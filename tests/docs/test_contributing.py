@@ -1,4 +1,4 @@
-"""What CONTRIBUTING says of the rooms is what the import contract checks."""
+"""The table of packages in CONTRIBUTING agrees with the import contract."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ def layers() -> list[set[str]]:
 
 
 def rows() -> list[set[str]]:
-    """The rooms of each row of the table."""
-    text = ROOT.joinpath("CONTRIBUTING.md").read_text("utf-8").partition("## The rooms")[2].partition("\n## ")[0]
+    """The packages of each row of the table."""
+    text = ROOT.joinpath("CONTRIBUTING.md").read_text("utf-8").partition("## Packages\n")[2].partition("\n## ")[0]
     table = [line for line in text.splitlines() if line.startswith("| `")]
     return [set(re.findall(r"`(\w+)`", line.split(" | ")[0])) for line in table]
 
 
-def test_the_table_of_rooms_has_the_order_of_the_import_contract() -> None:
-    level = {room: place for place, layer in enumerate(layers()) for room in layer}
-    places = [{level[room] for room in row} for row in rows()]
+def test_the_table_of_packages_has_the_order_of_the_import_contract() -> None:
+    level = {package: place for place, layer in enumerate(layers()) for package in layer}
+    places = [{level[package] for package in row} for row in rows()]
     assert all(len(place) == 1 for place in places)
     order = [min(place) for place in places]
     assert order == sorted(order)
@@ -35,5 +35,5 @@ def test_the_table_of_rooms_has_the_order_of_the_import_contract() -> None:
 def test_every_package_has_a_row() -> None:
     packages = {path.parent.name for path in ROOT.glob("dmframe/*/__init__.py")}
     modules = {path.stem for path in ROOT.glob("dmframe/*.py")}
-    listed = [room for row in rows() for room in row]
+    listed = [package for row in rows() for package in row]
     assert sorted(listed) == sorted(packages | set(listed) & modules)

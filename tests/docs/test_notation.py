@@ -15,9 +15,9 @@ from typing import Any
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.naming import named
+from dmframe.block.port import Input, Output
 from dmframe.catalogue import block_types
-from dmframe.naming import named
-from dmframe.port import Input, Output
 
 ROOT = Path(__file__).parents[2]
 
@@ -78,12 +78,12 @@ def _second(name: str, like: str) -> Callable[[Any, Any], None]:
 FAULTS: dict[str, tuple[Callable[[Any, Any], Any], str]] = {
     "no meaning": (lambda _, said: said.pop("u"), "u has no meaning in notation.yaml"),
     "no name": (lambda found, _: found.pop("u"), "u has a meaning, and no block has it"),
-    "two units": (lambda found, _: found["u"].units.append("A"), "u has several units: V, A, and does not say why"),
-    "no reason": (_set("K_P", because=""), "K_P has several meanings, and does not say why"),
-    "two meanings": (_set("u", means="voltage; control"), "u has several meanings, and does not say why"),
-    "needless reason": (_set("u", because="it may"), "u says why it has several units or meanings, and has one"),
+    "two units": (lambda found, _: found["u"].units.append("A"), "u has several units: V, A, without a reason"),
+    "no reason": (_set("K_P", because=""), "K_P has several meanings, without a reason"),
+    "two meanings": (_set("u", means="voltage; control"), "u has several meanings, without a reason"),
+    "needless reason": (_set("u", because="it may"), "u: a reason is given, but it has one unit and meaning"),
     "alike in print": (_second("K1", "K_1"), "K1 and K_1 print alike"),
-    "a function's name": (_second("clip", "u"), "clip has several kinds: a sign in print too, and does not say why"),
+    "a function's name": (_second("clip", "u"), "clip has several kinds: a sign in print too, without a reason"),
     "a size's letter": (_second("k", "u"), "k is the letter of a size too"),
     "alike in the paper": (_set("u", paper="Gamma_d"), "the paper calls u and Gamma alike"),
 }
@@ -113,6 +113,6 @@ class Confused(AbstractBlock):
 def test_a_confused_block_is_reported(notation: ModuleType) -> None:
     assert list(notation.clashes(Confused, notation.entries())) == [
         "the option direct is a name too",
-        "a part of the law is called w, and something else is too",
-        "a part of the law is called K1, and something else is too",
+        "a part of the law is called w, and so is another quantity",
+        "a part of the law is called K1, and so is another quantity",
     ]

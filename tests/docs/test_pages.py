@@ -13,7 +13,7 @@ import pytest
 import typer.main
 from typer.testing import CliRunner
 
-from dmframe import certificate
+from dmframe.block import certificate
 from dmframe.catalogue import graphs
 from dmframe.cli.app import app
 from dmframe.config.document import read_document, read_file

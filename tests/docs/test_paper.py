@@ -58,8 +58,8 @@ def test_a_row_says_where_it_is_or_why_it_is_nowhere(paper: ModuleType) -> None:
     unused = [row for row in paper.rows() if row.unused]
     assert [row.number for row in unused] == ["Remark 4"]  # of other papers' laws
     for row in paper.rows():
-        assert len(row.says) > 8, row.number
-        assert not re.search(r"not (given|used)|TODO|\?\?", row.says), row.number
+        assert len(row.states) > 8, row.number
+        assert not re.search(r"not (given|used)|TODO|\?\?", row.states), row.number
         stated = bool(row.blocks or row.files or row.docs)
         assert stated == (not row.unused), row.number
     assert "none yet" not in "\n".join(paper.lines())
@@ -70,7 +70,7 @@ def test_errata_name_what_was_found_and_a_test_of_it(paper: ModuleType) -> None:
     rows = [line for line in errata.splitlines() if line.startswith("| ")][1:]
     assert [line.split(" | ")[0].strip("| ") for line in rows] == ["Section IV-A, last remark"]
     assert all("](../tests/blocks/test_" in line for line in rows)
-    found = [row.number for row in paper.rows() if "*Erratum*" in row.says]
+    found = [row.number for row in paper.rows() if "*Erratum*" in row.states]
     assert found == ["Section IV-A, last remark"]
 
 

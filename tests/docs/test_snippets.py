@@ -21,9 +21,9 @@ from typing import Any
 
 import pytest
 
-from dmframe import plotting
 from dmframe.catalogue import graphs
 from dmframe.cli import main
+from dmframe.common import plotting
 from dmframe.config.document import read_document, read_file
 from dmframe.graph.graph import Graph
 from dmframe.results import estimate_figure

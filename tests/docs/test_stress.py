@@ -98,19 +98,20 @@ def test_numbers_in_the_pages_words_are_those_of_the_table(study: ModuleType, ce
     peaks = {name: 1e3 * float(cells[heavy, name]["peak_after"]) for name in (LAW, SUPERVISED, OBSERVER)}
     open_case, worst = cells["q_c(0) off by 10 mrad, delay 1, steps", LAW], cells[late, LAW]
     for words in (
-        f"{rms(open_case):.2g} mm are left",
-        f"by up to {1e3 * float(worst['peak_after']):.0f} mm",
-        f"from 2 s on is then {max(1e3 * float(rows[case]['peak_after']) for case in UNTOLD):.2g} mm",
+        f"the error is {rms(open_case):.2g} mm",
+        f"its largest error is {1e3 * float(worst['peak_after']):.0f} mm",
+        f"error after 2 s is then {max(1e3 * float(rows[case]['peak_after']) for case in UNTOLD):.2g} mm",
         *(
             f"({rms(rows[case]):.3g} against {rms(cells[case, KINEMATIC[1]]):.3g} mm)"
             for case in ("delay 0, configured 1", "servo x 0.1, delay 1, steps")
         ),
         f"the law with J' ({rms(cells['servo x 0.1, delay 1, steps', LAW]):.3g} mm)",
-        f"the law errs by {rms(cells[ECHOED[0], LAW]):.3g} mm behind the random one, the observer by "
-        f"{rms(cells[ECHOED[0], OBSERVER]):.3g}, and supervised they err by {rms(rows[ECHOED[0]]):.3g}",
-        f"errs by {rms(cells[CUT_OFF, KINEMATIC[1]]):.0f} mm, with J' by {rms(cells[CUT_OFF, KINEMATIC[0]]):.0f}",
-        f"and errs by {rms(rows[CUT_OFF]):.0f} mm",
-        f"{peaks[OBSERVER]:.3g} mm against {peaks[LAW]:.3g}, and {peaks[SUPERVISED]:.3g} supervised",
+        f"the error of the law is {rms(cells[ECHOED[0], LAW]):.3g} mm, of the observer "
+        f"{rms(cells[ECHOED[0], OBSERVER]):.3g}, and of both supervised {rms(rows[ECHOED[0]]):.3g}",
+        f"is {rms(cells[CUT_OFF, KINEMATIC[1]]):.0f} mm with the inverse of J, and "
+        f"{rms(cells[CUT_OFF, KINEMATIC[0]]):.0f} with J'",
+        f"its error is {rms(rows[CUT_OFF]):.0f} mm",
+        f"{peaks[OBSERVER]:.3g} mm against {peaks[LAW]:.3g} of the law, and {peaks[SUPERVISED]:.3g} supervised",
     ):
         assert words in text, words
 

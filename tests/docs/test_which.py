@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import dmframe as dm
-from dmframe.errors import DmframeError
-from dmframe.port import Side
+from dmframe.block.port import Side
+from dmframe.common.errors import DmframeError
 
 ROOT = Path(__file__).parents[2]
 Rows = dict[str, dict[str, str]]
@@ -66,7 +66,7 @@ def test_the_page_shows_what_is_kept(which: ModuleType, said: dict[str, Any], ro
     moved[3]["rms_final"] = "0.5"
     assert fill(text, [*rows.values()], moved, limits, said) != text
     assert fill(text, [*rows.values()], laws, [{**row, "room": "-0.01"} for row in limits], said) != text
-    assert fill(text, [{**row, "learnt": "nothing"} for row in rows.values()], laws, limits, said) != text
+    assert fill(text, [{**row, "learnt": "none"} for row in rows.values()], laws, limits, said) != text
 
 
 def test_the_page_behind_a_graph_mentions_it_or_one_of_its_blocks(which: ModuleType, said: dict[str, Any]) -> None:
@@ -216,7 +216,7 @@ def test_what_the_page_says_of_laws_with_limits_is_in_the_table(which: ModuleTyp
             rms = [float(rows[title, reality]["rms_final"]) for title in group]
             assert max(rms) < 1.02 * min(rms)
     says = [rows[title, "none"]["says"] for title in titles]
-    assert says[:4] == ["nothing"] * 4
+    assert says[:4] == ["no proof"] * 4
     assert "beyond" in says[4]
     assert says[5].endswith("at all times")
 

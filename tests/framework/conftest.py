@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dmframe.build import library
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording, simulate
 

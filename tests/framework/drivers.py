@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 import dmframe as dm
-from dmframe.runtime.driving import Driven, Plan, drive
+from dmframe.runtime.driving import DriveResult, Plan, drive
 from dmframe.runtime.gate import Gate, Limits
 from dmframe.runtime.robot import Robot, Sample
+from dmframe.runtime.scaled import ScaledController
 from dmframe.runtime.simulated import SimulatedRobot
-from dmframe.runtime.steered import Steered
 
 
 def limits(graph: dm.Graph, **changed: Any) -> Limits:
@@ -38,11 +38,11 @@ def driven(
     stop_requested: Any = lambda: "",
     held: Limits | None = None,
     **plan: Any,
-) -> Driven:
+) -> DriveResult:
     assert graph.clock is not None
-    steered = Steered(graph.diagram, graph.controller(engine=engine))
+    scaled = ScaledController(graph.diagram, graph.controller(engine=engine))
     gate = Gate(held or limits(graph), graph.clock)
-    return drive(steered, robot, gate, Plan(ticks * graph.clock, **plan), stop_requested)
+    return drive(scaled, robot, gate, Plan(ticks * graph.clock, **plan), stop_requested)
 
 
 class Script:

@@ -8,8 +8,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from dmframe.adaptation import Adaptation, Estimate
-from dmframe.certificate import Clipped, NormSquare, Square, beyond, clip, norm
+from dmframe.block.adaptation import Adaptation, Estimate
+from dmframe.block.certificate import Clipped, NormSquare, Square, beyond, clip, norm
 
 GAIN, WEIGHT = np.array([2.0, 3.0]), 1 / np.array([2.0, 3.0])
 TRUTH, NOMINAL = np.array([1.0, -0.5]), np.array([0.2, 0.1])
@@ -56,7 +56,7 @@ def test_a_law_is_the_textbooks_and_its_storage_changes_by_what_it_says(chosen: 
         estimate = Estimate(*columns)
         effect = phi @ (theta - TRUTH)
         robust = made.terms([estimate], error) + made.idle(error, ca.SX(ca.DM(effect)))
-        said = sum((number(term.value) for term in robust.excess), 0.0)
+        said = sum((number(term.value) for term in robust.residual), 0.0)
         said -= sum((number(term.value) for term in robust.dissipation), 0.0)
         assert (theta - TRUTH) * WEIGHT @ rate == pytest.approx(-s @ effect + said, abs=1e-12)
 
@@ -64,7 +64,7 @@ def test_a_law_is_the_textbooks_and_its_storage_changes_by_what_it_says(chosen: 
 def test_a_leak_leaves_half_its_rate_times_the_squared_error_of_the_start() -> None:
     columns = [ca.SX(ca.DM(x)) for x in ([5.0, 5.0], TRUTH, NOMINAL, WEIGHT)]
     robust = law(leak=LEAK).terms([Estimate(*columns)], ca.SX(3, 1))
-    (left,) = robust.excess
+    (left,) = robust.residual
     assert isinstance(left, Square)
     assert number(left.value) == pytest.approx(0.3 / 2 * (0.8**2 / 2 + 0.6**2 / 3))
     assert all(isinstance(term, Square) for term in robust.dissipation)
@@ -73,7 +73,7 @@ def test_a_leak_leaves_half_its_rate_times_the_squared_error_of_the_start() -> N
 def test_an_error_leak_weighs_the_same_squares_with_the_norm_of_the_error() -> None:
     columns = [ca.SX(ca.DM(x)) for x in ([5.0, 5.0], TRUTH, NOMINAL, WEIGHT)]
     robust = law(error_leak=0.3).terms([Estimate(*columns)], ca.SX(ca.DM([3.0, 0.0, -4.0])))
-    (left,) = robust.excess
+    (left,) = robust.residual
     assert isinstance(left, NormSquare)
     assert number(left.value) == pytest.approx(5 * 0.3 / 2 * (0.8**2 / 2 + 0.6**2 / 3))
 
@@ -81,7 +81,7 @@ def test_an_error_leak_weighs_the_same_squares_with_the_norm_of_the_error() -> N
 def test_a_dead_zone_leaves_at_most_its_width_times_what_it_ignores() -> None:
     effect = np.array([2.0, -1.0, 4.0])
     robust = law(width=0.4).idle(ca.SX(ca.DM([9.0, -9.0, 0.1])), ca.SX(ca.DM(effect)))
-    (left,) = robust.excess
+    (left,) = robust.residual
     assert isinstance(left, Clipped)
     assert number(left.value) == pytest.approx(0.4 * 2 + 0.4 * 1 + 0.1 * 4)
     assert number(left.value) <= 0.4 * np.abs(effect).sum()

@@ -8,9 +8,9 @@ import pytest
 from pydantic import Field
 
 from dmframe.block import AbstractBlock, Equations, Signals, type_name
-from dmframe.errors import BlockError, DmframeError, Faults, MissingError, UnknownNameError, ValueFault
-from dmframe.parameter import Box, Diagonal, Interval, Positive, Real, Scalar
-from dmframe.port import Input, Output, State
+from dmframe.block.parameter import Box, Diagonal, Interval, Positive, Real, Scalar
+from dmframe.block.port import Input, Output, State
+from dmframe.common.errors import BlockError, DmframeError, Faults, MissingError, UnknownNameError, ValueFault
 
 
 class LeakyThing(AbstractBlock):

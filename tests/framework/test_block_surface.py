@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from dmframe.block import AbstractBlock, Diagonal, Equations, Input, Output, Positive, Real, Scalar, State
+from dmframe.block.port import Port
+from dmframe.common.errors import BlockError, DmframeError
 from dmframe.diagram import Diagram
-from dmframe.errors import BlockError, DmframeError
-from dmframe.port import Port
 
 
 class Integral(AbstractBlock):

@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 
 from dmframe.catalogue import block_modules, block_types, find_block, find_graph, graphs
-from dmframe.errors import BlockError, DmframeError, MissingError, UnknownNameError
+from dmframe.common.errors import BlockError, DmframeError, MissingError, UnknownNameError
 
 BLOCK = """\
 from typing import ClassVar
 from dmframe.block import AbstractBlock, Equations
-from dmframe.parameter import Scalar, Positive
-from dmframe.port import Input, Output, State
+from dmframe.block.parameter import Scalar, Positive
+from dmframe.block.port import Input, Output, State
 
 class {name}(AbstractBlock):
     inputs = (Input("q", "n", "rad"),)

@@ -10,7 +10,7 @@ from functools import partial
 
 import pytest
 
-from dmframe.copies import shared
+from dmframe.common.copies import Later, shared
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="no copies elsewhere")
 
@@ -18,7 +18,7 @@ LINUX = pytest.mark.skipif(sys.platform != "linux", reason="no copies elsewhere"
 @pytest.fixture(autouse=True)
 def alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """As if no other test had left a thread in this process: with one there are no copies."""
-    monkeypatch.setattr("dmframe.copies.threading.active_count", lambda: 1)
+    monkeypatch.setattr("dmframe.common.copies.threading.active_count", lambda: 1)
 
 
 @pytest.mark.parametrize("cores", [1, 2, 3, 8])
@@ -99,7 +99,7 @@ def test_a_fork_without_use_of_its_results_is_killed() -> None:
 
 
 def test_a_process_with_other_threads_has_no_copies(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dmframe.copies.threading.active_count", lambda: 2)
+    monkeypatch.setattr("dmframe.common.copies.threading.active_count", lambda: 2)
     with shared([os.getpid, os.getpid]) as finished:
         assert finished() == [os.getpid()] * 2
 
@@ -118,8 +118,8 @@ def test_where_the_system_fails_all_jobs_are_done_here(call: str, monkeypatch: p
     def failing(*_: object) -> None:
         raise OSError(5, "input/output error")
 
-    monkeypatch.setattr("dmframe.copies._cores", lambda: 3)
-    monkeypatch.setattr(f"dmframe.copies.os.{call}", failing)
+    monkeypatch.setattr("dmframe.common.copies._cores", lambda: 3)
+    monkeypatch.setattr(f"dmframe.common.copies.os.{call}", failing)
     jobs = [partial(pow, number, 2) for number in range(20)]
     with shared(jobs) as finished:
         assert finished() == [number**2 for number in range(20)]
@@ -142,7 +142,7 @@ def test_what_a_copy_did_before_it_ended_is_kept(monkeypatch: pytest.MonkeyPatch
 
 @LINUX
 def test_a_program_that_ignores_the_end_of_its_children_has_their_results(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dmframe.copies._cores", lambda: 2)
+    monkeypatch.setattr("dmframe.common.copies._cores", lambda: 2)
     before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     try:
         with shared([partial(pow, number, 2) for number in range(20)], busy=True) as finished:
@@ -161,8 +161,8 @@ def test_a_copy_that_is_interrupted_does_not_return_from_shared(monkeypatch: pyt
             os.kill(os.getpid(), signal.SIGINT)
         return process
 
-    monkeypatch.setattr("dmframe.copies._cores", lambda: 2)
-    monkeypatch.setattr("dmframe.copies.os.fork", interrupted)
+    monkeypatch.setattr("dmframe.common.copies._cores", lambda: 2)
+    monkeypatch.setattr("dmframe.common.copies.os.fork", interrupted)
     try:
         with shared([os.getpid, os.getpid], busy=True) as finished:
             assert len(finished()) == 2
@@ -173,3 +173,54 @@ def test_a_copy_that_is_interrupted_does_not_return_from_shared(monkeypatch: pyt
     os.close(writer)
     assert os.read(reader, 8) == b""
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+@pytest.mark.parametrize("cores", [1, 2, 4])
+def test_jobs_that_start_before_their_input_is_known_wait_for_it(cores: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dmframe.common.copies._cores", lambda: cores)
+    first, second = Later[list[int]](), Later[int]()
+
+    def add(number: int) -> tuple[int, bool]:
+        return sum(first.take()) + second.take() + number, os.getpid() == here
+
+    here, jobs = os.getpid(), [partial(add, number) for number in range(6)]
+    with shared(jobs, busy=True, forks_only=True, later=(first, second)) as finished:
+        first.give([1, 2])
+        second.give(10)
+        found = finished()
+    assert [total for total, _ in found] == [13, 14, 15, 16, 17, 18]
+    assert {mine for _, mine in found} == {cores == 1}
+
+
+@LINUX
+def test_a_value_that_cannot_be_given_leaves_the_jobs_to_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dmframe.common.copies._cores", lambda: 3)
+    value, here = Later[bytes](), os.getpid()
+    with shared([lambda: (len(value.take()), os.getpid())] * 3, forks_only=True, later=(value,)) as finished:
+
+        def full(*_: object, **__: object) -> None:
+            raise OSError(28, "no space left on device")
+
+        with monkeypatch.context() as patch:
+            patch.setattr("dmframe.common.copies.pickle.dump", full)
+            value.give(b"abc")
+        assert finished() == [(3, here)] * 3
+
+
+@LINUX
+def test_a_fork_whose_parent_has_ended_stops_to_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dmframe.common.copies._cores", lambda: 2)
+    reader, writer = os.pipe()
+    middle = os.fork()
+    if middle == 0:
+        value = Later[int]()
+        with suppress(BaseException), shared([value.take], busy=True, later=(value,)):
+            os.kill(os.getpid(), signal.SIGKILL)
+    os.close(writer)
+    os.waitpid(middle, 0)
+    assert os.read(reader, 1) == b""  # the fork held the other end
+
+
+def test_a_value_that_was_never_given_is_an_error() -> None:
+    with pytest.raises(EOFError, match="not given"):
+        Later[int]().take()

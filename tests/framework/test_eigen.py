@@ -9,8 +9,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-import dmframe.eigen as module
-from dmframe.eigen import eigen, positive_part
+import dmframe.common.eigen as module
+from dmframe.common.eigen import eigen, positive_part
 
 KINDS = {
     "any": lambda rng: rng.normal(size=4),

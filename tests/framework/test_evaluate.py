@@ -14,8 +14,8 @@ import pytest
 import dmframe as dm
 from dmframe.block import AbstractBlock, Equations, Signals, evaluate
 from dmframe.block.model import model_block
-from dmframe.errors import DmframeError
-from dmframe.port import Output
+from dmframe.block.port import Output
+from dmframe.common.errors import DmframeError
 from dmframe.robot.library import load
 
 

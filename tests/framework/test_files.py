@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from dmframe.errors import OutputError
-from dmframe.files import check_place, printable, write_text
+from dmframe.common.errors import OutputError
+from dmframe.common.files import check_place, printable, write_text
 
 
 def held(folder: Path) -> list[str]:

@@ -14,8 +14,8 @@ BUSY = """
 import os, select, signal, threading, time, warnings
 from functools import cached_property
 {before}
-import dmframe.interrupts as own
-from dmframe.interrupts import Insistent
+import dmframe.common.interrupts as own
+from dmframe.common.interrupts import Insistent
 warnings.simplefilter("ignore")
 
 class Kept:
@@ -72,7 +72,7 @@ def test_without_new_locks_a_copy_hangs() -> None:
 def test_the_thread_that_makes_a_copy_keeps_what_it_holds() -> None:
     source = """
 import os
-from dmframe.interrupts import Insistent
+from dmframe.common.interrupts import Insistent
 lock = Insistent()
 with lock:
     child = os.fork()

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dmframe.block.gain import Prior, check_definite
+from dmframe.block.parameter import Spec, array, read
 from dmframe.block.symmetric import symmetric_symbol, unique
-from dmframe.errors import DmframeError
-from dmframe.gain import Prior, check_definite
-from dmframe.parameter import Spec, array, read
+from dmframe.common.errors import DmframeError
 
 GAIN = Spec("p", "", "> 0", "gain")
 

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, AdaptingBlock, Equations, Signals
+from dmframe.block.certificate import Certificate, Condition, Inequality, Square, TrueValue
 from dmframe.block.numberless import LARGER, SMALLER, with_other_numbers
+from dmframe.block.parameter import Box, Diagonal, Interval, NonNegative, Positive, Real, Scalar, specs
+from dmframe.block.port import Adapted, Element, Input, Output, State
 from dmframe.catalogue import block_types
-from dmframe.certificate import Certificate, Condition, Inequality, Square, TrueValue
 from dmframe.certify import verify
+from dmframe.common.errors import DmframeError, ValueFault
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
-from dmframe.errors import DmframeError, ValueFault
-from dmframe.parameter import Box, Diagonal, Interval, NonNegative, Positive, Real, Scalar, specs
-from dmframe.port import Adapted, Element, Input, Output, State
 from dmframe.simulate import simulate
 
 States = ClassVar[tuple[State, ...]]

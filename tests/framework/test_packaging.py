@@ -134,7 +134,7 @@ def test_an_unknown_attribute_of_the_package_is_an_attribute_error() -> None:
 
 
 def test_the_head_of_the_metadata_has_the_version_that_importlib_parses() -> None:
-    from dmframe.version import version_of
+    from dmframe.common.version import version_of
 
     installed = {found.metadata["Name"]: found.version for found in distributions()}
     assert len(installed) > 30

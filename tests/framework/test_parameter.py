@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dmframe.errors import DmframeError
-from dmframe.parameter import Spec, array, read
+from dmframe.block.parameter import Spec, array, read
+from dmframe.common.errors import DmframeError
 
 GAIN = Spec("n", "rad/s", "> 0")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dmframe.slices import slices
+from dmframe.common.slices import slices
 
 
 @pytest.mark.parametrize("sizes", [[], [3], [2, 0, 3, 1], [0, 0]])

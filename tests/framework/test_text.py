@@ -8,10 +8,22 @@ import pickle
 
 import pytest
 
+from dmframe.common.text import (
+    DV,
+    Label,
+    Text,
+    Written,
+    around,
+    joined,
+    listed_text,
+    name_of,
+    sentence,
+    square_of,
+    text_of,
+)
 from dmframe.formula import Formula, laws_of
 from dmframe.formula.tree import Name, Norm, Rate
 from dmframe.graph.graph import Graph
-from dmframe.text import DV, Label, Text, Written, around, joined, listed_text, name_of, sentence, square_of, text_of
 
 ERROR = Text(Written("q - q_d", "q − q_d", "q - q_{d}"))
 

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 import dmframe as dm
-from dmframe import trust
 from dmframe.catalogue import find_graph
-from dmframe.errors import BlockError
+from dmframe.common import trust
+from dmframe.common.errors import BlockError
 
 BLOCK = """
 import pathlib

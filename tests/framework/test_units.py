@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dmframe.errors import UnitError, ValueFault
-from dmframe.units import _DEFINITIONS, _PREFIXES_OF, _size, compatible, plain, rate_over, to_unit
+from dmframe.common.errors import UnitError, ValueFault
+from dmframe.common.units import _DEFINITIONS, _PREFIXES_OF, _size, compatible, plain, rate_over, to_unit
 
 HOW = "write it like N m s/rad or m/s^2: spaces multiply, everything after the one slash divides"
 CHOICES = "choose from %, A, Hz, J, N, V, W, deg, h, kg, m, min, mm, ms, rad, rpm, s, turn"

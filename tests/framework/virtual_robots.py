@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import dmframe as dm
-from dmframe.errors import LostError
+from dmframe.common.errors import LostError
 from dmframe.runtime.rtde import PORT
 from dmframe.virtual import VirtualRobot
 from dmframe.virtual.program import Program

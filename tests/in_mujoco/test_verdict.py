@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import dmframe as dm
-from dmframe.identification.verdict import FOLDER, RACE, verdict_of
+from dmframe.identification.verdict import verdict_of
+from dmframe.identification.write import RACE, VERDICT
 from dmframe.race.read import load_race
 from tests.benchmarks.identify import recorded
 from tests.framework.identify.plants import write
@@ -22,7 +23,7 @@ def test_the_predicted_errors_and_the_winner_are_those_on_the_true_robot(tmp_pat
     log, _, delay, plant = recorded(1)
     found = dm.identify(write(tmp_path / "log.csv", *log), "ur10_slow")
     verdict = verdict_of(found, tmp_path, draws=8)
-    again = dm.load(tmp_path / FOLDER / "level.yaml").run(progress=False)
+    again = dm.load(tmp_path / VERDICT / "level.yaml").run(progress=False)
     level = next(judged for judged in verdict.laws if (judged.law, judged.path) == ("level", "wander"))
     error = 1e3 * again.recording["arm.x"] - 1e3 * again.recording["path.x_d"]
     last = np.linalg.norm(error[-(len(error) // 8) :], axis=1)

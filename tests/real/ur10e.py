@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import butter, filtfilt
+import scipy
 
 from dmframe.regressor.base_parameters import base_parameters
 from dmframe.regressor.export import regressor_function
@@ -74,7 +74,7 @@ def record(path: Path, per_current: np.ndarray) -> tuple[np.ndarray, ...]:
     rows = table(path, 19)
     time = np.arange(rows[0, 0], rows[-1, 0], PERIOD)
     signals = np.stack([np.interp(time, rows[:, 0], rows[:, k]) for k in range(1, 19)], axis=1)
-    smooth = filtfilt(*butter(4, 2 * CUT * PERIOD), signals, axis=0)
+    smooth = scipy.signal.filtfilt(*scipy.signal.butter(4, 2 * CUT * PERIOD), signals, axis=0)
     q, dq, current = np.split(smooth, 3, axis=1)
     ddq = np.gradient(dq, PERIOD, axis=0)
     moving = np.flatnonzero(np.abs(dq).max(axis=1) > 0.02)

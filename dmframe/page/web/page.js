@@ -1,85 +1,85 @@
-// The page: what its reader moves, what is simulated then, and what is shown of it.
+// Live page: a slider changes a parameter, the loop is simulated anew, and plots, scene and verdict are updated.
 
 const find = (id) => document.getElementById(id);
 const content = JSON.parse(find("data").textContent);
 const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
-const QUICK = 20; // a run that would take longer is shortened while a slider is being moved [ms]
+const QUICK = 20; // longest computation while a slider moves; a longer run is cut [ms]
 
 find("graph").textContent = content.name;
 find("text").textContent = content.verdict.text;
 find("yaml").textContent = content.text;
-find("says").textContent = find("says").className = "";
+find("detail").textContent = find("detail").className = "";
 
 const loop = await loaded(content).catch((error) => {
   find("headline").textContent = "This browser cannot run the page";
-  find("says").textContent = `WebAssembly and DecompressionStream are needed: ${error.message}`;
+  find("detail").textContent = `The page needs WebAssembly and DecompressionStream: ${error.message}`;
   throw error;
 });
 if (content.robot) content.robot.meshes = await Promise.all(content.robot.meshes.map(unfolded));
-const plots = [], said = new Map(); // by an element's id: its text
-// `perMs`: how much work of the solver a millisecond takes, as last seen
+const plots = [], texts = new Map(); // text by element id
+// `perMs`: solver work per millisecond, measured in the last run
 let run = null, perMs = Infinity, scene = null, inks = {}, frames = null;
 let time = 0, hover = null, playing = !still, pace = 1, before = 0, lastRead = 0, waiting = false;
 let requested = null;
 
-// ---- what is simulated
+// ---- simulation
 
-function ask(quick) {
+function request(quick) {
   requested = requested === false ? false : quick;
   wake();
 }
 
 function simulate(quick) {
-  const p = sliders.numbers, begun = performance.now();
+  const p = sliders.numbers, started = performance.now();
   run = loop.simulate({ p, shift: sliders.shift, tick: sliders.tick, most: quick ? Math.max(2000, QUICK * perMs) : MOST_WORK });
-  const took = performance.now() - begun;
+  const took = performance.now() - started;
   if (run.work > 2000) perMs = run.work / Math.max(took, 1);
-  if (run.short) run.notices.push(quick ? `while it is moved, the first ${plain(run.short, "s")} are run` : `so short are the steps that only ${plain(run.short, "s")} are run`);
+  if (run.short) run.notices.push(quick ? `while the slider moves, only the first ${plain(run.short, "s")} are simulated` : `the integrator's steps are so short that only the first ${plain(run.short, "s")} are simulated`);
   run.judged = loop.judged(p, run.start, run.tick);
   run.spread = loop.spread(p, run.start, run.tick);
   run.climb = climb(p);
   time = Math.min(time, run.times.at(-1));
-  tell(p);
+  showVerdict(p);
   lines();
   curves(quick);
   if (!quick) find("foot").textContent = `${plain(run.times.at(-1), "s")} of simulated time took ${plain(took / 1000, "s")}: ${run.substeps} step${run.substeps > 1 ? "s" : ""} of rk4 in each tick of ${plain(run.tick, "s")}. dmframe ${content.dmframe}, model ${content.fingerprint.slice(0, 16)}.`;
 }
 
-// How far V rose in the run; null where there is no V. What rounding explains is looked at here and there.
+// Largest increase of V in the run; null without V. The rounding error is evaluated at nine instants.
 function climb(p) {
   const group = content.groups.find(({ kind }) => kind === "storage"), last = run.kept - 1;
   if (!group || last < 1) return null;
   const rows = Array.from({ length: group.size }, (_, k) => column(group.of, group.at + k));
   const V = run.times.map((_, k) => rows.reduce((sum, values) => sum + values[k], 0));
-  const looked = [0, 1, 2, 3, 4, 5, 6, 7, 8].map((k) => loop.wrong(run, Math.round((k * last) / 8), p, run.tick, group));
-  const wrong = V.map((_, k) => Math.max(looked[Math.floor((8 * k) / last)], looked[Math.ceil((8 * k) / last)]));
-  return climbOf(V, wrong);
+  const sampled = [0, 1, 2, 3, 4, 5, 6, 7, 8].map((k) => loop.roundingError(run, Math.round((k * last) / 8), p, run.tick, group));
+  const rounding = V.map((_, k) => Math.max(sampled[Math.floor((8 * k) / last)], sampled[Math.ceil((8 * k) / last)]));
+  return climbOf(V, rounding);
 }
 
-// What the title says of the clock follows it.
-function entitle() {
+// The title with the sampling period that is simulated.
+function updateTitle() {
   const file = content.clock === null ? "" : plain(content.clock, "s"), now = plain(run.tick, "s");
   const title = content.title || content.name, parts = file ? title.split(new RegExp(`(?<![\\d.])${file.replace(".", "\\.")}(?![\\w])`)) : [title];
-  const moved = sliders.state.clock, said = moved ? (parts.length > 1 ? parts.join(now) : `${title}, sampled at ${now}`) : title;
-  if (document.title !== said) document.title = document.querySelector("h1").textContent = said;
+  const moved = sliders.state.clock, text = moved ? (parts.length > 1 ? parts.join(now) : `${title}, sampled at ${now}`) : title;
+  if (document.title !== text) document.title = document.querySelector("h1").textContent = text;
 }
 
-// What is proved where the sliders stand, and what became of the run.
-function tell(p) {
+// Verdict at the values of the sliders, notices of the run, and the command that repeats it.
+function showVerdict(p) {
   const verdict = judgement(content, run.judged, sliders.state, run.spread, run);
-  entitle();
+  updateTitle();
   find("verdict").className = verdict.state + (content.verdict.headline === "proved" ? "" : " partly");
   set("headline", verdict.headline);
-  set("says", verdict.says.join(" "));
-  const notices = [...run.notices, ...sliders.notices].map((notice) => `${notice.charAt(0).toUpperCase()}${notice.slice(1)}.`), wild = run.divergence;
-  if (wild) {
-    notices.unshift(`${wild.says}; the run ends there.`);
-    if (verdict.state === "clock") notices.push(content.verdict.sampled ? "The proof does not say that the robot stays near its path." : `The proof is in continuous time, and ${content.clock === null ? "the integrator's steps are too long for these numbers" : `this clock ticks every ${plain(run.tick, "s")}`}.`);
+  set("detail", verdict.sentences.join(" "));
+  const notices = [...run.notices, ...sliders.notices].map((notice) => `${notice.charAt(0).toUpperCase()}${notice.slice(1)}.`), { divergence } = run;
+  if (divergence) {
+    notices.unshift(`${divergence.message}; the run ends there.`);
+    if (verdict.state === "clock") notices.push(content.verdict.sampled ? "The proof covers the estimates, not the distance of the robot from its path." : `The proof is in continuous time, and ${content.clock === null ? "the integrator's steps are too long for these numbers" : `this controller samples every ${plain(run.tick, "s")}`}.`);
   }
   set("notice", notices.join(" "));
   find("notice").hidden = !notices.length;
-  if (find("notice").classList.toggle("wild", Boolean(wild)) === (find("says").nextElementSibling === find("notice")))
-    find("says")[wild ? "before" : "after"](find("notice")); // what a telephone has no room for is scrolled to
+  if (find("notice").classList.toggle("diverged", Boolean(divergence)) === (find("detail").nextElementSibling === find("notice")))
+    find("detail")[divergence ? "before" : "after"](find("notice")); // on a small screen the reader scrolls to the rest
   sliders.show(p, run.start);
   find("reset").disabled = !sliders.moved.size;
   set("command", sliders.command(p, run.start));
@@ -89,16 +89,16 @@ function tell(p) {
   run.proved = verdict.state === "proved" || verdict.state === "clock";
 }
 
-// A text is only set anew when it is another: who listens to the page would hear it again.
+// A text is replaced only if it changed: a screen reader repeats a replaced text.
 function set(id, text) {
-  if (said.get(id) === text) return;
-  said.set(id, text);
+  if (texts.get(id) === text) return;
+  texts.set(id, text);
   find(id).replaceChildren(...(id === "command" ? [text] : nice(text)));
 }
 
-// ---- what is shown
+// ---- display
 
-// A column of numbers, one an instant, from what is drawn or from the state.
+// One element over the recorded instants, of the plotted outputs or of the state.
 function column(of, at) {
   const width = of === "shown" ? content.sizes.shown : loop.states, from = of === "shown" ? run.drawn : run.log;
   return Float64Array.from({ length: run.kept }, (_, k) => from[k * width + at]);
@@ -127,7 +127,7 @@ function arrange() {
   }
 }
 
-// The state of the plant that a command is for: dq for dq_c.
+// The plant state that a command sets: dq for dq_c.
 function measured({ label, size }) {
   const wanted = label.split(".").pop().replace(/_c$/, "");
   return content.states.findLast((state) => state.label.endsWith(`.${wanted}`) && state.size === size);
@@ -148,7 +148,7 @@ function curves(quick) {
     if (group.kind === "storage") {
       const total = run.times.map((_, k) => rows.reduce((sum, { values }) => sum + values[k], 0));
       shown = plot.whole ? [{ name: "V", colour: 0, wide: true, values: total }] : rows.filter(({ values }) => values.some((value) => value > 0));
-      plot.say(!run.proved ? "proves nothing at these values" : plot.whole ? `the sum of all storage functions${run.climb?.rises ? `; it rose at ${run.climb.rises} of ${run.climb.steps} instants` : ""}` : "");
+      plot.say(!run.proved ? "no proof at these values" : plot.whole ? `the sum of all storage functions${run.climb?.rises ? `; it rose at ${run.climb.rises} of ${run.climb.steps} instants` : ""}` : "");
     }
     if (group.kind === "command" && measured(group)) {
       const { label } = measured(group);
@@ -161,7 +161,7 @@ function curves(quick) {
   }
 }
 
-// Of many the eight that move most, each with its true value.
+// Of many estimates the eight with the largest range, each with its true value.
 function estimates(plot, rows, quick) {
   const { group } = plot;
   if (!quick || !plot.chosen) {
@@ -202,7 +202,7 @@ function lines() {
   scene.line("path", run.path ?? new Float32Array(0));
 }
 
-// Between two instants the robot is drawn between its places.
+// Draws the scene at a time, interpolated between two recorded instants.
 function drawScene(at) {
   const { shown, scene: places } = content.sizes, step = run.every * run.tick;
   const k = Math.max(0, Math.min(run.kept - 1, Math.floor(at / step))), then = Math.min(run.kept - 1, k + 1), part = Math.min(1, at / step - k);
@@ -236,12 +236,12 @@ function turn(now) {
       simulate(quick);
     } catch (error) {
       set("headline", "The run failed");
-      set("says", error.message);
+      set("detail", error.message);
       throw error;
     }
   }
   const last = run.times.at(-1);
-  if (playing && hover === null) time = time >= last + pace ? 0 : time + passed * pace; // a second's rest at the end
+  if (playing && hover === null) time = time >= last + pace ? 0 : time + passed * pace; // a pause of one second at the end
   const at = Math.min(hover ?? time, last);
   if (scene) drawScene(at);
   const read = !playing || hover !== null || now - lastRead > 120;
@@ -254,7 +254,7 @@ function turn(now) {
   find("scrub").value = at;
   find("scrub").style.setProperty("--part", `${last ? (100 * at) / last : 0}%`);
   set("clock", `${at.toFixed(last < 1 ? 3 : 1)} / ${plain(last, "s")}`);
-  find("scrub").setAttribute("aria-valuetext", said.get("clock").replace("/", "of"));
+  find("scrub").setAttribute("aria-valuetext", texts.get("clock").replace("/", "of"));
   if (playing) wake();
 }
 
@@ -265,7 +265,7 @@ function play(on) {
   wake();
 }
 
-find("about").textContent = "Point at a number to read what it does; a double click on its slider brings it back.";
+find("about").textContent = "Point at a parameter to read its description; a double click on its slider resets it.";
 find("conditions").closest("details").hidden = !content.verdict.conditions.length;
 find("assumptions").closest("details").hidden = !content.verdict.assumptions.length;
 find("assumptions").append(...content.verdict.assumptions.map((text) => make("li", {}, text)));
@@ -279,18 +279,18 @@ find("pace").onchange = () => (pace = Number(find("pace").value));
 find("reset").onclick = () => sliders.reset();
 find("copy").onclick = async () => {
   try {
-    await navigator.clipboard.writeText(said.get("command"));
+    await navigator.clipboard.writeText(texts.get("command"));
     find("copy").textContent = "Copied";
-  } catch { // not allowed inside another page: it is marked instead
+  } catch { // not allowed inside another page: select the text instead
     getSelection().selectAllChildren(find("command"));
   }
 };
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", colours);
-const sliders = new Sliders(content, find("sliders"), ask, (says) => (find("about").textContent = says));
+const sliders = new Sliders(content, find("sliders"), request, (text) => (find("about").textContent = text));
 arrange();
 if (!plots.length && !content.robot) find("first").append(make("p", { class: "quiet" }, "This graph has no robot, no error, no command and no estimate: there is nothing to draw."));
 sliders.recall();
-const moment = Number(new URLSearchParams(location.hash.slice(1)).get("at") ?? NaN); // a link to one instant: #at=3.5
+const moment = Number(new URLSearchParams(location.hash.slice(1)).get("at") ?? NaN); // instant that a link names: #at=3.5
 if (moment >= 0) { time = moment; playing = false; }
 play(playing);
 colours();

@@ -1,9 +1,9 @@
-// A plot on a canvas: curves over time below a layer with the cursor, which moves without drawing the curves again.
+// Plot on two canvases: curves over time, and above them the cursor, which is redrawn alone.
 
 const LEFT = 58, RIGHT = 10, TOP = 8, BOTTOM = 22; // [pixels]
 
 class Plot {
-  // `spec`: title, unit, and whether the axis is logarithmic; `point` receives the time under the pointer, or null.
+  // `spec`: title, unit, and whether the axis is logarithmic; `point` is called with the time under the pointer, or null.
   constructor(holder, spec, point) {
     Object.assign(this, spec);
     this.curves = [];
@@ -34,7 +34,7 @@ class Plot {
     new IntersectionObserver(([entry]) => { this.seen = entry.isIntersecting; if (this.seen) this.redrawn?.(); }).observe(this.over);
   }
 
-  // Curves: name, values at `times`, colour, and whether faint, dashed or thick. `stop` is where the run blew up.
+  // Curves: name, values at `times`, colour, and whether faint, dashed or thick. `stop` is the time of divergence.
   show(times, horizon, stop, curves) {
     const names = curves.map((curve) => curve.name + curve.colour).join("\n");
     Object.assign(this, { times, stop, curves });
@@ -48,7 +48,7 @@ class Plot {
     this.legend.replaceChildren(...this.curves.map((curve) => {
       if (curve.silent) return "";
       curve.key = make("i", { class: curve.dash ? "dash" : curve.wide ? "wide" : "" });
-      curve.key.style.setProperty("--key", `var(--c${curve.colour})`); // the page's policy allows no attribute of style
+      curve.key.style.setProperty("--key", `var(--c${curve.colour})`); // the content security policy forbids style attributes in HTML
       return make("li", { class: curve.faint ? "faint" : "" }, curve.key, make("span", {}, ...nice(curve.name)), make("b", {}));
     }));
     this.readings = [...this.legend.querySelectorAll("b")];
@@ -66,7 +66,7 @@ class Plot {
     return TOP + this.height * (1 - (place - this.low) / (this.high - this.low));
   }
 
-  // From the least to the largest value; of a run that blew up, as much as it had before it went wild.
+  // Range of the axis: minimum to maximum; for a diverged run, the 5 % to 95 % quantiles widened by three spans.
   range() {
     let all = [];
     for (const { values, constant } of this.curves) {
@@ -161,7 +161,7 @@ class Plot {
     g.setLineDash([]);
   }
 
-  // The cursor at a time, and, where `read`, what the curves are there.
+  // The cursor at a time, and with `read` the values of the curves there.
   point(time, read) {
     if (!this.seen || !this.times) return;
     const g = sheet(this.over);
@@ -212,7 +212,7 @@ function widened(low, high) {
   return lacking > 0 ? [low - lacking / 2, high + lacking / 2] : [low, high];
 }
 
-// Round numbers along an axis that is so many pixels long.
+// Ticks of a linear axis at round numbers; `pixels`: its length.
 function levels(low, high, scale, pixels) {
   const rough = (high - low) / scale / Math.max(2, Math.min(8, pixels / 28)), power = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 2.5, 5, 10].find((times) => times * power >= rough * 0.999) * power, found = [];
@@ -225,7 +225,7 @@ function levels(low, high, scale, pixels) {
   return found;
 }
 
-// Of a step of two digits at most; that of 2.5e-7 is written 2.5e-7 and not with zeros.
+// Decimals of a step with at most two significant digits (1 for 2.5, 8 for 2.5e-7).
 function decimals(step) {
   const [mantissa, power] = Number(step.toPrecision(2)).toExponential().split("e");
   return Math.max(0, (mantissa.split(".")[1] ?? "").length - Number(power));
@@ -237,7 +237,7 @@ function scientific(value, step) {
   return `${(value / 10 ** power).toFixed(Math.min(digits, 4))}·10${raised(power)}`;
 }
 
-// Marks of a logarithmic axis; between two powers of ten, also twice and five times.
+// Ticks of a logarithmic axis: powers of ten, on a short axis also 2 and 5 times these.
 function decades(low, high) {
   const every = Math.ceil((high - low) / 6), found = [];
   for (let k = Math.ceil(low / every - 1) * every; k <= high; k += every)
@@ -248,12 +248,12 @@ function decades(low, high) {
   return found;
 }
 
-// A unit with raised powers: m^2 as m².
+// A unit with superscripts: m^2 as m².
 function superscript(unit) {
   return unit.replace(/\^(\d+)/g, (_, digits) => raised(digits)).replace(/(?<=\p{L}|[⁰-⁹²³]) (?=\p{L})/gu, "·");
 }
 
-// A name with its index set low, as pieces for `make`: w_P as w and P below.
+// A name with its index as a subscript, as pieces for `make`: w_P as w and subscript P.
 function nice(text) {
   return text.split(/((?<![\p{L}\d_])\p{L}{1,2}[\u0300-\u036f]*_(?:\p{L}+\d*|\d+|⋆))(?![\p{L}_])/u).map((piece, k) => {
     if (k % 2 === 0) return piece;

@@ -1,4 +1,4 @@
-// The robot in space, by WebGL2; where there is none, its tubes on a plain canvas, seen by the same camera.
+// 3D view of the robot by WebGL2; without WebGL2, its links as lines on a 2D canvas with the same camera.
 
 const SOLID = [`#version 300 es
 in vec3 place, normal; uniform mat4 model, camera; out vec3 world, facing;
@@ -11,7 +11,7 @@ void main() {
   float shine = pow(max(dot(n, normalize(light + view)), 0.), 40.) * .18;
   shade = vec4(colour * (.42 + .58 * max(dot(n, light), 0.)) + shine, 1.);
 }`];
-// A line is wide by itself here: each piece is a rectangle that faces the eye; WebGL's own lines are one pixel wide.
+// Wide lines: each segment is a rectangle that faces the camera, since lines of WebGL are one pixel wide.
 const LINES = [`#version 300 es
 in vec3 a, b; uniform mat4 camera; uniform vec2 size; uniform float width, front;
 void main() {
@@ -25,12 +25,12 @@ void main() {
 precision highp float; uniform vec4 ink; out vec4 shade; void main() { shade = ink; }`];
 
 class Scene {
-  // `box`: the least and the largest coordinates between which the robot moves.
+  // `box`: smallest and largest coordinates of the robot over the run.
   constructor(canvas, robot, box, changed) {
     Object.assign(this, { canvas, robot, changed });
     const spans = box.high.map((high, k) => high - box.low[k]), most = Math.max(...spans) || 1;
     this.size = most;
-    this.normal = spans.findIndex((span) => span < 1e-6 * most); // of the plane in which it moves, if it moves in one
+    this.normal = spans.findIndex((span) => span < 1e-6 * most); // axis normal to the plane of a planar motion
     const flat = this.normal >= 0;
     if (!flat) this.normal = 2;
     this.home = {
@@ -43,21 +43,21 @@ class Scene {
     try {
       if (this.gl) this.prepare();
       this.watch();
-    } catch { // a card that was lost before its first picture
-      this.plainly();
+    } catch { // the graphics context was lost before the first frame
+      this.fallBack();
     }
   }
 
-  // What happens to a canvas, which may be another one later.
+  // Event handlers of the canvas; `fallBack` replaces the canvas and calls this again.
   watch() {
     this.controls();
-    this.canvas.addEventListener("webglcontextlost", () => this.plainly());
+    this.canvas.addEventListener("webglcontextlost", () => this.fallBack());
     new ResizeObserver(() => this.changed()).observe(this.canvas);
   }
 
-  // A browser takes a card's memory back: when it sleeps, or from the oldest of many pages. A canvas that has been
-  // the card's can be drawn on by nothing else, so another takes its place.
-  plainly() {
+  // Continues on a 2D canvas. A browser drops a graphics context on standby, or that of the oldest of many pages. A canvas
+  // that had a WebGL context cannot get a 2D context, so a new canvas replaces it.
+  fallBack() {
     const old = this.canvas, focused = document.activeElement === old;
     this.gl = null;
     this.canvas = old.cloneNode();
@@ -74,11 +74,11 @@ class Scene {
     this.buffers = {};
     this.ball = shape(gl, ...sphere());
     this.tube = shape(gl, ...cylinder());
-    this.meshes = this.robot.meshes.map((mesh) => ({ joint: mesh.joint, shape: shape(gl, ...creased(mesh)) })); // as `unfolded` left them
+    this.meshes = this.robot.meshes.map((mesh) => ({ joint: mesh.joint, shape: shape(gl, ...creased(mesh)) })); // decoded by `decodedMesh`
     this.line("grid", this.grid(), true);
   }
 
-  // Segments of a square grid under the robot, or behind one that moves in a plane.
+  // Segments of a square grid under the robot, or behind a robot with planar motion.
   grid() {
     const step = [0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10].find((step) => step > this.size / 8) ?? this.size / 8;
     const count = Math.ceil((1.5 * this.size) / step), found = [], [u, v] = [0, 1, 2].filter((k) => k !== this.normal);
@@ -93,26 +93,26 @@ class Scene {
     return Float32Array.from(found);
   }
 
-  // Keeps a line's points; `pieces`: two points each, instead of one line through all.
+  // Stores the points of a polyline; `pieces`: pairs of points are separate segments.
   line(name, points, pieces = false) {
     const { gl } = this;
     this.kept[name] = { points, pieces };
     if (!gl) return;
-    const held = (this.buffers[name] ??= { array: gl.createVertexArray(), buffer: gl.createBuffer() });
-    gl.bindVertexArray(held.array);
-    gl.bindBuffer(gl.ARRAY_BUFFER, held.buffer);
+    const entry = (this.buffers[name] ??= { array: gl.createVertexArray(), buffer: gl.createBuffer() });
+    gl.bindVertexArray(entry.array);
+    gl.bindBuffer(gl.ARRAY_BUFFER, entry.buffer);
     gl.bufferData(gl.ARRAY_BUFFER, points, gl.DYNAMIC_DRAW);
     for (const place of [0, 1]) {
       gl.enableVertexAttribArray(place);
       gl.vertexAttribPointer(place, 3, gl.FLOAT, false, pieces ? 24 : 12, 12 * place);
       gl.vertexAttribDivisor(place, 1);
     }
-    held.count = pieces ? points.length / 6 : Math.max(0, points.length / 3 - 1);
+    entry.count = pieces ? points.length / 6 : Math.max(0, points.length / 3 - 1);
   }
 
   controls() {
-    const { canvas, camera } = this, held = new Map();
-    let apart = 0;
+    const { canvas, camera } = this, pointers = new Map();
+    let spread = 0;
     const turned = (across, up) => {
       camera.turn -= across;
       camera.lift = Math.max(-1.5, Math.min(1.5, camera.lift + up));
@@ -123,16 +123,16 @@ class Scene {
       this.changed();
     };
     this.back = () => { Object.assign(camera, this.home); this.changed(); };
-    canvas.onpointerdown = (event) => { held.set(event.pointerId, [event.clientX, event.clientY]); canvas.setPointerCapture(event.pointerId); apart = 0; };
-    canvas.onpointerup = canvas.onpointercancel = (event) => { held.delete(event.pointerId); apart = 0; };
+    canvas.onpointerdown = (event) => { pointers.set(event.pointerId, [event.clientX, event.clientY]); canvas.setPointerCapture(event.pointerId); spread = 0; };
+    canvas.onpointerup = canvas.onpointercancel = (event) => { pointers.delete(event.pointerId); spread = 0; };
     canvas.onpointermove = (event) => {
-      const before = held.get(event.pointerId);
+      const before = pointers.get(event.pointerId);
       if (!before) return;
-      held.set(event.pointerId, [event.clientX, event.clientY]);
-      if (held.size === 1) return turned((event.clientX - before[0]) * 0.008, (event.clientY - before[1]) * 0.008);
-      const [first, second] = held.values(), now = Math.hypot(first[0] - second[0], first[1] - second[1]);
-      if (apart && now) this.zoom(apart / now);
-      apart = now;
+      pointers.set(event.pointerId, [event.clientX, event.clientY]);
+      if (pointers.size === 1) return turned((event.clientX - before[0]) * 0.008, (event.clientY - before[1]) * 0.008);
+      const [first, second] = pointers.values(), now = Math.hypot(first[0] - second[0], first[1] - second[1]);
+      if (spread && now) this.zoom(spread / now);
+      spread = now;
     };
     // without focus or Ctrl key, the wheel scrolls the page
     canvas.addEventListener("wheel", (event) => {
@@ -156,8 +156,8 @@ class Scene {
     return [target[0] + far * Math.cos(lift) * Math.cos(turn), target[1] + far * Math.cos(lift) * Math.sin(turn), target[2] + far * Math.sin(lift)];
   }
 
-  // `frames`: twelve numbers of each joint's frame and three of the tool, `aim`: where the tool should be, or null, `past`:
-  // how many pieces of the trace are behind it, `inks`: colours.
+  // `frames`: rotation and position of each joint (12 numbers) and position of the tool (3); `aim`: desired position of
+  // the tool, or null; `past`: number of trace segments up to this time; `inks`: colours.
   draw({ frames, aim, past, inks }) {
     const { canvas, gl } = this, ratio = Math.min(devicePixelRatio || 1, 2);
     const [wide, high] = [canvas.clientWidth, canvas.clientHeight];
@@ -198,20 +198,20 @@ class Scene {
     gl.uniformMatrix4fv(this.lines.of("camera"), false, seen);
     gl.uniform2f(this.lines.of("size"), wide, high);
     const drawn = (name, ink, width, front, count) => {
-      const held = this.buffers[name];
-      if (!held?.count) return;
+      const entry = this.buffers[name];
+      if (!entry?.count) return;
       gl.uniform4fv(this.lines.of("ink"), ink);
       gl.uniform1f(this.lines.of("width"), width);
       gl.uniform1f(this.lines.of("front"), front);
-      gl.bindVertexArray(held.array);
-      gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, Math.min(held.count, count ?? Infinity));
+      gl.bindVertexArray(entry.array);
+      gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, Math.min(entry.count, count ?? Infinity));
     };
     drawn("grid", inks.grid, 1, 0);
     drawn("path", inks.path, 2, 2e-4);
     drawn("trace", inks.accent, 3, 4e-4, past);
   }
 
-  // The same from tubes alone, the farther ones first.
+  // The same on a 2D canvas: links as lines, in order of decreasing distance.
   flatly({ points, aim, past, inks, seen, ratio }) {
     const { canvas } = this, g = (this.flat ??= canvas.getContext("2d"));
     if (!g) return;
@@ -276,7 +276,7 @@ function program(gl, sources, attributes) {
   return { program: made, of: (name) => (places[name] ??= gl.getUniformLocation(made, name)) };
 }
 
-// Triangles as the card holds them, three corners each with its normal.
+// Vertex array of triangles: position and normal of each corner.
 function shape(gl, places, normals) {
   const array = gl.createVertexArray();
   gl.bindVertexArray(array);
@@ -289,8 +289,8 @@ function shape(gl, places, normals) {
   return { array, count: places.length / 3 };
 }
 
-// A mesh's triangles, each corner with the mean normal of the faces that meet there at less than 40 degrees: round
-// parts look round, and edges stay sharp.
+// Triangles of a mesh. The normal of a corner is the mean over the adjacent faces within 40 degrees, so that round parts
+// are smooth and edges sharp.
 function creased({ low, high, grid, of }) {
   const count = of.length / 3, point = (k) => [0, 1, 2].map((i) => low[i] + ((high[i] - low[i]) * grid[3 * k + i]) / 4095);
   const points = Array.from({ length: grid.length / 3 }, (_, k) => point(k)), meeting = points.map(() => []);
@@ -313,8 +313,8 @@ function creased({ low, high, grid, of }) {
   return [places, normals];
 }
 
-// A mesh with its corners' places on the grid and its faces' corners, from columns of differences.
-async function unfolded(mesh) {
+// Decodes a mesh: grid coordinates of its corners and corner indices of its faces, from columns of differences.
+async function decodedMesh(mesh) {
   const bytes = new Uint8Array(await unpacked(mesh.packed)), { corners, faces } = mesh;
   let at = 0;
   const column = (size) => {
@@ -329,7 +329,7 @@ async function unfolded(mesh) {
   return { ...mesh, grid, of: Array.from(first).flatMap((a, k) => [a, a + second[k], a + third[k]]) };
 }
 
-// A ball of radius one, and a tube of radius one from z = 0 to 1, as quadrangles over two angles or an angle and z.
+// Unit sphere over two angles, and unit cylinder over an angle and z in [0, 1], as quadrilaterals.
 function sphere() {
   return woven(12, (u, v) => {
     const [a, b] = [2 * Math.PI * u, Math.PI * v], n = [Math.sin(b) * Math.cos(a), Math.sin(b) * Math.sin(a), -Math.cos(b)];
@@ -356,7 +356,7 @@ function woven(rows, at) {
   return [Float32Array.from(places), Float32Array.from(normals)];
 }
 
-// Matrices are of four columns, as the card reads them.
+// 4 x 4 matrices, in column-major order.
 function placed(frames, joint) {
   if (joint < 0) return [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
   const f = frames.subarray(12 * joint, 12 * joint + 12);

@@ -1,26 +1,26 @@
-// What a reader moves: sliders in groups, the numbers of the loop where they stand, and the same as a command.
+// Sliders in groups, the parameters of the loop at their values, and the command line that sets these values.
 
-const SLOWEST = 32; // a clock may be moved by this factor
-const FASTEST = 0.00025; // and down to this period [s]
+const SLOWEST = 32; // largest factor on the sampling period
+const FASTEST = 0.00025; // shortest sampling period [s]
 
 class Sliders {
-  // `ask` is called with whether the slider is still being moved; `about` with what a slider's number does.
-  constructor(content, holder, ask, about) {
-    Object.assign(this, { content, ask, about });
-    this.moved = new Map(); // by a slider's label: its factor, or its shift
-    this.held = false;
+  // `request` is called with whether the slider is still held; `about` with the description of a slider.
+  constructor(content, holder, request, about) {
+    Object.assign(this, { content, request, about });
+    this.moved = new Map(); // factor or shift by slider label
+    this.pressed = false;
     this.rows = [];
     this.notices = [];
     const proved = content.verdict.outcome === "proved", groups = {
       controller: ["Controller", ""],
-      hidden: ["Servo and robot", "True parameters. The controller knows only what the assumptions list."],
-      clock: ["Clock", content.clock === null ? "This loop runs in continuous time, but for the integrator's steps."
-        : proved && !content.verdict.sampled ? "The proof is in continuous time; the page runs at this clock. A slow clock shows where the proof ends."
-          : "How often the controller samples."],
+      hidden: ["Servo and robot", "True parameters. The controller uses only the parameters in the list of assumptions."],
+      clock: ["Clock", content.clock === null ? "This loop runs in continuous time, with the steps of the integrator."
+        : proved && !content.verdict.sampled ? "The proof is in continuous time; the page samples at this period. A long period shows where the proof no longer applies."
+          : "Sampling period of the controller."],
       path: ["Path", ""],
       start: ["Start", content.pose?.sought ? "Offset of each joint from the pose on the path." : "Offset of each joint from the start in the file."],
     };
-    const all = this.known();
+    const all = this.definitions();
     for (const [group, [title, hint]] of Object.entries(groups)) {
       const mine = all.filter((slider) => slider.group === group);
       if (!mine.length && group !== "clock") continue;
@@ -30,79 +30,80 @@ class Sliders {
       for (const slider of mine) box.append(this.row(slider));
       holder.append(box);
     }
-    // a slider released where it was grabbed reports no change
-    const release = () => { if (this.held) { this.held = false; this.settle(); } };
+    // a slider that is released at its old value fires no change event
+    const release = () => { if (this.pressed) { this.pressed = false; this.commit(); } };
     addEventListener("pointerup", release);
     addEventListener("pointercancel", release);
-    addEventListener("hashchange", () => this.recall());
+    addEventListener("hashchange", () => this.restore());
   }
 
-  known() {
+  definitions() {
     const { clock, pose } = this.content, all = this.content.sliders.map((slider) => ({ ...slider, least: -1 }));
     if (clock !== null) {
       const least = -Math.min(1, Math.max(0, Math.log(clock / FASTEST) / Math.log(SLOWEST)));
-      const says = "How often the controller samples, and the servo gets a new command.";
-      all.push({ label: "clock", group: "clock", block: "", name: "period", says, unit: "s", kind: "factor", most: SLOWEST, least });
+      const description = "Sampling period of the controller; the servo gets a new command at each sample.";
+      all.push({ label: "clock", group: "clock", block: "", name: "period", description, unit: "s", kind: "factor", most: SLOWEST, least });
     }
     pose?.names.forEach((name, joint) => {
-      const unit = pose.units[joint], says = "Initial offset of this joint.";
-      all.push({ label: `start[${joint}]`, group: "start", block: "", name, says, unit, kind: "shift", most: unit === "m" ? 0.1 : 0.5, least: -1, joint });
+      const unit = pose.units[joint], description = "Initial offset of this joint.";
+      all.push({ label: `start[${joint}]`, group: "start", block: "", name, description, unit, kind: "shift", most: unit === "m" ? 0.1 : 0.5, least: -1, joint });
     });
     return all;
   }
 
   row(slider) {
-    const id = `move-${slider.label}`, says = `${slider.block ? `${slider.block}.` : ""}${slider.name}: ${slider.says}`;
-    const input = make("input", { type: "range", id, min: slider.least, max: 1, step: 0.005, value: 0, title: slider.says, "aria-label": `${slider.name} ${slider.block}`.trim() });
+    const id = `move-${slider.label}`, description = `${slider.block ? `${slider.block}.` : ""}${slider.name}: ${slider.description}`;
+    const input = make("input", { type: "range", id, min: slider.least, max: 1, step: 0.005, value: 0, title: slider.description, "aria-label": `${slider.name} ${slider.block}`.trim() });
     const output = make("output", { for: id, "aria-live": "off" });
     const reset = make("button", { type: "button", "aria-label": `Reset ${slider.block} ${slider.name}`, title: "Back to the file's value" }, "↺");
     const label = make("label", { for: id }, ...nice(slider.name.replace(/([a-z]{3})_/g, "$1 ")), " ", make("small", {}, slider.block));
     const element = make("div", { class: "slider" }, label, output, reset, input);
-    input.onpointerdown = () => (this.held = true);
-    input.onfocus = input.onmouseenter = () => this.about(says);
+    input.onpointerdown = () => (this.pressed = true);
+    input.onfocus = input.onmouseenter = () => this.about(description);
     input.oninput = () => this.move(slider, valueAt(slider, Number(input.value)));
-    input.onchange = () => { this.held = false; this.settle(); };
-    input.ondblclick = reset.onclick = () => { this.move(slider, rest(slider)); this.settle(); };
+    input.onchange = () => { this.pressed = false; this.commit(); };
+    input.ondblclick = reset.onclick = () => { this.move(slider, neutral(slider)); this.commit(); };
     this.rows.push({ ...slider, input, output, element });
     return element;
   }
 
   move(slider, value) {
-    if (value === rest(slider)) this.moved.delete(slider.label); else this.moved.set(slider.label, value);
-    this.ask(this.held);
+    if (value === neutral(slider)) this.moved.delete(slider.label); else this.moved.set(slider.label, value);
+    this.request(this.pressed);
   }
 
-  // The address keeps what was moved, so that a link shows the same.
-  settle() {
+  // Ends a change: the address of the page lists the moved sliders, so that a link shows the same run.
+  commit() {
     this.notices = [];
     try {
       const fragment = [...this.moved].map((pair) => pair.map(encodeURIComponent).join("=")).join("&");
       history.replaceState(null, "", fragment ? `#${fragment}` : location.pathname + location.search);
-    } catch { /* a page inside another has no address of its own */ }
-    this.ask(false);
+    } catch { /* an embedded page has no address of its own */ }
+    this.request(false);
   }
 
-  recall() {
+  // Sets the sliders from the address of the page.
+  restore() {
     this.moved.clear();
-    const found = new Map(new URLSearchParams(location.hash.slice(1))); // one without a value is a place in the page
+    const found = new Map(new URLSearchParams(location.hash.slice(1))); // an entry without a value is an anchor
     for (const slider of this.rows) {
       const text = found.get(slider.label), value = Number(text || NaN), place = placeOf(slider, value);
       const within = Number.isFinite(place) && place >= slider.least - 1e-6 && place <= 1 + 1e-6;
-      if (within && value !== rest(slider)) this.moved.set(slider.label, value);
+      if (within && value !== neutral(slider)) this.moved.set(slider.label, value);
       if (within) found.delete(slider.label);
     }
-    if (Number(found.get("at") || NaN) >= 0) found.delete("at"); // an instant, which the page itself reads
+    if (Number(found.get("at") || NaN) >= 0) found.delete("at"); // an instant, read in page.js
     const lost = [...found].filter(([, text]) => text).map((pair) => pair.join("=")), more = lost.length > 3 ? `, and ${lost.length - 3} more` : "";
-    this.notices = lost.length ? [`what the address says cannot be set here: ${lost.slice(0, 3).join(", ").slice(0, 200)}${more}`] : [];
-    this.ask(false);
+    this.notices = lost.length ? [`the address of the page sets unknown or invalid values: ${lost.slice(0, 3).join(", ").slice(0, 200)}${more}`] : [];
+    this.request(false);
   }
 
   reset() {
     this.moved.clear();
-    this.settle();
+    this.commit();
   }
 
-  // The loop's numbers; what moved is rounded, so that a command can say it in full.
+  // Parameters of the loop; changed ones are rounded to 6 digits, so that the command line gives the same values.
   get numbers() {
     const p = this.content.p.slice();
     for (const { label, kind, at, size } of this.content.sliders) {
@@ -116,8 +117,8 @@ class Sliders {
   get tick() { return Number((this.content.tick * (this.moved.get("clock") ?? 1)).toPrecision(6)); }
   get shift() { return this.content.pose && this.content.pose.names.map((_, k) => this.moved.get(`start[${k}]`) ?? 0); }
 
-  // Whether numbers of the loop have moved and which, and whether its start or its clock has. A start that follows from
-  // numbers that were moved has moved with them; starts are counted behind the numbers.
+  // What differs from the file: parameters (`p`; `at`: their indices), initial state, sampling period. An initial value
+  // that is a function of changed parameters counts as changed; its index follows those of the parameters.
   get state() {
     const ofStart = (label) => label.startsWith("start["), labels = [...this.moved.keys()], { sliders, starts, p } = this.content;
     const at = new Set(sliders.filter(({ label }) => this.moved.has(label)).flatMap(({ at, size }) => Array.from({ length: size }, (_, k) => at + k)));
@@ -126,10 +127,10 @@ class Sliders {
     return { p: labels.some((label) => label !== "clock" && !ofStart(label)), at, start, clock, run: clock || labels.some(ofStart) };
   }
 
-  // Where all of them stand, given the numbers and the pose at the start.
+  // Updates all sliders from the parameters and the initial pose.
   show(p, start) {
     for (const slider of this.rows) {
-      const value = this.moved.get(slider.label) ?? rest(slider), place = placeOf(slider, value), { input, least } = slider;
+      const value = this.moved.get(slider.label) ?? neutral(slider), place = placeOf(slider, value), { input, least } = slider;
       if (document.activeElement !== input || Math.abs(Number(input.value) - place) > 0.01) input.value = place;
       const zero = -least / (1 - least), now = (place - least) / (1 - least), part = Math.abs(now - zero);
       input.style.setProperty("--zero", `${100 * zero}%`);
@@ -148,32 +149,32 @@ class Sliders {
     return superscript(`${String(Number(values[0].toPrecision(4))).replace("-", "−")} ${unit}`).trim();
   }
 
-  // The same run from a command line.
+  // Command line that repeats the run.
   command(p, start) {
     const { command, horizon, sliders, pose } = this.content, words = [command.text, `--set duration=${horizon}`];
     const lacking = command.before ? [command.before] : [];
-    const say = (label, value) => words.push(`--set '${label}=${value}'`);
+    const assign = (label, value) => words.push(`--set '${label}=${value}'`);
     const moved = sliders.filter(({ label }) => this.moved.has(label));
     for (const base of new Set(moved.map(({ label }) => label.replace(/\[\d\]$/, "")))) {
       const whole = sliders.filter(({ label }) => label === base || label.startsWith(`${base}[`));
-      if (base.startsWith("robot.") && base !== "robot.friction_velocity") lacking.push(`${base}, which the robot's file says`);
-      else say(command.swapped.includes(base.split(".")[0]) ? `baseline.${base}` : base, listed(whole[0].written, (place) => p[whole[0].first + place]));
+      if (base.startsWith("robot.") && base !== "robot.friction_velocity") lacking.push(`${base}, which the robot file sets`);
+      else assign(command.swapped.includes(base.split(".")[0]) ? `baseline.${base}` : base, listed(whole[0].written, (place) => p[whole[0].first + place]));
     }
-    // another path has other poses that begin it, of which a command would take its own
+    // on another path `run` would compute another initial pose
     const sought = pose?.sought && moved.some(({ group }) => group === "path");
-    if (sought || this.shift?.some(Boolean)) say("start.q", listed(start.map((_, k) => k), (k) => Number(start[k].toPrecision(12))));
-    if (this.moved.has("clock")) say("clock", this.tick);
+    if (sought || this.shift?.some(Boolean)) assign("start.q", listed(start.map((_, k) => k), (k) => Number(start[k].toPrecision(12))));
+    if (this.moved.has("clock")) assign("clock", this.tick);
     return words.join(" ") + (lacking.length ? `   # and ${lacking.join(", and ")}` : "");
   }
 }
 
-// YAML text: numbers in their nested lists.
+// YAML text of numbers in nested lists.
 function listed(places, number) {
   if (Array.isArray(places)) return `[${places.map((inner) => listed(inner, number)).join(", ")}]`;
   return places === null ? "0" : String(number(places));
 }
 
-function rest({ kind }) {
+function neutral({ kind }) {
   return kind === "factor" ? 1 : 0;
 }
 
@@ -183,5 +184,5 @@ function placeOf({ kind, most }, value) {
 
 function valueAt(slider, place) {
   const value = slider.kind === "factor" ? slider.most ** place : slider.most * place;
-  return Math.abs(place) < 1e-9 ? rest(slider) : Number(value.toPrecision(3));
+  return Math.abs(place) < 1e-9 ? neutral(slider) : Number(value.toPrecision(3));
 }

@@ -1,14 +1,14 @@
-// The closed loop itself: a WebAssembly module that was written from its expressions, and what Python does around a
-// run: where it starts, how short its steps must be, where it blew up. Nothing here knows of a page, so that tests run
-// it in Node. (A page's files are put into one script, in which they share their names.)
+// Simulation of the closed loop: a WebAssembly module generated from its expressions, and the JavaScript counterpart of
+// dmframe.simulate for the initial state, the step size and divergence. This file does not access the page, so that tests
+// run it in Node. (The files of a page are joined into one script and share one scope.)
 
-const REACHED = 1e-9; // a start is on the path if it is this close [m or rad]
-const MOST_SLOPE = 1e12; // rates that change faster are not computed with [1/s]
-const LARGEST = 1e10; // the bound of a state that is no joint's velocity
-const INSTANTS = 1000; // of a run that are kept, about; twice as many would not be seen
-export const MOST_WORK = 1e6; // samples and steps of rk4 in one run; beyond it a page would stand still for a second or more
+const REACHED = 1e-9; // tolerance of an initial pose on the path [m or rad]
+const MOST_SLOPE = 1e12; // largest entry of the plant's Jacobian [1/s]
+const LARGEST = 1e10; // bound of the states other than joint velocities
+const INSTANTS = 1000; // approximate number of recorded instants of a run; a plot resolves no more
+export const MOST_WORK = 1e6; // samples and rk4 steps in one run; more would block the page for a second or longer
 
-// What `Math` lacks of C's functions; a module that needs none of them imports none.
+// Functions of the C library that `Math` lacks; a module imports only those that it calls.
 const LIBRARY = {
   fmod: (x, y) => x % y,
   remainder(x, y) {
@@ -22,13 +22,13 @@ const LIBRARY = {
   },
   erf(x) {
     if (Math.abs(x) > 6) return Math.sign(x);
-    let term = x, sum = x; // a series of terms of one sign: nothing cancels
+    let term = x, sum = x; // all terms have one sign, so there is no cancellation
     for (let n = 1; Math.abs(term) > 1e-17 * Math.abs(sum); n++) sum += term *= (2 * x * x) / (2 * n + 1);
     return (2 / Math.sqrt(Math.PI)) * Math.exp(-x * x) * sum;
   },
 };
 
-// The bytes of a deflated text in base64.
+// Bytes of a deflated and base64-encoded text.
 export async function unpacked(text) {
   const packed = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
   return new Response(new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"))).arrayBuffer();
@@ -64,7 +64,7 @@ export class Loop {
     new Int32Array(exports.memory.buffer, this.places.kept, states).set(Array.from({ length: states }, (_, k) => k));
   }
 
-  // An array of the module's memory; growing the memory makes it void.
+  // Array in the module's memory; growing the memory invalidates it.
   view(name, size) {
     return new Float64Array(this.exports.memory.buffer, this.places[name], size);
   }
@@ -74,7 +74,7 @@ export class Loop {
     if (lacking > 0) memory.grow(Math.ceil(lacking / 65536));
   }
 
-  // Margins of conditions, the least kappa and true values of estimates, at the numbers p and from a pose.
+  // Margins of the conditions, the smallest kappa and the true values of the estimates, for parameters p and an initial pose.
   judged(p, pose = this.pose, tick = this.content.tick) {
     this.view("p", p.length).set(p);
     this.view("pose", pose.length).set(pose);
@@ -83,13 +83,13 @@ export class Loop {
     return this.view("judged", this.content.sizes.judged).slice();
   }
 
-  // The file's pose at the start.
+  // Initial pose of the file.
   get pose() {
     const { pose, state } = this.content;
     return pose ? state.slice(pose.at, pose.at + pose.size) : [];
   }
 
-  // By how much these move with numbers that are off by sixteen roundings: a margin below that has no sure sign.
+  // Change of these values under relative perturbations of 2^-48 (16 roundings): the sign of a smaller margin is uncertain.
   spread(p, pose = this.pose, tick = this.content.tick) {
     const here = this.judged(p, pose, tick), most = new Float64Array(here.length);
     for (let turn = 1; turn <= 4; turn++) {
@@ -100,9 +100,9 @@ export class Loop {
     return most;
   }
 
-  // The state from which a run begins, and the pose in it.
-  begun(p, shift, tick) {
-    const { q, notice } = this.posed(p, shift);
+  // Initial state of a run, and its pose.
+  initial(p, shift, tick) {
+    const { q, notice } = this.initialPose(p, shift);
     this.view("p", p.length).set(p);
     this.view("pose", q.length).set(q);
     this.view("T", 1)[0] = tick;
@@ -110,9 +110,9 @@ export class Loop {
     return { q, notice, state: this.view("state", this.states).slice() };
   }
 
-  // How far V, the sum of `size` numbers that are drawn from `at` on, may be wrong by rounding, at instant k of a run:
-  // n eps (V + sum |dV/dz| |z|), for n operations that round and states z that do, to first order.
-  wrong({ log, every }, k, p, tick, { at, size }) {
+  // Bound on the rounding error of V (sum of `size` plotted outputs from `at` on) at instant k of a run, to first order:
+  // n eps (V + sum |dV/dz| |z|), with n rounded operations and states z.
+  roundingError({ log, every }, k, p, tick, { at, size }) {
     const { exports, places, states, content } = this, part = 2 ** -20, x = log.slice(k * states, (k + 1) * states);
     this.view("p", p.length).set(p);
     this.view("T", 1)[0] = tick;
@@ -130,16 +130,16 @@ export class Loop {
     return content.operations * Number.EPSILON * read;
   }
 
-  // The pose at the start: the file's, put onto the path where it is sought there, then shifted.
-  posed(p, shift) {
+  // Initial pose: that of the file or, if `sought`, one on the path; then shifted by the sliders.
+  initialPose(p, shift) {
     const { pose, state } = this.content;
     if (!pose) return { q: new Float64Array(0), notice: "" };
-    const { q, notice } = pose.sought ? this.sought(p) : { q: state.slice(pose.at, pose.at + pose.size), notice: "" };
+    const { q, notice } = pose.sought ? this.poseOnPath(p) : { q: state.slice(pose.at, pose.at + pose.size), notice: "" };
     return { q: limited(pose, q.map((angle, k) => angle + (shift?.[k] ?? 0))), notice };
   }
 
-  // The nearest solution to the file's pose; from a few others where there is none near.
-  sought(p) {
+  // Pose on the path: the solution from the file's pose, else from up to eleven other seeds.
+  poseOnPath(p) {
     const { pose, state } = this.content;
     this.view("p", p.length).set(p);
     const lower = pose.lower.map((end) => Math.max(end ?? -Math.PI, -Math.PI));
@@ -149,17 +149,17 @@ export class Loop {
       const from = seed === 0
         ? state.slice(pose.at, pose.at + pose.size)
         : lower.map((end, k) => end + (upper[k] - end) * ((0.5 + 0.618034 * seed * (k + 1)) % 1));
-      const found = this.solved(limited(pose, from));
+      const found = this.inverseKinematics(limited(pose, from));
       if (!best || found.miss < best.miss) best = found;
       if (best.miss < REACHED) return { q: best.q, notice: "" };
     }
     const unit = this.content.goal?.unit ?? "";
-    const notice = `no pose within the joints' limits is on the path's start: this one is ${plain(best.miss, unit)} away`;
+    const notice = `no pose within the joint limits reaches the start of the path: the nearest one found is ${plain(best.miss, unit)} away`;
     return { q: best.q, notice };
   }
 
-  // Damped Newton iteration (Levenberg and Marquardt), held within the joints' limits.
-  solved(q) {
+  // Levenberg-Marquardt iteration for a pose on the path, clipped to the joint limits.
+  inverseKinematics(q) {
     const m = this.content.sizes.reach, { pose } = this.content, n = pose.size;
     const at = (pose) => {
       this.view("pose", n).set(pose);
@@ -174,10 +174,10 @@ export class Loop {
           for (let j = 0; j < n; j++) row[j] += now.J[i * m + k] * now.J[j * m + k];
           row[n] -= now.J[i * m + k] * now.r[k];
         }
-        row[i] += damping * 1e-2 * Math.min(1, miss) + 1e-14; // fades, so that the last steps are Newton's own
+        row[i] += damping * 1e-2 * Math.min(1, miss) + 1e-14; // vanishes with the error, so that the last steps are Newton steps
         return row;
       });
-      const step = eliminated(A), tried = limited(pose, q.map((angle, k) => angle + step[k]));
+      const step = gaussJordan(A), tried = limited(pose, q.map((angle, k) => angle + step[k]));
       const then = at(tried), distance = Math.hypot(...then.r);
       if (distance < miss) [q, now, miss, damping] = [tried, then, distance, damping / 8];
       else if (miss < REACHED) break;
@@ -186,7 +186,7 @@ export class Loop {
     return { q, miss };
   }
 
-  // The largest modulus of an eigenvalue of the plant at a state [1/s], which limits the steps of rk4.
+  // Spectral radius of the plant's Jacobian at a state [1/s]; it limits the rk4 step.
   speed(state, T) {
     const { sizes, flowing: n } = this.content, first = this.states - n, J = [];
     const rates = (k, shift) => {
@@ -206,26 +206,26 @@ export class Loop {
     return radius(J);
   }
 
-  // One run. `shift` moves the joints at the start; `tick` and `horizon` are the file's where none are given; of more
-  // than `most` work only the begin is run, up to `short`. Found: the kept instants' times, their states in `log`, and
-  // in `drawn` what is drawn of them.
+  // Simulates one run. `shift`: offset of the initial joint positions; `tick`, `horizon`: default those of the file; `most`:
+  // largest work, beyond which the run ends early at time `short`. Result: `times`, states in `log` and plotted outputs in
+  // `drawn` at the recorded instants.
   simulate({ p, shift = null, tick = this.content.tick, horizon = this.content.horizon, most = MOST_WORK }) {
     const { content } = this, ticks = Math.max(1, Math.round(horizon / tick)), notices = [];
-    const { q, notice, state: start } = this.begun(p, shift, tick);
+    const { q, notice, state: start } = this.initial(p, shift, tick);
     if (notice) notices.push(notice);
 
-    const plainly = steps(tick, content.step ?? content.solver.plain, content.solver.most);
-    let substeps = plainly;
+    const usual = steps(tick, content.step ?? content.solver.plain, content.solver.most);
+    let substeps = usual;
     if (content.step === null) {
       const speed = this.speed(start, tick);
-      if (speed === Infinity) notices.push("at the start the plant's rates are too steep to compute with");
+      if (speed === Infinity) notices.push("the Jacobian of the plant at the initial state exceeds 1e12 1/s: the step size is not computed from it");
       else if ((tick / substeps) * speed > content.solver.takes) {
         const h = Number((content.solver.takes / speed).toPrecision(2));
         substeps = steps(tick, h, content.solver.most);
         const few = tick / h > content.solver.most;
         notices.push(
           few
-            ? "the plant is too stiff for this page: it would take steps shorter than 1/2000 of a tick"
+            ? "the plant is too stiff for this page: it requires steps shorter than 1/2000 of a sampling period"
             : `the plant is stiff: rk4 takes steps of ${plain(h, "s")}`,
         );
       }
@@ -233,17 +233,17 @@ export class Loop {
     let run = this.run(start, tick, ticks, substeps, most);
     if (run.divergence && content.step === null) {
       const h = Math.max(tick / substeps / 4, tick / content.solver.most);
-      const again = this.run(start, tick, ticks, steps(tick, h, content.solver.most), most);
-      // one that ends as soon at shorter steps is the loop's own fault, not that of the integrator
-      if (!again.divergence || again.divergence.time >= 1.5 * run.divergence.time) {
-        run = again;
-        notices.push(`at longer steps the integrator itself diverged: rk4 took steps of ${plain(h, "s")}`);
+      const finer = this.run(start, tick, ticks, steps(tick, h, content.solver.most), most);
+      // a run that diverges as early with shorter steps diverges by the loop, not by the integrator
+      if (!finer.divergence || finer.divergence.time >= 1.5 * run.divergence.time) {
+        run = finer;
+        notices.push(`the integrator diverged at longer steps: rk4 takes steps of ${plain(h, "s")}`);
       }
     }
     return { ...this.shown(run, tick), ...run, start: q, tick, horizon: ticks * tick, notices };
   }
 
-  // The state at kept instants, from a start on; `divergence` is where it left its bounds.
+  // States at the recorded instants of a run; `divergence`: the state that exceeded its bound.
   run(start, tick, wanted, substeps, most) {
     const { exports, places, states } = this;
     const ticks = Math.max(1, Math.min(wanted, Math.ceil(most / (substeps + 1))));
@@ -260,9 +260,9 @@ export class Loop {
     const done = exports.run(
       places.state, places.p, tick, substeps, 0, ticks, given, every, places.kept, states, log, places.bounds,
     );
-    // one that blew up is run once more, so that as many instants are kept of its shorter time
+    // a diverged run is repeated up to its end, so that its shorter time has as many recorded instants
     if (done < ticks && every > 1 && done < ticks / 2) return this.run(start, tick, done + 1, substeps, most);
-    const divergence = done < ticks ? this.beyond(state, (done + 1) * tick) : null;
+    const divergence = done < ticks ? this.divergence(state, (done + 1) * tick) : null;
     const all = new Float64Array(buffer, log, states * rows);
     if (!divergence && ticks % every === 0) all.set(state, states * (rows - 1));
     const kept = Math.floor(done / every) + 1;
@@ -270,8 +270,8 @@ export class Loop {
     return { log: all.slice(0, states * kept), kept, every, substeps, divergence, short, work: done * (substeps + 1) };
   }
 
-  // Which state left its bound; one that is no number goes before others.
-  beyond(state, time) {
+  // The state that exceeded its bound; one that is not finite comes first.
+  divergence(state, time) {
     const { bounds, states } = this.content;
     let row = state.findIndex((value) => !Number.isFinite(value));
     const infinite = row >= 0;
@@ -280,11 +280,11 @@ export class Loop {
     const owner = states.find(({ size }) => element < size || ((element -= size), false));
     const limit = bounds[row] < LARGEST ? ", 100 times the joint's limit," : "";
     const how = infinite ? "is no longer finite" : `is beyond ${plain(bounds[row], owner.unit)}${limit}`;
-    const says = `${owner.label}[${element}] ${how} at t = ${Number(time.toPrecision(6))} s`;
-    return { label: owner.label, element, time, how, says };
+    const message = `${owner.label}[${element}] ${how} at t = ${Number(time.toPrecision(6))} s`;
+    return { label: owner.label, element, time, how, message };
   }
 
-  // Times, what is drawn at each, and where the tool should be: for a goal of joints, where it would be at these.
+  // Times, plotted outputs, and desired tool positions: for a goal in joint space, the tool position at these joints.
   shown({ log, kept, every }, tick) {
     const { exports, places, states } = this, { sizes, pose, goal } = this.content, width = sizes.shown;
     const jointly = goal && pose && sizes.scene && goal.size === pose.size && goal.unit !== "m";
@@ -309,7 +309,7 @@ export class Loop {
   }
 }
 
-// Equal steps in a tick that are none longer than h. Rounding first: 8 ms are eight steps of 1 ms, not nine.
+// Number of equal steps of length <= h in a tick. Rounded first: 8 ms is eight steps of 1 ms, not nine.
 function steps(tick, h, most) {
   return Math.min(most, Math.max(1, Math.ceil(Number((tick / h).toFixed(9)))));
 }
@@ -318,8 +318,8 @@ function limited(pose, q) {
   return Array.from(q, (angle, k) => Math.min(pose.upper[k] ?? Infinity, Math.max(pose.lower[k] ?? -Infinity, angle)));
 }
 
-// The solution of a small linear system, given as rows with the right side behind them.
-function eliminated(rows) {
+// Solution of a small linear system by Gauss-Jordan elimination; each row ends with its right-hand side.
+function gaussJordan(rows) {
   const n = rows.length;
   for (let k = 0; k < n; k++) {
     let best = k;
@@ -334,7 +334,7 @@ function eliminated(rows) {
   return rows.map((row, k) => row[n] / row[k]);
 }
 
-// The spectral radius by Gelfand's formula, |A^(2^k)|^(1/2^k): each square is scaled, its scale kept as a logarithm.
+// Spectral radius by Gelfand's formula, |A^(2^k)|^(1/2^k), by repeated squaring with the scale as a logarithm.
 function radius(A) {
   const n = A.length;
   let logarithm = 0, weight = 1;
@@ -360,7 +360,7 @@ const PREFIXED = {
   N: LARGE, J: LARGE, W: LARGE, V: LARGE, A: LARGE, Pa: LARGE,
 };
 
-// The power of ten that a unit's prefix takes of a number, and that prefix.
+// SI prefix of a value in a unit, and its power of ten.
 export function prefixed(value, unit) {
   const first = /^\p{L}+(?!\^)(?![\p{L}\p{N}_])/u.exec(unit)?.[0];
   const [least, greatest] = PREFIXED[first] ?? [0, 0];
@@ -369,14 +369,14 @@ export function prefixed(value, unit) {
   return { power, prefix: PREFIXES[power] };
 }
 
-// A quantity for people, to three digits: 90 ms.
+// A quantity to three digits with an SI prefix: 90 ms.
 export function plain(value, unit) {
   if (!Number.isFinite(value)) return `${value} ${unit}`.trim();
   const rounded = Number(value.toPrecision(3)), { power, prefix } = prefixed(rounded, unit);
   return `${short(rounded / 10 ** power)} ${prefix}${unit}`.trim();
 }
 
-// As Python's %.6g would have it.
+// A number as Python's %.6g formats it.
 export function short(value, digits = 6) {
   const text = value.toPrecision(digits), [mantissa, power] = Number(text).toExponential().split("e");
   if (+power >= digits || +power < -4) return `${mantissa}e${power[0]}${power.slice(1).padStart(2, "0")}`;

@@ -88,9 +88,7 @@ class Loop(Peer):
     title: ClassVar[str] = "C++ on Pinocchio"
     package: ClassVar[str] = "pin"
     module: ClassVar[str] = "pinocchio"
-    note: ClassVar[str] = (
-        "more than a minute of compilation is left out; headers of Pinocchio, Boost and Eigen, g++ -O3"
-    )
+    note: ClassVar[str] = "without more than a minute of compilation; headers of Pinocchio, Boost and Eigen, g++ -O3"
 
     @classmethod
     def missing(cls) -> str:

@@ -11,5 +11,5 @@ class Loop(jaxonomy_blocks.Loop):
     """As one writes it first."""
 
     title: ClassVar[str] = "Jaxonomy, arrays"
-    note: ClassVar[str] = "the same functions as the row of JAX in arrays; its compilation is left out"
+    note: ClassVar[str] = "the same functions as the row of JAX in arrays; without its compilation"
     arrays: ClassVar[bool] = True

@@ -69,7 +69,7 @@ class Loop(Peer):
     arrays: ClassVar[bool] = False
     package: ClassVar[str] = "jaxonomy"
     module: ClassVar[str] = "jaxonomy"
-    note: ClassVar[str] = "the same functions as the row of JAX in scalar code; its compilation is left out"
+    note: ClassVar[str] = "the same functions as the row of JAX in scalar code; without its compilation"
 
     def build(self) -> None:
         logging.getLogger("jaxonomy").setLevel(logging.WARNING)

@@ -17,7 +17,7 @@ class Loop(Peer):
     package: ClassVar[str] = "mujoco"
     module: ClassVar[str] = "mujoco"
     integrator: ClassVar[str] = "RK4"
-    note: ClassVar[str] = "smooth friction is no element of it, so Python runs at each of the four stages"
+    note: ClassVar[str] = "it has no element for smooth friction, so Python runs at each of the four stages"
 
     def build(self) -> None:
         import mujoco

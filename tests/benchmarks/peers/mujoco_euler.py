@@ -13,4 +13,4 @@ class Loop(mujoco_callback.Loop):
     title: ClassVar[str] = "MuJoCo, Euler"
     method: ClassVar[str] = "semi-implicit Euler"
     integrator: ClassVar[str] = "Euler"
-    note: ClassVar[str] = "Python once a step; its first-order error is its own, so it stands here for its speed alone"
+    note: ClassVar[str] = "Python once a step; it has a first-order error, so only its speed is compared"

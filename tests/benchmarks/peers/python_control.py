@@ -17,8 +17,8 @@ class Loop(Peer):
     package: ClassVar[str] = "control"
     module: ClassVar[str] = "control"
     note: ClassVar[str] = (
-        "knows no hybrid systems: the plant is a discrete one with an RK4 by hand; right-hand side and controller are "
-        "NumPy on Pinocchio"
+        "has no hybrid systems: the plant is a discrete one with a hand-written RK4; right-hand side and controller "
+        "are NumPy on Pinocchio"
     )
 
     def build(self) -> None:

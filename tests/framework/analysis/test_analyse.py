@@ -22,13 +22,14 @@ from dmframe.analysis import (
     simulated_period,
     tick_jacobian,
 )
+from dmframe.analysis.servo import left_out
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.parameter import Diagonal, Positive
+from dmframe.block.port import Access, Input, Output, Side, State
 from dmframe.certify.true_values import true_values
+from dmframe.common.errors import EngineError, MissingError, ShapeError, ValueFault
 from dmframe.diagram import Diagram
-from dmframe.errors import EngineError, MissingError, ShapeError, ValueFault
 from dmframe.graph.graph import Graph
-from dmframe.parameter import Diagonal, Positive
-from dmframe.port import Access, Input, Output, Side, State
 from dmframe.simulate import Solver, simulate
 from dmframe_blocks.joint_tracking import JointTracking
 from dmframe_blocks.kinematic_command import KinematicCommand
@@ -291,20 +292,21 @@ def test_a_state_of_another_size_is_refused() -> None:
 
 def test_estimates_that_are_no_states_are_refused() -> None:
     diagram, _ = packaged("pendulum")
-    with pytest.raises(ValueFault, match=r"estimates.arm.q: expected one number .*; its states are dynamics.a_d_hat, "):
+    with pytest.raises(
+        ValueFault,
+        match=r"estimates.arm.q: expected one number, or one per element, .*; its states are dynamics.a_d_hat, ",
+    ):
         equilibrium(frozen(diagram), {"arm.q": 0})
 
 
 def test_a_loop_without_an_equilibrium_is_reported() -> None:
     diagram, _ = packaged("arm2_joint")
-    with pytest.raises(EngineError, match=r"set-point: expected an equilibrium .* found none; \S+ still moves at"):
+    with pytest.raises(EngineError, match=r"set-point: expected an equilibrium .* found none; \S+ still changes by"):
         equilibrium(frozen(diagram), {"inverse.w_I": 0})
 
 
 def test_a_search_that_overflows_is_reported_as_a_loop_without_an_equilibrium() -> None:
-    with pytest.raises(
-        EngineError, match=r"found none; .* leads to where the rate of leak\.h, or its slope, overflows"
-    ):
+    with pytest.raises(EngineError, match=r"found none; in the search, the rate of leak\.h or its slope overflows"):
         equilibrium(frozen(Diagram.build({"leak": Leak()})))
 
 
@@ -328,7 +330,7 @@ def test_a_diagram_without_a_servo_or_a_goal_is_refused() -> None:
     with pytest.raises(ValueFault, match="horizon: expected a positive number of seconds, found -1"):
         simulated_period(wheel, 0.01, horizon=-1)
     with pytest.raises(
-        MissingError, match="servo: expected a block of the plant that takes dq_c and gives u to an arm"
+        MissingError, match="servo: expected a plant block with input dq_c whose output u drives an arm"
     ):
         servo_transfer(Diagram.build({"push": Still()}), np.zeros(0))
 
@@ -371,6 +373,24 @@ def test_a_tick_that_overflows_is_unstable_and_its_poles_are_none() -> None:
     assert linear.spectral_radius(1e290) == np.inf
     with pytest.raises(EngineError, match="overflows; take a faster clock"):
         linear.sampled_poles(1e290)
+
+
+def test_friction_of_the_velocity_alone_is_left_out_of_the_joint_loops_and_named() -> None:
+    plain = Graph.read("ur10_slow_kinematic")
+    graph = Graph.read("ur10_slow_kinematic", ["reality={stribeck_friction: {sticking: 3, velocity: 0.1}}"])
+    loops = [servo_transfer(own.diagram, start=own.start) for own in (plain, graph)]
+    assert [joint.loop.num.tolist() for joint in loops[0]] == [joint.loop.num.tolist() for joint in loops[1]]
+    (friction,) = left_out(graph.diagram)
+    v_0 = float(graph.diagram.robot.friction_velocity)
+    v = np.linspace(0, 1, 200001)
+    slope = np.gradient(3 * np.exp(-((v / 0.1) ** 2)) * np.tanh(v / v_0), v)
+    assert friction.standstill == pytest.approx(3 / v_0)
+    assert friction.least == pytest.approx(np.min(slope), rel=0.01)
+    assert np.all(np.abs(slope[v > friction.above]) < 0.011 * np.max(np.abs(slope)))
+    assert left_out(plain.diagram) == ()
+    loaded = Graph.read("ur10_slow_kinematic", ["reality={stribeck_friction: {per_torque: 0.1}}"])
+    with pytest.raises(MissingError, match="found stribeck_friction in between"):
+        servo_transfer(loaded.diagram, start=loaded.start)
 
 
 @pytest.mark.parametrize(

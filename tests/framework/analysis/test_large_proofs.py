@@ -15,13 +15,13 @@ from dmframe.analysis.enclosed import EnclosedLoop, without_store
 from dmframe.analysis.rounding import averaged, unrounded
 from dmframe.analysis.sums import Span, conserved, sums_of
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.parameter import Positive, Real, Scalar
+from dmframe.block.port import PERIOD, Access, Input, Output, Side, State
 from dmframe.diagram import Diagram
 from dmframe.exact.ball_matrix import exactly, middles
 from dmframe.exact.rounded import Rounded, falls, similar
 from dmframe.exact.rows import dense, sparse
 from dmframe.graph.graph import Graph
-from dmframe.parameter import Positive, Real, Scalar
-from dmframe.port import PERIOD, Access, Input, Output, Side, State
 from dmframe.program import read
 from dmframe_blocks._averaged_servo import AveragedServo, averaged_servo
 

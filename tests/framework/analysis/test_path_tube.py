@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from dmframe.analysis import rank_region
-from dmframe.analysis.joint_path import JointPath, Reach, joint_path, period_of
+from dmframe.analysis.joint_path import JointPath, ToolPath, joint_path, period_of
 from dmframe.analysis.path_tube import PathTube, path_tube
-from dmframe.errors import MissingError
+from dmframe.common.errors import MissingError
 from dmframe.exact.enclosure import Enclosure
 from dmframe.graph.graph import Graph
 
@@ -34,7 +34,7 @@ def follow(way: Way, tube: float = TUBE, duration: float = DURATION) -> JointPat
     goal = ca.vertcat(FIRST[0] + way(t), FIRST[1])
     functions = [ca.Function("f", [of], [value]) for of, value in ((q, x), (q, ca.jacobian(x, q)), (t, goal))]
     actual, slope, wanted = (lambda at, f=f: f(at).full() for f in functions)
-    reach = Reach(lambda at: actual(at).ravel(), slope, lambda at: wanted(at).ravel())
+    reach = ToolPath(lambda at: actual(at).ravel(), slope, lambda at: wanted(at).ravel())
     proof = path_tube((x, q, goal, t, p, []), tube)
     return joint_path(reach, START, duration, period_of(goal, t), tube / 2, proof)
 
@@ -50,12 +50,12 @@ def exact(way: Way, times: np.ndarray) -> np.ndarray:
 
 def lies_apart(way: Way, path: JointPath, span: float | None = None) -> bool:
     """Whether the exact joint path leaves what is claimed of it, at 10 000 times."""
-    assert path.apart is not None
+    assert path.line_distance is not None
     span = path.span if span is None else span
     times = np.sort(np.concatenate([np.random.default_rng(0).uniform(0, span, 9000), np.linspace(0, span, 1000)]))
     line = np.column_stack([np.interp(times, path.times, path.poses[:, j]) for j in range(2)])
-    segment = np.clip(np.searchsorted(path.times, times) - 1, 0, len(path.apart) - 1)
-    return bool((np.abs(exact(way, times) - line) > path.apart[segment] + 1e-12).any())
+    segment = np.clip(np.searchsorted(path.times, times) - 1, 0, len(path.line_distance) - 1)
+    return bool((np.abs(exact(way, times) - line) > path.line_distance[segment] + 1e-12).any())
 
 
 def reach_out(t: Any, at: float, how_far: float, lasts: float) -> Any:
@@ -78,9 +78,9 @@ HELD: dict[str, Way] = {
 @pytest.mark.parametrize("name", HELD)
 def test_a_path_that_can_be_followed_lies_where_it_is_claimed_to_lie(name: str) -> None:
     found = follow(HELD[name])
-    assert (found.leave, found.doubt, found.until) == (None, None, DURATION)
-    assert found.apart is not None
-    assert np.max(found.apart) < 0.1 * TUBE
+    assert (found.path_exit, found.unproved, found.until) == (None, None, DURATION)
+    assert found.line_distance is not None
+    assert np.max(found.line_distance) < 0.1 * TUBE
     if found.span:
         assert not lies_apart(HELD[name], found)
 
@@ -96,9 +96,9 @@ def test_a_path_that_can_be_followed_lies_where_it_is_claimed_to_lie(name: str) 
 )
 def test_a_short_way_out_of_reach_between_two_rests_is_found(way: Way, when: float) -> None:
     found = follow(way)
-    assert found.leave is not None
-    assert (found.leave.time, found.until) == (pytest.approx(when, abs=1), 0)
-    assert found.leave.distance > 1e-9
+    assert found.path_exit is not None
+    assert (found.path_exit.time, found.until) == (pytest.approx(when, abs=1), 0)
+    assert found.path_exit.distance > 1e-9
 
 
 @pytest.mark.parametrize(
@@ -112,15 +112,15 @@ def test_a_short_way_out_of_reach_between_two_rests_is_found(way: Way, when: flo
 )
 def test_a_path_that_jumps_has_no_joint_path(way: Way, when: float) -> None:
     found = follow(way)
-    assert found.leave is not None
-    assert (found.leave.time, found.until) == (pytest.approx(when, rel=1e-4), 0)
-    assert found.leave.jump > 0.01
+    assert found.path_exit is not None
+    assert (found.path_exit.time, found.until) == (pytest.approx(when, rel=1e-4), 0)
+    assert found.path_exit.jump > 0.01
 
 
 def test_what_has_no_enclosure_is_not_proved_and_the_reason_is_reported() -> None:
     found = follow(lambda t: 0.01 * ca.log(1 + t), duration=5.0)
-    assert found.doubt is not None
-    assert (found.doubt.reason, found.until) == (
+    assert found.unproved is not None
+    assert (found.unproved.reason, found.until) == (
         "path: expected operations of which an enclosure is known, found log",
         0,
     )
@@ -201,8 +201,8 @@ def test_a_reach_between_two_rests_leaves_no_region(far: float, holds: bool, tmp
 @pytest.mark.parametrize(
     ("name", "why"),
     [
-        ("ur10_paced", r"path\.x_d, whose time is not that of the run: it moves with pace\.t_path"),
-        ("ur10_admittance", "which a block of the controller makes of"),
+        ("ur10_paced", r"path\.x_d, which also depends on pace\.t_path"),
+        ("ur10_admittance", "which a controller block computes from"),
         ("ur10_pose", r"found path\.p_d too"),
     ],
 )

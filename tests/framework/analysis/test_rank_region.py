@@ -19,8 +19,8 @@ from dmframe.analysis.rank_bound import MatrixBound, _norm, _size, _spread, _sum
 from dmframe.analysis.rank_problem import rank_problem
 from dmframe.analysis.rank_region import RankRegion
 from dmframe.analysis.rank_search import RankSearch
+from dmframe.common.errors import MissingError, StartError, ValueFault
 from dmframe.diagram import Diagram
-from dmframe.errors import MissingError, StartError, ValueFault
 from dmframe.exact.enclosure import Enclosure
 from dmframe.graph.graph import Graph
 from dmframe.simulate import start_state

@@ -19,18 +19,18 @@ from dmframe.analysis import (
     tick_jacobian,
 )
 from dmframe.analysis.enclosed import EnclosedLoop
-from dmframe.analysis.least_cut import Cut
 from dmframe.analysis.memory import without_memory
+from dmframe.analysis.minimum_cut import Cut
 from dmframe.analysis.moves import split_moves
 from dmframe.analysis.set_point import frozen
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.parameter import Box, Interval, Real, Scalar
+from dmframe.block.port import PERIOD, Access, Input, Output, Side, State
+from dmframe.common.errors import EngineError
 from dmframe.diagram import Diagram
-from dmframe.errors import EngineError
 from dmframe.exact.ball_matrix import exactly, middles, radii
 from dmframe.exact.balls import UndecidedError, ball
 from dmframe.graph.graph import Graph
-from dmframe.parameter import Box, Interval, Real, Scalar
-from dmframe.port import PERIOD, Access, Input, Output, Side, State
 from dmframe.simulate import Solver
 
 States = ClassVar[tuple[State, ...]]
@@ -234,7 +234,7 @@ def test_a_gain_that_makes_the_loop_unstable_is_not_proved() -> None:
     assert proof(loop(k=2.0), T).radius < 1
     found = proof(loop(k=60.0), T)
     assert found.radius is None
-    assert found.reason == "floats find it unstable"
+    assert found.reason == "it is unstable in floating point"
     assert found.period < T
 
 
@@ -245,7 +245,7 @@ def test_directions_in_which_nothing_is_excited_are_split_off_by_structure_alone
     assert found.radius < 1
     hidden = proof(Diagram.build({"law": Learner(hidden=True), "late": Late(), "cart": Cart()}), T)
     assert hidden.radius is None
-    assert hidden.reason == "the signals that vanish at rest do not decide where it rests"
+    assert hidden.reason == "the signals that vanish at rest do not determine the equilibrium"
 
 
 def test_a_split_that_forgets_a_signal_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -255,7 +255,7 @@ def test_a_split_that_forgets_a_signal_is_refused(monkeypatch: pytest.MonkeyPatc
     assert split_moves(still, linear.point, p, ball(T)).count == 3
     found = Cut.found
     monkeypatch.setattr(Cut, "found", lambda self: (found(self)[0][1:], {}))
-    with pytest.raises(UndecidedError, match="not seen to vanish"):
+    with pytest.raises(UndecidedError, match="do not vanish structurally"):
         split_moves(still, linear.point, p, ball(T))
 
 
@@ -263,7 +263,7 @@ def test_a_state_at_the_end_of_its_box_is_reported() -> None:
     inside = proof(loop(0.7, i_box=[-1.0, 1.0]), T)
     assert inside.radius < 1
     start = -(0.7 / 2 + 0.7**3)
-    assert proof(loop(0.7, i_box=[start, 1.0]), T).reason == "law.i rests at an end of its set"
+    assert proof(loop(0.7, i_box=[start, 1.0]), T).reason == "law.i is at the boundary of its set at the equilibrium"
 
 
 def test_a_long_memory_is_left_out_and_a_count_and_a_drift_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -273,7 +273,7 @@ def test_a_long_memory_is_left_out_and_a_count_and_a_drift_are_reported(monkeypa
     linear = linearise(diagram, clock=T)
     assert len(linear.states) == 65
     # resting: the sum, and the count, which stands long after the start; the bias drives the sum
-    assert (linear.at_rest, linear.drifting) == (2, 1)
+    assert (linear.at_rest, linear.ramp_modes) == (2, 1)
     whole = np.abs(np.linalg.eigvals(linear.sampled(T)))
     expected = np.max(whole[np.abs(whole - 1) > 1e-6])
     assert linear.spectral_radius(T) == pytest.approx(expected, abs=1e-9)
@@ -281,7 +281,7 @@ def test_a_long_memory_is_left_out_and_a_count_and_a_drift_are_reported(monkeypa
     bracket = linearised_period(linear)
     assert (bracket.stable, bracket.unstable) == (T, np.inf)
     found = prove_stability(diagram, linear, bracket, T)[0]
-    assert found.reason == "it has 65 states, and with more than 50 none is tried"
+    assert found.reason == "it has 65 states; the proof is limited to 50"
 
 
 def test_a_drift_is_not_proved_to_come_to_rest(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -346,17 +346,17 @@ def test_what_is_smooth_where_it_rests_and_what_switches_far_from_there_are_prov
 @pytest.mark.parametrize(
     ("lie", "reason"),
     [
-        ("==", "it rests where == turns"),
-        ("<=", "it rests where <= turns"),
-        ("<", "it rests where < turns"),
-        ("not", "it rests where not turns"),
-        ("sign", "it rests where sign turns"),
-        ("of two", "it rests where == turns"),
-        ("in a guard", "it rests where < turns"),
-        ("of a signal", "it rests where < turns"),
-        ("fabs", "it rests where fabs turns"),
-        ("with the count", "it never rests: what moves depends on a number that grows with each sample"),
-        ("later", "it rests where a comparison turns"),
+        ("==", "its equilibrium is at a point where == switches"),
+        ("<=", "its equilibrium is at a point where <= switches"),
+        ("<", "its equilibrium is at a point where < switches"),
+        ("not", "its equilibrium is at a point where not switches"),
+        ("sign", "its equilibrium is at a point where sign switches"),
+        ("of two", "its equilibrium is at a point where == switches"),
+        ("in a guard", "its equilibrium is at a point where < switches"),
+        ("of a signal", "its equilibrium is at a point where < switches"),
+        ("fabs", "its equilibrium is at a point where fabs switches"),
+        ("with the count", "it has no equilibrium: its rates depend on a counter that grows with each sample"),
+        ("later", "its equilibrium is at a switching point of a comparison"),
     ],
 )
 def test_where_a_slope_does_not_bound_what_is_near_or_comes_later_nothing_is_proved(lie: str, reason: str) -> None:
@@ -366,7 +366,7 @@ def test_where_a_slope_does_not_bound_what_is_near_or_comes_later_nothing_is_pro
 
 def test_a_number_that_grows_otherwise_or_falls_is_no_count() -> None:
     assert not proved_schur(switching("no count"))
-    with pytest.raises(EngineError, match=r"found none; law\.n still moves at -1"):
+    with pytest.raises(EngineError, match=r"found none; law\.n still changes by -1"):
         switching("downwards")
 
 

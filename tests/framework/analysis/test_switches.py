@@ -15,10 +15,10 @@ from dmframe.analysis import linearise, linearised_period, prove_stability, stab
 from dmframe.analysis import moves as moves_room
 from dmframe.analysis.rounding import averaged
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.parameter import Positive, Real, Scalar
+from dmframe.block.port import PERIOD, Access, Input, Output, Side, State
+from dmframe.common.errors import BlockError, EngineError
 from dmframe.diagram import ClosedLoop, Diagram
-from dmframe.errors import BlockError, EngineError
-from dmframe.parameter import Positive, Real, Scalar
-from dmframe.port import PERIOD, Access, Input, Output, Side, State
 
 States = ClassVar[tuple[State, ...]]
 Rule = Callable[[Any], Any]
@@ -98,7 +98,7 @@ def test_inside_a_piece_a_switch_is_what_it_is_there(name: str) -> None:
     if wanted < 1:
         assert wanted < proved.radius < 1
     else:
-        assert (proved.radius, proved.period, proved.reason) == (None, None, "floats find it unstable")
+        assert (proved.radius, proved.period, proved.reason) == (None, None, "it is unstable in floating point")
 
 
 @pytest.mark.parametrize(
@@ -119,7 +119,7 @@ def test_inside_a_piece_a_switch_is_what_it_is_there(name: str) -> None:
 )
 def test_on_an_edge_there_is_no_slope(rule: Rule, found: str) -> None:
     diagram = loop(rule)
-    with pytest.raises(EngineError, match=rf"found that it rests where {found} jumps: it has no slope there"):
+    with pytest.raises(EngineError, match=rf"found that {found} jumps there: it has no derivative"):
         linearise(diagram, np.zeros(2), clock=T)
 
 
@@ -128,7 +128,7 @@ def test_where_the_slope_alone_jumps_the_numbers_are_of_one_side_and_nothing_is_
         linear, proved = proof(loop(rule))
         assert linear.kinks == (kink,)
         assert (proved.radius, proved.period) == (None, None)
-        assert "turns" in proved.reason
+        assert "switches" in proved.reason
 
 
 class Rounding(AbstractBlock):

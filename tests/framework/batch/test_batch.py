@@ -16,18 +16,18 @@ import dmframe as dm
 import dmframe.batch.batch
 import dmframe.batch.simd
 from dmframe.batch.batch import Batch
-from dmframe.batch.figures import Measured, Wanted
+from dmframe.batch.figures import Measured, MeasuredSignals
 from dmframe.batch.starts import starts_of
 from dmframe.batch.values import columns_of, parameters_of, varied
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.parameter import Real, Scalar, specs
+from dmframe.block.port import TIME, Access, Output, Side, State
 from dmframe.build.compiler import find_compiler
 from dmframe.codegen import simd_source
 from dmframe.codegen.function import ONE, SIMD, written
 from dmframe.codegen.source import shipped
+from dmframe.common.errors import NeedsDiagramError, UnknownNameError, ValueFault
 from dmframe.diagram import Diagram
-from dmframe.errors import NeedsDiagramError, UnknownNameError, ValueFault
-from dmframe.parameter import Real, Scalar, specs
-from dmframe.port import TIME, Access, Output, Side, State
 from dmframe.simulate.run import prepare
 from dmframe.simulate.start import start_state
 
@@ -36,7 +36,7 @@ needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compil
 
 
 def batch(
-    name: str | dm.Graph, until: float, engine: Any = "compiled", wanted: Wanted | None = None, **keys: Any
+    name: str | dm.Graph, until: float, engine: Any = "compiled", wanted: MeasuredSignals | None = None, **keys: Any
 ) -> Batch:
     graph = dm.load(name).set(**keys) if keys else dm.load(name)
     return Batch.of(graph.diagram, until, wanted=wanted, engine=engine, **graph.settings)
@@ -72,7 +72,7 @@ def furthest(one: Measured, other: Measured) -> float:
     ],
 )
 def test_simd_batches_measure_what_whole_runs_measure(name: str, values: Any, signals: tuple[str, ...]) -> None:
-    wanted = Wanted(signals, {"error": 1e-3, signals[0]: 1e-2})
+    wanted = MeasuredSignals(signals, {"error": 1e-3, signals[0]: 1e-2})
     columns = spread(11, **values)  # more than one group, and the last of them not full
     simd, whole = (batch(name, 0.5, engine, wanted).measure(columns) for engine in ("compiled", "interpreted"))
     assert simd.engine.startswith("SIMD batch of ")
@@ -89,7 +89,7 @@ def test_simd_batches_measure_what_whole_runs_measure(name: str, values: Any, si
 def test_a_long_log_and_an_end_between_two_kept_instants_are_those_of_a_run() -> None:
     columns = spread(3, dynamics__Gamma=(1, 100))
     simd, whole = (
-        batch("arm2_joint", 0.3, engine, Wanted(("arm.q",)), log={"every": "14 ms"}).measure(columns)
+        batch("arm2_joint", 0.3, engine, MeasuredSignals(("arm.q",)), log={"every": "14 ms"}).measure(columns)
         for engine in ("compiled", "interpreted")
     )
     assert furthest(simd, whole) < 1e-9
@@ -100,9 +100,9 @@ def test_a_divergence_has_a_time_and_does_not_affect_other_runs() -> None:
     wild = np.array([1.0, 1e6, 2.0, 3.0, 1e6, 4.0, 5.0, 6.0, 7.0])
     tame = np.where(wild > 1e5, 1.0, wild)
     free = dm.load("arm2_joint").set({"dynamics.a_d_hat_box": None})  # in its box no estimate grows without limit
-    made = batch(free, 1.0, wanted=Wanted(("arm.q",)))
+    made = batch(free, 1.0, wanted=MeasuredSignals(("arm.q",)))
     found, calm = (made.measure({"dynamics.Gamma": column}) for column in (wild, tame))
-    whole = batch(free, 1.0, "interpreted", Wanted(("arm.q",))).measure({"dynamics.Gamma": wild})
+    whole = batch(free, 1.0, "interpreted", MeasuredSignals(("arm.q",))).measure({"dynamics.Gamma": wild})
     np.testing.assert_array_equal(np.isfinite(found.diverged), wild > 1e5)
     np.testing.assert_allclose(found.diverged, whole.diverged, rtol=0.2)
     for part in PARTS:
@@ -131,7 +131,7 @@ def test_what_the_integrator_alone_blew_up_is_done_again_at_shorter_steps() -> N
     made = Batch.of(
         Diagram.build({"plant": Late()}),
         20.0,
-        wanted=Wanted(("plant.y",)),
+        wanted=MeasuredSignals(("plant.y",)),
         clock=0.01,
         start={"y": [1.0, 1.0]},
         engine="compiled",
@@ -139,7 +139,7 @@ def test_what_the_integrator_alone_blew_up_is_done_again_at_shorter_steps() -> N
     found = made.measure({"plant.speed": [4e3, 4.0, -4.0]})
     assert found.engine.startswith("SIMD batch of ")
     np.testing.assert_array_equal(np.isfinite(found.diverged), [False, False, True])
-    assert "at longer steps the integrator itself diverged in 1 of 3 runs" in found.notices
+    assert "the integrator diverged at longer steps in 1 of 3 runs" in found.notices
     # of log cosh t the last squares count: y = exp(-speed log cosh t)
     np.testing.assert_allclose(found.signals["plant.y"].last[1], np.exp(-4 * np.log(np.cosh(20.0))), rtol=1e-3)
 
@@ -147,7 +147,7 @@ def test_what_the_integrator_alone_blew_up_is_done_again_at_shorter_steps() -> N
 @needs_compiler
 def test_a_stiff_run_goes_into_a_simd_batch_by_the_linearly_implicit_method() -> None:
     gains = np.array([[8e5, 800, 400], [800, 800, 400], [9e5, 800, 400]])
-    wanted = Wanted(("arm.q",))
+    wanted = MeasuredSignals(("arm.q",))
     found, whole = (
         batch("ur10_fast", 0.2, engine, wanted).measure({"servo.K_D": gains}) for engine in ("compiled", "interpreted")
     )
@@ -169,7 +169,9 @@ def test_runs_of_unlike_stiffness_fill_the_batches_each_with_the_steps_that_it_t
         groups.append(list(substeps))
         return start(loop, states, p, substeps)
 
-    made, whole = (batch("ur10_fast", 0.2, engine, Wanted(("arm.q",))) for engine in ("compiled", "interpreted"))
+    made, whole = (
+        batch("ur10_fast", 0.2, engine, MeasuredSignals(("arm.q",))) for engine in ("compiled", "interpreted")
+    )
     made.measure({"servo.K_D": UNLIKE["servo.K_D"][:1]})  # so that the library's own trial is over
     monkeypatch.setattr(dmframe.batch.simd.SimdLoop, "start", noted)
     found = made.measure(UNLIKE)
@@ -236,22 +238,27 @@ def test_the_first_runs_fault_is_not_that_of_others_who_start_where_it_would(
 @pytest.mark.parametrize(
     ("values", "wanted", "kind", "text"),
     [
-        ({"dynamics.Gama": [1]}, Wanted(), UnknownNameError, "did you mean dynamics.Gamma?"),
+        ({"dynamics.Gama": [1]}, MeasuredSignals(), UnknownNameError, "did you mean dynamics.Gamma?"),
         (
             {"dynamics.Gamma": 1},
-            Wanted(),
+            MeasuredSignals(),
             ValueFault,
             "values.dynamics.Gamma: expected a row per run, found one number",
         ),
-        ({"dynamics.Gamma": ["a"]}, Wanted(), ValueFault, "expected an array of numbers with a row per run"),
-        ({"dynamics.Gamma": [1], "servo.K_D": [1, 2]}, Wanted(), ValueFault, "dynamics.Gamma 1, servo.K_D 2"),
-        ({"dynamics.Gamma": [1]}, Wanted(("arm.qq",)), UnknownNameError, "signals: unknown signal"),
-        ({"dynamics.Gamma": [1]}, Wanted((), {"arm.q": 1.0}), UnknownNameError, "limits: unknown measured signal"),
+        ({"dynamics.Gamma": ["a"]}, MeasuredSignals(), ValueFault, "expected an array of numbers with a row per run"),
+        ({"dynamics.Gamma": [1], "servo.K_D": [1, 2]}, MeasuredSignals(), ValueFault, "dynamics.Gamma 1, servo.K_D 2"),
+        ({"dynamics.Gamma": [1]}, MeasuredSignals(("arm.qq",)), UnknownNameError, "signals: unknown signal"),
+        (
+            {"dynamics.Gamma": [1]},
+            MeasuredSignals((), {"arm.q": 1.0}),
+            UnknownNameError,
+            "limits: unknown measured signal",
+        ),
     ],
 )
 @pytest.mark.parametrize("engine", ["interpreted", "compiled"])
 def test_values_that_are_wrong_for_all_runs_are_refused(
-    values: Any, wanted: Wanted, kind: Any, text: str, engine: Any
+    values: Any, wanted: MeasuredSignals, kind: Any, text: str, engine: Any
 ) -> None:
     with pytest.raises(kind) as caught:
         batch("pendulum", 0.1, engine, wanted).measure(values)

@@ -10,11 +10,11 @@ import pytest
 import dmframe as dm
 from dmframe.batch import batch, runner
 from dmframe.batch.batch import Batch
-from dmframe.batch.figures import Measured, Wanted, merged
+from dmframe.batch.figures import Measured, MeasuredSignals, merged
 from dmframe.batch.runner import Runner, Runs
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 
-WANTED = Wanted(("arm.q",))
+WANTED = MeasuredSignals(("arm.q",))
 GAINS = np.array([[60.0, 40.0], [30.0, 50.0], [45.0, 45.0]])
 
 
@@ -70,7 +70,7 @@ def test_values_of_the_graphs_own_keys_get_a_graph_per_run_and_a_wrong_one_a_fau
 
 def test_parts_with_other_signals_are_not_merged() -> None:
     (found,) = measured([Runs(dm.load("arm2_joint").until(0.02))])
-    (other,) = Runner().measure([Runs(dm.load("arm2_joint").until(0.02))], lambda _: Wanted())
+    (other,) = Runner().measure([Runs(dm.load("arm2_joint").until(0.02))], lambda _: MeasuredSignals())
     with pytest.raises(ValueFault, match="expected runs that measure the same signals"):
         merged([(np.array([0]), found), (np.array([1]), other)], 2)
 

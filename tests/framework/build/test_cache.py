@@ -16,7 +16,7 @@ from dmframe.build import compiler as compilers
 from dmframe.build import library
 from dmframe.build.cache import find, make
 from dmframe.build.compiler import CompileFailed, Compiler, find_compiler
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording, simulate
 

@@ -14,12 +14,12 @@ import numpy as np
 import pinocchio as pin
 
 from dmframe.block import AbstractBlock
+from dmframe.block.port import Side
 from dmframe.catalogue import block_types
 from dmframe.certify import Claim
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.graph.graph import Graph
-from dmframe.port import Side
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.library import load
 from dmframe.simulate.step import Solver, build_step
@@ -379,7 +379,7 @@ def true_in_numbers(diagram: Diagram, claim: Claim, tolerance: float = 1e-8) -> 
 
     V = of_time(claim.V)
     slopes = [ca.gradient(V, loop.state), ca.gradient(V, loop.time)]
-    left = [claim.weight(part) * part.excess for part in claim.parts]
+    left = [claim.weight(part) * part.residual for part in claim.parts]
     rest = ca.vertcat(
         *(of_time(term) for term in spent), -of_time(claim.consumption), -of_time(ca.sum1(ca.vertcat(*left)))
     )

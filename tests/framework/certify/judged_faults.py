@@ -16,22 +16,22 @@ from seeded_faults import LIBRARY, Mutant, mutated_block
 
 from dmframe.block import AbstractBlock, Signals
 from dmframe.block.adapting import AdaptingBlock
+from dmframe.block.certificate import Certificate
 from dmframe.block.model import BlockModel, Recalled, model_block, signals_of, symbols_in
+from dmframe.block.port import Side
 from dmframe.block.steady import collected, stated_equations
-from dmframe.certificate import Certificate
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.assemble import assembled
 from dmframe.certify.steady import hold_claims
+from dmframe.common.errors import DmframeError
+from dmframe.common.text import Text
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError
-from dmframe.port import Side
 from dmframe.prove.export import digest
 from dmframe.prove.identity import identity
 from dmframe.prove.reals import doubt
 from dmframe.robot import recursion
 from dmframe.robot.bodies import Body
 from dmframe.robot.symbolic import SymbolicRobot
-from dmframe.text import Text
 
 OUTCOMES = {
     "refuted": "the certifier refutes it",
@@ -82,9 +82,9 @@ def unlabelled(stated: Mapping[str, Certificate], laws: Any) -> dict[str, Certif
 
     def counted(certificate: Certificate) -> Certificate:
         driven = tuple(
-            replace(item, of=tuple(Text(str(k)) for k in range(len(item.bounded)))) for item in certificate.driven
+            replace(item, of=tuple(Text(str(k)) for k in range(len(item.bounded)))) for item in certificate.linear
         )
-        return replace(certificate, driven=driven)
+        return replace(certificate, linear=driven)
 
     return {name: counted(certificate) for name, certificate in stated.items()}
 
@@ -96,8 +96,8 @@ def nothing_printed() -> Iterator[None]:
         mock.patch("dmframe.certify.claim.printed_laws", return_value={}),
         mock.patch("dmframe.certify.claim.labelled", unlabelled),
         mock.patch("dmframe.certify.assumed._named", return_value=Text()),
-        mock.patch("dmframe.certify.verify.statements_of", return_value=[]),
-        mock.patch("dmframe.certify.verify.hypotheses", return_value=[]),
+        mock.patch("dmframe.certify.verifier.statements_of", return_value=[]),
+        mock.patch("dmframe.certify.verifier.hypotheses", return_value=[]),
     ):
         yield
 
@@ -174,7 +174,7 @@ def _stated(loop: Built, name: str, block: AbstractBlock) -> tuple[Any, Any, Any
     u, x, p, truth = _signals(loop, name)
     certificate = block.composed_certificate(u, x, p, truth)
     fields = {} if certificate is None else dict(vars(certificate))
-    driven = fields.pop("driven", ())
+    driven = fields.pop("linear", ())
     equations, conditions = block.composed_equations(u, x, p), list(block.composed_conditions(p, truth))
     return stated_equations(equations), (fields, conditions, block.composed_start(u, p, truth)), driven
 

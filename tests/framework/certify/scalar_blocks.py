@@ -6,10 +6,10 @@ from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, final
 
 from dmframe.block import AbstractBlock, Equations
-from dmframe.certificate import Certificate
+from dmframe.block.certificate import Certificate
+from dmframe.block.parameter import Positive, Scalar
+from dmframe.block.port import TIME, Input, Output, Side, State
 from dmframe.diagram import Diagram
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import TIME, Input, Output, Side, State
 
 Rates = Callable[[Any, Any, Any], Mapping[str, Any]]
 """Of the states, the inputs and the parameters."""

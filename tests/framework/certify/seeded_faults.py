@@ -18,12 +18,12 @@ from typing import Any
 from closed_loops import known_blocks
 
 import dmframe.block.adapting
-import dmframe.linalg
+import dmframe.block.linalg
 import dmframe.robot.bodies
 import dmframe.robot.symbolic
 from dmframe.block import AbstractBlock
 from dmframe.block.adapting import AdaptingBlock
-from dmframe.parameter import specs
+from dmframe.block.parameter import specs
 from dmframe.robot.bodies import Body
 from dmframe.robot.symbolic import SymbolicRobot
 from dmframe_blocks import _bodies, _friction, _image, _loads, _quaternions
@@ -283,9 +283,14 @@ def functions_of(*holders: Any, leave_out: Sequence[str] = ()) -> list[FunctionT
 
 LIBRARY: Mapping[str, Sequence[FunctionType]] = {
     "linalg": functions_of(
-        dmframe.linalg, leave_out=("inverting", "nodes", "times", "metric", "inverse_spd", "square")
+        dmframe.block.linalg, leave_out=("inverting", "nodes", "times", "metric", "inverse_spd", "square")
     ),
-    "gain": [dmframe.linalg.times, dmframe.linalg.metric, dmframe.linalg.inverse_spd, dmframe.linalg.square],
+    "gain": [
+        dmframe.block.linalg.times,
+        dmframe.block.linalg.metric,
+        dmframe.block.linalg.inverse_spd,
+        dmframe.block.linalg.square,
+    ],
     "symbolic": functions_of(
         dmframe.robot.symbolic, SymbolicRobot, dmframe.robot.bodies, Body, leave_out=("values", "kinematic_regressor")
     ),

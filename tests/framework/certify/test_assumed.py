@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scalar_blocks import scalar_loop
 
-from dmframe.certificate import Certificate, Square
+from dmframe.block.certificate import Certificate, Square
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.checked import Numbers
 from dmframe.certify.contradicted import kept_above
@@ -161,11 +161,11 @@ def test_an_assumption_is_a_text_of_one_line(text: str) -> None:
 
 def test_a_bound_is_not_to_be_had_by_assumption() -> None:
     def claim(x: Any, u: Any, p: Any) -> Certificate:
-        return Certificate(storage=(Square(x.y),), excess=(Square(x.y, x.z, positive=WHY),))
+        return Certificate(storage=(Square(x.y),), residual=(Square(x.y, x.z, positive=WHY),))
 
     verdict = verify(scalar_loop("y z", lambda x, u, p: {"y": x.y, "z": -x.z}, claim))
     assert verdict.outcome == "not_applicable"
-    assert "expected no weight of the excess to be positive by assumption" in verdict.reason
+    assert "expected no weight of the residual to be positive by assumption" in verdict.reason
 
 
 def test_a_weight_that_is_only_assumed_dominates_no_cross_term() -> None:
@@ -188,7 +188,7 @@ def test_with_a_residual_a_weight_that_may_grow_gives_no_ultimate_bound() -> Non
 
         def claim(x: Any, u: Any, p: Any) -> Certificate:
             held = Square(x.y, weight(x, p), positive=WHY)
-            return Certificate(storage=(held,), dissipation=(Square(x.y),), excess=(Square(ca.SX(1), p.k / 2),))
+            return Certificate(storage=(held,), dissipation=(Square(x.y),), residual=(Square(ca.SX(1), p.k / 2),))
 
         return scalar_loop("y z", rates, claim)
 
@@ -342,7 +342,7 @@ def test_a_run_warns_when_an_assumed_weight_is_not_above_zero() -> None:
     z = run.states["toy.z"][:, 0]
     first = int(np.flatnonzero(z <= 0)[0]) if np.any(z <= 0) else None
     assert first is not None
-    (said, *_) = found.crossings
+    (said, *_) = found.notes
     assert said.startswith(f"toy: the weight z of |y|^2 in V is {z[first]:.3g} at t = {run.time[first]:.6g} s")
     calm = simulate(diagram, 1.0, clock=0.01, start={"y": [0.5], "z": [2.0]})
-    assert along(claim_of(diagram), calm).crossings == ()
+    assert along(claim_of(diagram), calm).notes == ()

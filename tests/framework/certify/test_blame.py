@@ -11,7 +11,7 @@ import pytest
 from closed_loops import Loop, known_blocks, loop_of
 
 from dmframe.block import AbstractBlock, Signals
-from dmframe.certificate import Certificate, Square
+from dmframe.block.certificate import Certificate, Square
 from dmframe.certify import claim_of, verify
 from dmframe.certify.assemble import assembled
 from dmframe.certify.summary import summary
@@ -125,7 +125,7 @@ def test_a_false_statement_of_how_sigma_is_composed_is_refuted_and_blamed() -> N
     def certificate(self: Any, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         honest = block.certificate(self, u, x, p, truth)
         assert honest is not None
-        return replace(honest, dominates=(ca.SX(1), 2 * p.K_c), driven=())
+        return replace(honest, dominates=(ca.SX(1), 2 * p.K_c), linear=())
 
     false = type(block)(block.__name__, (block,), {"__module__": block.__module__, "certificate": certificate})
     verdict = verify(diagram_with("PID", {"pid_inverse": false}))

@@ -13,18 +13,18 @@ import pytest
 
 import dmframe as dm
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.parameter import Positive, Real, Scalar
+from dmframe.block.port import Input, Output, State
 from dmframe.certify import claim_of, verify
 from dmframe.certify.checked import Numbers
 from dmframe.certify.projection_laws import check_law
 from dmframe.certify.projections import projection_conditions
+from dmframe.common.eigen import eigen, positive_part
+from dmframe.common.errors import DmframeError, StartError
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import ClosedLoop
 from dmframe.diagram.projection import Bodies, Projection
-from dmframe.eigen import eigen, positive_part
-from dmframe.errors import DmframeError, StartError
 from dmframe.graph.graph import Graph
-from dmframe.parameter import Positive, Real, Scalar
-from dmframe.port import Input, Output, State
 from dmframe.simulate import start_state
 
 LAW = "dynamics.a_d_hat: law of the set of bodies"

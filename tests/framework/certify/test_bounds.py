@@ -14,23 +14,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scalar_blocks import scalar_loop
 
-from dmframe.certificate import Certificate, Clipped, Gathered, Square, clip
+from dmframe.block.certificate import Certificate, Clipped, InformationSquare, Square, clip
 from dmframe.certify import claim_of, verify
 from dmframe.certify.assemble import assembled
 from dmframe.certify.checked import Checked, Numbers
-from dmframe.certify.excess import bounds_of
 from dmframe.certify.memories import memory_starts
+from dmframe.certify.residual import bounds_of
 from dmframe.certify.summary import summary
 from dmframe.certify.symbols import symbols_of
+from dmframe.common.errors import DmframeError
+from dmframe.common.text import Text
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError
 from dmframe.exact.rational import as_float
 from dmframe.graph.graph import Graph
 from dmframe.prove.definite import is_semidefinite
 from dmframe.prove.faults import inject_faults
 from dmframe.report.content import Condition
 from dmframe.report.verdict_text import verdict_text
-from dmframe.text import Text
 
 ONE = ca.SX(1)
 
@@ -43,7 +43,7 @@ def drifting(width: Callable[[Any, Any], Any]) -> Diagram:
         lambda x, u, p: Certificate(
             storage=(Square(x.y, ONE), Square(x.z, ONE)),
             dissipation=(Square(x.y, ONE), Square(x.z, ONE)),
-            excess=(Clipped(x.y, ca.SX(width(x, p)), x.y),),
+            residual=(Clipped(x.y, ca.SX(width(x, p)), x.y),),
         ),
     )
 
@@ -80,7 +80,7 @@ def gathering(start: float | None) -> Diagram:
     """G' = -G + 1, in the storage: G goes to 1 from every start."""
 
     def claim(x: Any, u: Any, p: Any) -> Certificate:
-        form = Gathered(x.y, ONE, x.G, ONE, ONE, ONE)
+        form = InformationSquare(x.y, ONE, x.G, ONE, ONE, ONE)
         return Certificate(storage=(Square(x.y, ONE), form), dissipation=(Square(x.y, ca.SX(3)), form, form, form))
 
     diagram = scalar_loop("y G", lambda x, u, p: {"y": -2 * x.y, "G": 1 - x.G}, claim)

@@ -8,10 +8,10 @@ import casadi as ca
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, CommonLyapunov, Square
+from dmframe.block.certificate import Certificate, CommonLyapunov, Square
+from dmframe.block.port import Access, Input, Output, Side, State
 from dmframe.certify import verify
 from dmframe.diagram import Diagram
-from dmframe.port import Access, Input, Output, Side, State
 
 SIZES = [((0, 2), (0, 2)), ((2, 2), (1, 2)), ((1, 3), (1, 3)), ((1, 1), (1, 1)), ((1, 2), (2, 2))]
 

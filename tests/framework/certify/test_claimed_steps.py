@@ -11,10 +11,10 @@ import pytest
 from test_samples import Carts, Learner
 
 from dmframe.block import Signals
-from dmframe.certificate import Certificate, DelayLine, PlantIdentity
+from dmframe.block.certificate import Certificate, DelayLine, PlantIdentity
+from dmframe.block.parameter import Positive, Scalar
 from dmframe.certify import Verdict, verify
 from dmframe.diagram import Diagram
-from dmframe.parameter import Positive, Scalar
 
 Change = Callable[[Certificate, Any, Any, Any], Certificate]
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scalar_blocks import scalar_loop
 
-from dmframe.certificate import Assumption, Certificate, Consumed, Driven, Square
+from dmframe.block.certificate import Assumption, Certificate, Consumed, Square, StableLinear
 from dmframe.certify import verify
 from dmframe.exact import ZeroDivision
 from dmframe.graph.graph import Graph
@@ -127,7 +127,7 @@ def test_what_turns_is_bounded_where_only_its_sine_is_felt():
 
 
 def _driven(rate, rest, otherwise=()):
-    """X' = -x is proved; z' = rest(z, x), of which a Driven says that its linear part is `rate`."""
+    """X' = -x is proved; z' = rest(z, x), of which a StableLinear says that its linear part is `rate`."""
     return verify(
         scalar_loop(
             "x z",
@@ -135,7 +135,7 @@ def _driven(rate, rest, otherwise=()):
             lambda x, u, p: Certificate(
                 storage=(Square(x.x),),
                 dissipation=(Square(x.x),),
-                driven=(Driven((x.z,), ((rate(x, p),),), (x.z,), otherwise),),
+                linear=(StableLinear((x.z,), ((rate(x, p),),), (x.z,), otherwise),),
             ),
         )
     )
@@ -156,7 +156,7 @@ def test_a_stated_consequence_of_a_driven_signal_has_to_follow():
             "x z y",
             lambda x, u, p: {"x": -x.x, "z": -p.k * x.z + x.x, "y": 1.0},
             lambda x, u, p: Certificate(
-                storage=(Square(x.x),), dissipation=(Square(x.x),), driven=(Driven((x.z,), ((-p.k,),), (x.y,)),)
+                storage=(Square(x.x),), dissipation=(Square(x.x),), linear=(StableLinear((x.z,), ((-p.k,),), (x.y,)),)
             ),
         )
     )
@@ -193,8 +193,8 @@ def _cascade(weight, *, task):
     from typing import Any, final
 
     from dmframe.block import AbstractBlock, Equations
+    from dmframe.block.port import Input, Output, State
     from dmframe.diagram import Diagram
-    from dmframe.port import Input, Output, State
 
     @final
     class Dominating(AbstractBlock):

@@ -15,7 +15,10 @@ from closed_loops import known_blocks, loop_of
 from jsonschema import Draft202012Validator
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Inequality, Square
+from dmframe.block.certificate import Certificate, Inequality, Square
+from dmframe.block.naming import named
+from dmframe.block.parameter import Positive, Scalar
+from dmframe.block.port import State
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.conditions import conditions_of
@@ -23,12 +26,9 @@ from dmframe.certify.schema import verdict_schema
 from dmframe.certify.small_gain import small_gain
 from dmframe.certify.summary import summary
 from dmframe.certify.uncertain import intervals
+from dmframe.common.errors import DmframeError
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError
 from dmframe.exact.rational import Interval
-from dmframe.naming import named
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import State
 from dmframe.prove.definite import pivots
 from dmframe.prove.stability import common_margin
 from dmframe.robot.library import load

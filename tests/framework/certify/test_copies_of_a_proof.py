@@ -11,19 +11,19 @@ from typing import Any
 import pytest
 
 from dmframe.certify import verify
+from dmframe.common.text import Text
 from dmframe.diagram import Diagram
 from dmframe.graph.graph import Graph
 from dmframe.prove.faults import Control
-from dmframe.text import Text
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="no copies elsewhere")
-MODULE = importlib.import_module("dmframe.certify.verify")  # whose package has a function of this name
+MODULE = importlib.import_module("dmframe.certify.verifier")
 
 
 @pytest.fixture(autouse=True)
 def two_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     """As if no other test had left a thread in this process, and as if every proof were long."""
-    monkeypatch.setattr("dmframe.copies.threading.active_count", lambda: 1)
+    monkeypatch.setattr("dmframe.common.copies.threading.active_count", lambda: 1)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
     monkeypatch.setattr(MODULE, "LONG", 0)
 

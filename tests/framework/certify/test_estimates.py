@@ -9,19 +9,19 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from dmframe.adaptation import Fit
 from dmframe.block import AbstractBlock, AdaptingBlock, Equations, Signals
+from dmframe.block.adaptation import Fit
+from dmframe.block.certificate import SX, Certificate, Square, TrueValue
+from dmframe.block.parameter import Box, Diagonal, Interval, Positive, Real, Scalar, specs
+from dmframe.block.port import Access, Adapted, Input, Output, Side, State
 from dmframe.block.prose import about
 from dmframe.catalogue import block_types
-from dmframe.certificate import SX, Certificate, Square, TrueValue
 from dmframe.certify import Verdict, verify
 from dmframe.certify.true_values import estimates_of, true_values
+from dmframe.common.errors import BlockError, DmframeError
+from dmframe.common.names import latex_name
 from dmframe.config.schema import json_schema
 from dmframe.diagram import Diagram
-from dmframe.errors import BlockError, DmframeError
-from dmframe.names import latex_name
-from dmframe.parameter import Box, Diagonal, Interval, Positive, Real, Scalar, specs
-from dmframe.port import Access, Adapted, Input, Output, Side, State
 from dmframe.results.estimate_figure import estimate_figure
 from dmframe.simulate import simulate, start_state
 

@@ -11,31 +11,30 @@ import numpy as np
 import pytest
 from closed_loops import known_blocks, loop_of
 
-from dmframe import certificate
-from dmframe.certificate import (
+from dmframe.block import certificate
+from dmframe.block.certificate import (
     Assumption,
     Certificate,
     Clipped,
     CommonLyapunov,
     Consumed,
-    Driven,
-    Gathered,
     Inequality,
+    InformationSquare,
     Lemma,
     NormSquare,
     Square,
+    StableLinear,
 )
 from dmframe.certify import verify
 from dmframe.robot.library import load
 
 x = ca.SX.sym("x")
 WRONG: dict[str, Callable[[], object]] = {
-    "Certificate: expected dissipation to be a tuple of Square, NormSquare, Lemma or Gathered, found a Square; "
-    "is a comma missing?": lambda: Certificate(dissipation=Square(x)),
-    "Certificate: expected storage to be a tuple of Square, Gathered, Potential or LogDet, found a list": lambda: (
-        Certificate(storage=[Square(x)])
-    ),
-    "found a generator": lambda: Certificate(excess=(Square(item) for item in (x, x))),
+    "Certificate: expected dissipation to be a tuple of Square, NormSquare, Lemma or InformationSquare, "
+    "found a Square; is a comma missing?": lambda: Certificate(dissipation=Square(x)),
+    "Certificate: expected storage to be a tuple of Square, InformationSquare, Potential or LogDet, "
+    "found a list": lambda: Certificate(storage=[Square(x)]),
+    "found a generator": lambda: Certificate(residual=(Square(item) for item in (x, x))),
     "found None": lambda: Certificate(storage=None),
     "found a dict": lambda: Certificate(dissipation={"a": Square(x)}),
     "Certificate: expected supply to be an expression, found None": lambda: Certificate(supply=None),
@@ -50,8 +49,8 @@ WRONG: dict[str, Callable[[], object]] = {
     ),
     "Certificate: expected truth['a_d'] to be an expression, found a str": lambda: Certificate(truth={"a_d": "a_d"}),
     "Certificate: expected each name of truth to be a text, found an SX": lambda: Certificate(truth={x: x}),
-    "Certificate: expected driven to be a tuple of Driven, found a Driven; is a comma missing?": lambda: Certificate(
-        driven=Driven((x,), ((x,),), (x,))
+    "Certificate: expected linear to be a tuple of StableLinear, found a StableLinear; is a comma missing?": lambda: (
+        Certificate(linear=StableLinear((x,), ((x,),), (x,)))
     ),
     "Square: expected weight to be an expression, found a str": lambda: Square(x, "2"),
     "Square: expected vector to be an expression, found a list": lambda: Square([x, x]),
@@ -61,13 +60,13 @@ WRONG: dict[str, Callable[[], object]] = {
     "Lemma: expected phi to be a text, found a builtin": lambda: Lemma(x, x, x, x, len),
     "Lemma: expected scale to be an expression, found a dict": lambda: Lemma(x, x, x, {}),
     "NormSquare: expected by to be an expression": lambda: NormSquare(x, x, "b"),
-    "Gathered: expected memory to be an expression": lambda: Gathered(x, x, None, x, x, x),
+    "InformationSquare: expected memory to be an expression": lambda: InformationSquare(x, x, None, x, x, x),
     "Clipped: expected other to be an expression": lambda: Clipped(x, x, None),
     "Consumed: expected c to be an expression": lambda: Consumed(x, None),
-    "Driven: expected rates[0] to be a tuple of expressions, found an SX; is a comma missing?": lambda: Driven(
-        (x,), (x,), (x,)
+    "StableLinear: expected rates[0] to be a tuple of expressions, found an SX; is a comma missing?": lambda: (
+        StableLinear((x,), (x,), (x,))
     ),
-    "Driven: expected otherwise[0] to be an Inequality, a CommonLyapunov or an Assumption": lambda: Driven(
+    "StableLinear: expected otherwise[0] to be an Inequality, a CommonLyapunov or an Assumption": lambda: StableLinear(
         (x,), ((x,),), (x,), otherwise=("no",)
     ),
     "Inequality: expected expression to be an expression, found a bool": lambda: Inequality("x > 0", True, ""),

@@ -14,8 +14,8 @@ from test_samples import Carts, Learner, Smoother
 from dmframe.block import Equations
 from dmframe.certify import claim_of, verify
 from dmframe.certify.assemble import assembled
+from dmframe.common.errors import ValueFault
 from dmframe.diagram import Diagram
-from dmframe.errors import ValueFault
 from dmframe.prove.export import from_json, to_json
 from dmframe.prove.identity import identity
 

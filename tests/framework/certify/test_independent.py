@@ -129,7 +129,7 @@ def translated(f: Any, inputs: list[list[Any]], circle: dict[Any, tuple[Any, Any
 
 def residual_of(claim: Claim) -> Any:
     """dV/dt plus the dissipation, less all that V may gain, by CasADi's derivatives."""
-    own = [claim.weight(part) * (part.dissipation - part.excess - part.lemma) for part in claim.parts]
+    own = [claim.weight(part) * (part.dissipation - part.residual - part.lemma) for part in claim.parts]
     return claim.flow.unrecorded(claim.V) + total(own) - claim.consumption
 
 

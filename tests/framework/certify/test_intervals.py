@@ -14,15 +14,15 @@ import pytest
 
 import dmframe as dm
 from dmframe.block import AbstractBlock, Equations
+from dmframe.block.certificate import Certificate, Inequality, Square, StableLinear
 from dmframe.block.model import SYMBOLIC
-from dmframe.certificate import Certificate, Driven, Inequality, Square
+from dmframe.block.parameter import Positive, Real, Scalar
+from dmframe.block.port import TIME, Input, Output, Side, State
 from dmframe.certify import Verdict, verify
-from dmframe.certify.elsewhere import elsewhere
 from dmframe.certify.over import NEEDED
+from dmframe.certify.parameter_margins import parameter_margins
 from dmframe.diagram import Diagram
 from dmframe.exact.rational import Interval
-from dmframe.parameter import Positive, Real, Scalar
-from dmframe.port import TIME, Input, Output, Side, State
 
 CERTIFY = Path(dm.__file__).parent / "certify"
 
@@ -65,8 +65,8 @@ class Follower(AbstractBlock):
         e = x.x - u.r
         more = (Inequality("a < 1", 1 - p.a, "test"),)
         weight = p.k * p.k - 2 * p.k + 2
-        driven = (Driven((x.y,), ((-1,),), (x.y,), more),)
-        return Certificate((Square(e, weight),), (Square(e, weight * p.k),), driven=driven)
+        driven = (StableLinear((x.y,), ((-1,),), (x.y,), more),)
+        return Certificate((Square(e, weight),), (Square(e, weight * p.k),), linear=driven)
 
     def start(self, u: Any, p: Any, truth: Any) -> dict[str, Any]:
         return {"x": ca.SX(0)}
@@ -151,7 +151,7 @@ def test_a_page_checks_a_moved_start_as_verify_checks_a_graph_with_it() -> None:
     claim = verdict.claim
     assert claim is not None
     symbol = claim.starts[label]
-    moved = elsewhere(verdict.conditions, claim, {}, {label})
+    moved = parameter_margins(verdict.conditions, claim, {}, {label})
     for value in (0.0, 50.0):
         worst = 1.0
         for item in moved:
@@ -173,7 +173,7 @@ def test_every_condition_that_holds_has_a_margin_or_a_list_of_what_it_reads(grap
     assert verdict.conditions
     assert unlisted(verdict) == []
     claim = verdict.claim
-    for item in elsewhere(verdict.conditions, claim, {}):
+    for item in parameter_margins(verdict.conditions, claim, {}):
         assert item.margin is not None or item.reads is not None, item.checked.name
 
 

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, LeastSquaresSteps, PlantIdentity
+from dmframe.block.certificate import Certificate, LeastSquaresSteps, PlantIdentity
+from dmframe.block.parameter import Positive, Scalar
+from dmframe.block.port import PERIOD, Access, Input, Output, Side, State
+from dmframe.block.steps import packed_size, unpacked
 from dmframe.certify import Verdict, verify
 from dmframe.diagram import Diagram
 from dmframe.exact.rational import evaluate
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import PERIOD, Access, Input, Output, Side, State
 from dmframe.prove.definite import is_semidefinite
 from dmframe.simulate import simulate
-from dmframe.steps import packed_size, unpacked
 
 States = ClassVar[tuple[State, ...]]
 Matrix = list[list[Fraction]]

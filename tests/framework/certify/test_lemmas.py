@@ -12,7 +12,7 @@ from closed_loops import known_blocks, loop_of, true_in_numbers
 from user_blocks import FilteredDamping, OddDamping, SaturatedDamping
 
 from dmframe.block import AbstractBlock, Signals
-from dmframe.certificate import MONOTONE, Certificate, Consumed, Gathered, Lemma, Square, TrueValue
+from dmframe.block.certificate import MONOTONE, Certificate, Consumed, InformationSquare, Lemma, Square, TrueValue
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.checked import Numbers
 from dmframe.certify.conditions import conditions_of
@@ -161,15 +161,15 @@ def test_an_error_in_a_certificate_is_reported_with_its_line() -> None:
 
 FOREIGN = ca.SX.sym("foreign")
 FORMS = {
-    "expected storage[0] to be a Square, a Gathered, a Potential or a LogDet, found a Lemma": lambda c, u: Certificate(
-        (Lemma(ca.SX(1), u.sigma, u.sigma, ca.SX(1)),), (), c.supply
+    "expected storage[0] to be a Square, an InformationSquare, a Potential or a LogDet, found a Lemma": lambda c, u: (
+        Certificate((Lemma(ca.SX(1), u.sigma, u.sigma, ca.SX(1)),), (), c.supply)
     ),
-    "expected dissipation[0] to be a Square, a NormSquare, a Lemma or a Gathered": lambda c, u: Certificate(
+    "expected dissipation[0] to be a Square, a NormSquare, a Lemma or an InformationSquare": lambda c, u: Certificate(
         c.storage, (ca.dot(u.sigma, u.sigma),), c.supply
     ),
     "expected columns of one length": lambda c, u: Certificate(c.storage, (Square(u.sigma, ca.SX(3, 1)),), c.supply),
     "expected columns of one length, or a square matrix": lambda c, u: Certificate(
-        (*c.storage, Gathered(u.sigma, ca.SX(1), ca.SX.eye(3), ca.SX.eye(2), ca.SX([1, 1]), ca.SX(1))),
+        (*c.storage, InformationSquare(u.sigma, ca.SX(1), ca.SX.eye(3), ca.SX.eye(2), ca.SX([1, 1]), ca.SX(1))),
         (),
         c.supply,
     ),
@@ -208,6 +208,7 @@ def test_a_subclass_of_a_term_is_refused() -> None:
     """Its value could be any expression."""
     kind = type("Fake", (Square,), {"value": property(lambda self: -1)})
     with pytest.raises(
-        TypeError, match=r"expected storage\[0\] to be a Square, a Gathered, a Potential or a LogDet, found a Fake"
+        TypeError,
+        match=r"expected storage\[0\] to be a Square, an InformationSquare, a Potential or a LogDet, found a Fake",
     ):
         Certificate((kind(ca.SX.sym("x")),))

@@ -9,11 +9,11 @@ import pytest
 from scalar_blocks import scalar_loop
 
 from dmframe.block import AbstractBlock, Equations
-from dmframe.certificate import Assumption, Certificate, Consumed, Driven, Square
+from dmframe.block.certificate import Assumption, Certificate, Consumed, Square, StableLinear
+from dmframe.block.parameter import Box, Interval
+from dmframe.block.port import TIME, Access, Input, Output, Side, State
 from dmframe.certify import Verdict, verify
 from dmframe.diagram import Diagram
-from dmframe.parameter import Box, Interval
-from dmframe.port import TIME, Access, Input, Output, Side, State
 
 
 def says(verdict: Verdict) -> set[tuple[str, str]]:
@@ -74,7 +74,7 @@ def test_a_sentence_does_not_make_an_equation_stable() -> None:
             "x z",
             lambda x, u, p: {"x": -p.k * x.x, "z": p.k * x.z + x.x},
             lambda x, u, p: Certificate(
-                (Square(x.x),), (Square(x.x, p.k),), driven=(Driven((x.z,), ((p.k,),), (x.z,), sure),)
+                (Square(x.x),), (Square(x.x, p.k),), linear=(StableLinear((x.z,), ((p.k,),), (x.z,), sure),)
             ),
         )
     )
@@ -96,7 +96,7 @@ class Pushed(AbstractBlock):
         return Equations(rates={"x": -x.x, "theta": push, "y": push - (x.y - x.theta)})
 
     def certificate(self, u: Any, x: Any, p: Any, truth: Any) -> Certificate:
-        return Certificate((Square(x.x),), (Square(x.x),), driven=(Driven((x.y - x.theta,), ((-1,),), (x.y,)),))
+        return Certificate((Square(x.x),), (Square(x.x),), linear=(StableLinear((x.y - x.theta,), ((-1,),), (x.y,)),))
 
 
 def test_what_a_projection_takes_away_is_bounded_only_where_the_rate_is() -> None:
@@ -113,7 +113,7 @@ def test_a_path_that_the_proof_differentiates_late_has_to_be_smooth_too() -> Non
             "x z",
             lambda x, u, p: {"x": -x.x * u.r * u.r, "z": u.r - x.z},
             lambda x, u, p: Certificate(
-                (Square(x.x),), (Square(x.x * u.r),), driven=(Driven((x.z - u.r,), ((-1,),), (x.z,)),)
+                (Square(x.x),), (Square(x.x * u.r),), linear=(StableLinear((x.z - u.r,), ((-1,),), (x.z,)),)
             ),
             r=lambda t: ((t - ca.floor(t)) * (1 + t) ** 2 < 1) * (2 + ca.sin(t)),
         )
@@ -149,7 +149,7 @@ def test_a_number_of_derivatives_has_no_end() -> None:
             return Equations(rates={"x": -x.x, "z": -x.z + u.r7})
 
         def certificate(self, u: Any, x: Any, p: Any, truth: Any) -> Certificate:
-            return Certificate((Square(x.x),), (Square(x.x),), driven=(Driven((x.z,), ((-1,),), (x.z,)),))
+            return Certificate((Square(x.x),), (Square(x.x),), linear=(StableLinear((x.z,), ((-1,),), (x.z,)),))
 
     @final
     class Path(AbstractBlock):
@@ -215,7 +215,7 @@ def test_what_a_claim_divides_by_is_listed(power: int) -> None:
             "x z",
             lambda x, u, p: {"x": -x.x, "z": -x.z},
             lambda x, u, p: Certificate(
-                (Square(x.x),), (Square(x.x),), driven=(Driven((x.z,), ((-1,),), (x.z, 1 / x.x**power)),)
+                (Square(x.x),), (Square(x.x),), linear=(StableLinear((x.z,), ((-1,),), (x.z, 1 / x.x**power)),)
             ),
         )
     )

@@ -10,10 +10,10 @@ import pytest
 from test_samples import Carts, Learner, Smoother, States
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, DelayLine, Square
+from dmframe.block.certificate import Certificate, DelayLine, Square
+from dmframe.block.port import Input, State
 from dmframe.certify import Verdict, verify
 from dmframe.diagram import Diagram
-from dmframe.port import Input, State
 
 
 class Twice(Learner):
@@ -61,7 +61,7 @@ class Remembers(AbstractBlock):
         return Certificate(
             delay_lines=(DelayLine("f", u.y),),
             dissipation=(Square(u.y, self.lost),) if self.lost else (),
-            excess=(Square(u.y, self.gained),) if self.gained else (),
+            residual=(Square(u.y, self.gained),) if self.gained else (),
         )
 
 

@@ -11,13 +11,13 @@ import pytest
 from test_samples import B, Carts, Learner, M
 
 from dmframe.block import Equations, Signals
-from dmframe.certificate import Certificate, DelayLine
+from dmframe.block.certificate import Certificate, DelayLine
+from dmframe.block.port import Access, Output, State
 from dmframe.certify import Verdict, verify
 from dmframe.certify.claim import claim_of
 from dmframe.certify.driven import known_elements, with_nodes
 from dmframe.certify.motions import Moved
 from dmframe.diagram import Diagram
-from dmframe.port import Access, Output, State
 
 T = 0.005
 
@@ -45,8 +45,8 @@ def test_a_motion_is_that_of_the_plant_with_its_commands_held() -> None:
         y[k + 1] = y[k] + end * T + (v[k] - end) * (1 - fade) * m / b
         said[k] = m * (v[k] - v[k - 1]) / T + b * (y[k] - y[k - 1]) / T if k else 0
     np.testing.assert_allclose(left.y[1:], c[:-1], atol=1e-15)
-    np.testing.assert_allclose(left.said, said, atol=1e-11)
-    np.testing.assert_allclose(left.left, left.y - left.said, atol=1e-12)
+    np.testing.assert_allclose(left.predicted, said, atol=1e-11)
+    np.testing.assert_allclose(left.left, left.y - left.predicted, atol=1e-12)
 
 
 def test_a_command_is_replaced_wherever_it_stands() -> None:

@@ -44,11 +44,11 @@ from judged_faults import (
 )
 from seeded_faults import LAW, LIBRARY, Mutant, all_mutants, block_mutants, library_mutants, mutated_block
 
+from dmframe.block.certificate import Certificate, Square
 from dmframe.block.model import symbols_in
-from dmframe.certificate import Certificate, Square
+from dmframe.block.port import Side
 from dmframe.certify import claim_of, verify
 from dmframe.certify.assemble import assembled
-from dmframe.port import Side
 from dmframe.prove.identity import identity
 from dmframe.robot.library import load
 

@@ -10,11 +10,11 @@ import pytest
 from scalar_blocks import scalar_loop
 
 from dmframe.block import AbstractBlock, Equations
-from dmframe.certificate import Certificate, Square
+from dmframe.block.certificate import Certificate, Square
+from dmframe.block.port import Side, State
 from dmframe.certify import verify
 from dmframe.certify.claim import claim_of
 from dmframe.diagram import Diagram
-from dmframe.port import Side, State
 
 
 def said(verdict: Any, says: str) -> list[str]:

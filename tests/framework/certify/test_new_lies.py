@@ -14,12 +14,12 @@ from scalar_blocks import scalar_loop
 
 import dmframe as dm
 from dmframe.block import AbstractBlock, Equations
-from dmframe.certificate import Assumption, Barrier, Certificate, Driven, Potential, Square
+from dmframe.block.certificate import Assumption, Barrier, Certificate, Potential, Square, StableLinear
+from dmframe.block.port import TIME, Input, Output, Side, State
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.smoothness import smoothness
 from dmframe.diagram import Diagram
 from dmframe.exact import random_prime, zero_test
-from dmframe.port import TIME, Input, Output, Side, State
 
 
 def says(verdict: Verdict, what: str) -> list[str]:
@@ -97,8 +97,8 @@ def test_no_tube_is_reported_where_a_source_steps_since_v_begins_again_there() -
 def driven(inputs: Callable[[Any], Any], growth: float, sources: Any = None) -> Verdict:
     def claim(x: Any, u: Any, p: Any) -> Certificate:
         otherwise = (Assumption("the sky is blue", "a poem"),)
-        item = Driven((x.w,), ((ca.SX(-1),),), (x.w,), otherwise=otherwise, inputs=(inputs(x),))
-        return Certificate((Square(x.y),), (Square(x.y),), driven=(item,))
+        item = StableLinear((x.w,), ((ca.SX(-1),),), (x.w,), otherwise=otherwise, inputs=(inputs(x),))
+        return Certificate((Square(x.y),), (Square(x.y),), linear=(item,))
 
     def rates(x: Any, u: Any, p: Any) -> Mapping[str, Any]:
         return {"y": -x.y, "v": growth * x.v, "w": -x.w + 2 * (x.w if sources is None else x.v)}
@@ -126,8 +126,8 @@ def mixed(inputs: Callable[[Any], Any]) -> Verdict:
     def claim(x: Any, u: Any, p: Any) -> Certificate:
         otherwise = (Assumption("v stays bounded", "a test"),)
         vectors = (x.w + x.v,)
-        item = Driven(vectors, ((ca.SX(-1),),), vectors, otherwise=otherwise, inputs=(inputs(x),))
-        return Certificate((Square(x.y),), (Square(x.y),), driven=(item,))
+        item = StableLinear(vectors, ((ca.SX(-1),),), vectors, otherwise=otherwise, inputs=(inputs(x),))
+        return Certificate((Square(x.y),), (Square(x.y),), linear=(item,))
 
     return verify(scalar_loop("y v w", lambda x, u, p: {"y": -x.y, "v": x.v, "w": -x.w + x.v}, claim))
 

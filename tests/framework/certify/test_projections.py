@@ -13,21 +13,21 @@ import pytest
 from structures import structures
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate, Square, TrueValue
+from dmframe.block.certificate import SX, Certificate, Square, TrueValue
+from dmframe.block.parameter import Around, Diagonal, Positive, Real, Scalar
+from dmframe.block.parameter import Ball as Sphere
+from dmframe.block.parameter import Box as Range
+from dmframe.block.parameter import Interval as Ends
+from dmframe.block.port import Access, Input, Output, Side, State
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.projection_laws import check_law
 from dmframe.certify.projections import projection_conditions
+from dmframe.common.errors import StartError
 from dmframe.diagram import Diagram
 from dmframe.diagram.projection import Ball, Box
-from dmframe.errors import StartError
 from dmframe.exact.rational import Interval
 from dmframe.graph.graph import Graph
-from dmframe.parameter import Around, Diagonal, Positive, Real, Scalar
-from dmframe.parameter import Ball as Sphere
-from dmframe.parameter import Box as Range
-from dmframe.parameter import Interval as Ends
-from dmframe.port import Access, Input, Output, Side, State
 from dmframe.simulate import start_state
 
 

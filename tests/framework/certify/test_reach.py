@@ -15,9 +15,9 @@ from dmframe.certify import verify
 from dmframe.certify.claim import claim_of
 from dmframe.certify.reach import reach_conditions
 from dmframe.certify.shell import shell_of
+from dmframe.common.units import plain
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.library import find_robot
-from dmframe.units import plain
 
 
 def following(path: dict[str, Any], axes: str | None = None) -> dm.Graph:

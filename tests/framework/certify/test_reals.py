@@ -8,7 +8,7 @@ import casadi as ca
 import pytest
 from scalar_blocks import scalar_loop
 
-from dmframe.certificate import Certificate, Lemma, Square
+from dmframe.block.certificate import Certificate, Lemma, Square
 from dmframe.certify import Verdict, verify
 
 ONE, ZERO = ca.SX(1), ca.SX(0)

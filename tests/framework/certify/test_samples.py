@@ -10,19 +10,20 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from dmframe import certificate
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import (
+from dmframe.block import AbstractBlock, Equations, Signals, certificate
+from dmframe.block.certificate import (
     Assumption,
     Certificate,
     Condition,
     DelayLine,
-    Driven,
     Inequality,
     NormalisedSteps,
     PlantIdentity,
     Square,
+    StableLinear,
 )
+from dmframe.block.parameter import Box, Interval, NonNegative, Positive, Real, Scalar
+from dmframe.block.port import PERIOD, TIME, Access, Input, Output, Side, State
 from dmframe.certify import verify
 from dmframe.certify.assemble import assembled
 from dmframe.certify.checked import Numbers
@@ -32,8 +33,6 @@ from dmframe.certify.statements import States as Known
 from dmframe.certify.states import sampled_states
 from dmframe.certify.summary import summary
 from dmframe.diagram import Diagram
-from dmframe.parameter import Box, Interval, NonNegative, Positive, Real, Scalar
-from dmframe.port import PERIOD, TIME, Access, Input, Output, Side, State
 from dmframe.prove.refute import replay
 from dmframe.report.verdict_text import verdict_text
 from dmframe.report.words import meaning_of
@@ -150,7 +149,7 @@ class Smoother(AbstractBlock):
         return Certificate(
             storage=(Square(x.f),),
             dissipation=(Square(x.f - p.a * u.y / left, left * (1.1 if self.boasts else 1) / 2),),
-            excess=(Square(u.y, 1 / left / 2),),
+            residual=(Square(u.y, 1 / left / 2),),
         )
 
 
@@ -353,14 +352,14 @@ class Filter(AbstractBlock):
         honest = Certificate(
             storage=(Square(x.f),),
             dissipation=(Square(x.f - p.a * u.y / left, left / 2),),
-            excess=(Square(u.y, 1 / left / 2),),
+            residual=(Square(u.y, 1 / left / 2),),
         )
         momentum, rest, nothing = truth.m * u.v, truth.b * u.v - truth.force, ca.SX.zeros(2)
         match self.lie:
             case "all_is_residual":
-                return replace(honest, dissipation=(Square(x.f, 0.5),), excess=(Square(self._next(u, x, p), 0.5),))
+                return replace(honest, dissipation=(Square(x.f, 0.5),), residual=(Square(self._next(u, x, p), 0.5),))
             case "subclass":
-                return replace(honest, storage=(Nothing(x.f),), dissipation=(), excess=())
+                return replace(honest, storage=(Nothing(x.f),), dissipation=(), residual=())
             case "certificate":
                 return SaysLess(honest.storage, honest.dissipation)
             case "constant":
@@ -378,7 +377,7 @@ class Filter(AbstractBlock):
             case "MX":
                 return replace(honest, storage=(Square(ca.MX.sym("x", 2)),))
             case "empty":
-                return replace(honest, storage=(Square(0 * x.f),), dissipation=(), excess=())
+                return replace(honest, storage=(Square(0 * x.f),), dissipation=(), residual=())
             case "time":
                 return replace(honest, plant=(PlantIdentity(momentum + u.t, rest),))
             case "jumps":
@@ -400,7 +399,10 @@ def filtered(kind: type[AbstractBlock] = Filter, **options: Any) -> Diagram:
     ("lie", "says"),
     [
         ("all_is_residual", "what V gains holds f.f, which V holds too"),
-        ("subclass", "expected storage[0] to be a Square, a Gathered, a Potential or a LogDet, found a Nothing"),
+        (
+            "subclass",
+            "expected storage[0] to be a Square, an InformationSquare, a Potential or a LogDet, found a Nothing",
+        ),
         ("certificate", "expected a Certificate, found SaysLess"),
         ("constant", "expected the constant k to be a symbol of its own, found one of the diagram"),
         ("own_state", "expected the constant k to be a symbol of its own, found one of the diagram"),
@@ -686,7 +688,9 @@ def test_the_former_names_give_the_same_proof_with_a_notice() -> None:
 
         def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Any:
             left = 1 - p.a**2
-            with pytest.warns(DeprecationWarning, match="dmframe.certificate.SampledCertificate is now Certificate"):
+            with pytest.warns(
+                DeprecationWarning, match="dmframe.block.certificate.SampledCertificate is now Certificate"
+            ):
                 former = certificate.SampledCertificate
             return former(
                 storage=(Square(x.f),),
@@ -703,16 +707,22 @@ def test_the_former_names_give_the_same_proof_with_a_notice() -> None:
         assert certificate.Kept is DelayLine
     with pytest.warns(DeprecationWarning, match="Relation is now PlantIdentity"):
         assert certificate.Relation is PlantIdentity
+    with pytest.warns(DeprecationWarning, match="Driven is now StableLinear"):
+        assert certificate.Driven is StableLinear
+    with pytest.warns(DeprecationWarning, match="Certificate: excess is now residual"):
+        renamed = Certificate(excess=(Square(ca.SX.sym("x")),))  # type: ignore[call-arg]
+    with pytest.warns(DeprecationWarning, match="Certificate: excess is now residual"):
+        assert renamed.excess == renamed.residual  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("name", ["task", "driven", "supply"])
+@pytest.mark.parametrize("name", ["task", "linear", "supply"])
 def test_a_field_of_continuous_time_is_refused_over_samples(name: str) -> None:
     class Mixed(Filter):
         """A filter that states something of continuous time as well."""
 
         def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-            linear = Driven((x.f,), ((ca.DM([-1, -1]),),), (x.f,))
-            given = {"task": True, "driven": (linear,), "supply": ca.dot(x.f, u.y)}
+            linear = StableLinear((x.f,), ((ca.DM([-1, -1]),),), (x.f,))
+            given = {"task": True, "linear": (linear,), "supply": ca.dot(x.f, u.y)}
             return replace(super().certificate(u, x, p, truth), **{name: given[name]})
 
     verdict = verify(filtered(Mixed))

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from seeded_faults import LIBRARY, CompileError, Mutant, check_compiled, compiled, mutants_of
 
-import dmframe.linalg
+import dmframe.block.linalg
 
 
 def source_of(function: Callable[..., Any]) -> str:
@@ -28,21 +28,21 @@ def test_the_unchanged_source_of_a_shared_function_gives_the_function(function: 
 
 
 def test_a_decorated_function_keeps_its_helpers_and_its_decorator() -> None:
-    made = compiled(source_of(dmframe.linalg.solve_spd), dmframe.linalg.solve_spd)
+    made = compiled(source_of(dmframe.block.linalg.solve_spd), dmframe.block.linalg.solve_spd)
     A, b = np.array([[3.0, 1], [1, 2]]), np.array([1.0, -1])
     np.testing.assert_allclose(ca.DM(made(ca.SX(A), ca.SX(b))).full().ravel(), np.linalg.solve(A, b))
     assert "solve_spd" in str(made(ca.MX(A), ca.MX(b)))  # one node, as the decorator makes it
-    assert inspect.unwrap(made).__globals__ is vars(dmframe.linalg)
+    assert inspect.unwrap(made).__globals__ is vars(dmframe.block.linalg)
 
 
 def test_a_changed_name_default_or_decorator_is_an_error_of_the_harness() -> None:
-    own = source_of(dmframe.linalg.solve_spd)
+    own = source_of(dmframe.block.linalg.solve_spd)
     with pytest.raises(CompileError, match="solve_spd: its source gives other names or constants"):
-        check_compiled(own.replace("_factors(A)", "_lost(A)"), dmframe.linalg.solve_spd)
+        check_compiled(own.replace("_factors(A)", "_lost(A)"), dmframe.block.linalg.solve_spd)
     with pytest.raises(CompileError, match="solve_spd: its source gives other decorators"):
-        check_compiled(own.replace("@operation\n", ""), dmframe.linalg.solve_spd)
+        check_compiled(own.replace("@operation\n", ""), dmframe.block.linalg.solve_spd)
     with pytest.raises(CompileError, match="solve_spd: its source gives other defaults"):
-        check_compiled(own.replace("b: Any)", "b: Any = 1)"), dmframe.linalg.solve_spd)
+        check_compiled(own.replace("b: Any)", "b: Any = 1)"), dmframe.block.linalg.solve_spd)
 
 
 class Base:

@@ -10,11 +10,11 @@ import pytest
 from scalar_blocks import scalar_loop
 
 import dmframe as dm
-from dmframe.certificate import Certificate, Square
+from dmframe.block.certificate import Certificate, Square
 from dmframe.certify.assemble import assembled
 from dmframe.certify.claim import claim_of
 from dmframe.certify.symbols import exact_values
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.prove.__main__ import main
 from dmframe.prove.claim import Claim
 from dmframe.prove.export import read_file, to_json

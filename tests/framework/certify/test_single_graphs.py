@@ -15,16 +15,16 @@ import pytest
 
 import dmframe as dm
 from dmframe.block.model import SYMBOLIC
+from dmframe.block.parameter import PAIRS, specs
 from dmframe.catalogue import graphs
 from dmframe.certify import Verdict, verify
 from dmframe.certify.begun import START
+from dmframe.common.errors import DmframeError
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
-from dmframe.errors import DmframeError
 from dmframe.exact.rational import Interval
-from dmframe.parameter import PAIRS, specs
 from dmframe.robot.rational import decimal
-from dmframe.study.drawn import FAILS, HOLDS, held_at
+from dmframe.study.sample_proofs import FAILS, HOLDS, conditions_at
 
 LABELS, POINTS = 3, 2
 """Numbers of each graph that move, one after another, and how many values of each are tried."""
@@ -98,10 +98,10 @@ def disagreements(name: str, labels: int = LABELS) -> Iterator[tuple[str, str]]:
             if rows is None:
                 continue
             moved = written(diagram, label, rows)
-            verdicts = {"page": held_at(diagram, start, {label: moved}, POINTS, nominal)}
+            verdicts = {"page": conditions_at(diagram, start, {label: moved}, POINTS, nominal)}
             box = box_of(diagram, start, label, rows)
             if box is not None:
-                verdicts["count"] = held_at(diagram, start, {label: moved}, POINTS, box)
+                verdicts["count"] = conditions_at(diagram, start, {label: moved}, POINTS, box)
                 verdicts["box"] = np.full(POINTS, HOLDS) if box.outcome == "proved" else None
             for point in range(POINTS):
                 says = {kind: int(found[point]) for kind, found in verdicts.items() if found is not None}
@@ -130,7 +130,7 @@ def test_the_ends_of_an_interval_are_those_of_the_graph_that_writes_them() -> No
     # the first reads the same whichever ends are written as a row; of the second only the ends as written hold
     rows = np.array([[[0.5, 2.5], [2.5, 20]], [[0.5, 0.6], [20, 20]]])
     with SYMBOLIC:
-        said = held_at(diagram, start, {label: rows}, len(rows), verify(diagram, start=start))
+        said = conditions_at(diagram, start, {label: rows}, len(rows), verify(diagram, start=start))
     alone = [single(diagram, start, label, row).outcome == "proved" for row in rows]
     assert said is not None
     assert said.tolist() == alone == [FAILS, HOLDS]

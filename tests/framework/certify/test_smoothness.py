@@ -11,22 +11,23 @@ import numpy as np
 import pytest
 from scalar_blocks import scalar_loop
 
-from dmframe.certificate import (
+from dmframe.block.certificate import (
     Barrier,
     Certificate,
-    Driven,
-    Gathered,
+    InformationSquare,
     NormSquare,
     Square,
+    StableLinear,
 )
 from dmframe.certify import claim_of, verify
 from dmframe.certify.claim import flow_part
+from dmframe.certify.sampler import BLOCK, Sampler
 from dmframe.certify.smoothness import Smoothness, is_smooth_over, smoothness
+from dmframe.common.text import Text
 from dmframe.diagram import Diagram
 from dmframe.exact import Tape
 from dmframe.graph.graph import Graph
 from dmframe.program import KINKS
-from dmframe.text import Text
 
 ONE = ca.SX(1)
 
@@ -250,7 +251,7 @@ def test_a_residual_that_jumps_is_not_taken_for_a_constant() -> None:
         scalar_loop(
             "y z",
             lambda x, u, p: {"y": -x.y + excess(x).value / x.y, "z": x.z},
-            lambda x, u, p: Certificate((Square(x.y),), (Square(x.y),), excess=(excess(x),)),
+            lambda x, u, p: Certificate((Square(x.y),), (Square(x.y),), residual=(excess(x),)),
         )
     )
     assert verdict.outcome == "not_applicable"
@@ -272,7 +273,7 @@ def test_a_memory_that_jumps_is_refused_where_only_the_dissipation_holds_it() ->
             },
             lambda x, u, p: Certificate(
                 (Square(x.y), Square(x.z)),
-                (Square(x.y), Square(x.z), Gathered(x.y, ca.SX(1), memory(x), x.y, ca.SX(1), ca.SX(1))),
+                (Square(x.y), Square(x.z), InformationSquare(x.y, ca.SX(1), memory(x), x.y, ca.SX(1), ca.SX(1))),
             ),
         )
 
@@ -290,7 +291,7 @@ def test_what_is_driven_may_not_jump_nor_may_a_path_that_it_holds() -> None:
             lambda x, u, p: Certificate(
                 (Square(x.y),),
                 (Square(x.y),),
-                driven=(Driven((vector(x, u),), ((ca.SX(-1),),), (vector(x, u),)),),
+                linear=(StableLinear((vector(x, u),), ((ca.SX(-1),),), (vector(x, u),)),),
             ),
             r=path,
         )
@@ -328,3 +329,12 @@ def test_the_steps_that_are_looked_for_are_those_of_numbers() -> None:
     values = diagram.resolver.trajectories["path_r", "r", 0].expression
     f = ca.Function("r", [diagram.loop.time], [values])
     assert np.max(np.abs(np.diff([float(f(k * 1e-3)) for k in range(1000)]))) < 0.1
+
+
+@pytest.mark.parametrize("count", [0, 1, BLOCK - 1, BLOCK, 2 * BLOCK + 3])
+def test_samples_of_many_instants_are_those_of_one_after_the_other(count: int) -> None:
+    t, p, given = ca.SX.sym("t"), ca.SX.sym("p", 2), np.array([1.1, 0.3])
+    function = ca.Function("f", [t, p], [ca.vertcat(ca.sin(p[0] * t), ca.sqrt(t - 5) / p[1])])
+    times = np.linspace(0.0, 10.0, count)
+    alone = np.array([function(x, given).full().ravel() for x in times]).reshape(count, 2).T
+    assert np.array_equal(Sampler(function, given).over(times), alone, equal_nan=True)

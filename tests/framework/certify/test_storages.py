@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scalar_blocks import Rates, scalar_loop
 
-from dmframe.certificate import Certificate, Clipped, LogDet, Potential, Square, beyond, clip, soft_clip
+from dmframe.block.certificate import Certificate, Clipped, LogDet, Potential, Square, beyond, clip, soft_clip
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.assemble import assembled
 from dmframe.certify.checked import Numbers
@@ -103,7 +103,7 @@ def test_a_subclass_that_calls_itself_a_potential_is_not_believed() -> None:
 
     verdict = verify(pulled(stored=lambda x, p: Sunk(x.y, ca.SX(WIDTH), p.k)))
     assert verdict.outcome == "not_applicable"
-    assert "expected storage[0] to be a Square, a Gathered, a Potential or a LogDet" in verdict.reason
+    assert "expected storage[0] to be a Square, an InformationSquare, a Potential or a LogDet" in verdict.reason
 
 
 def estimating(
@@ -208,7 +208,7 @@ def test_with_a_bounded_residual_it_is_assumed_to_stay_positive_definite() -> No
         return Certificate(
             storage=(LogDet(x.y, p.k, ca.SX(2)), Square(x.z)),
             dissipation=(Square(x.y - p.k), Square(x.z)),
-            excess=(Clipped(x.z, p.k, x.z),),
+            residual=(Clipped(x.z, p.k, x.z),),
         )
 
     verdict = verify(scalar_loop("y z", rates, claim), start={"toy.y": 1.0})

@@ -7,9 +7,9 @@ from typing import final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Lemma, Square
-from dmframe.parameter import Diagonal, Positive
-from dmframe.port import Input, Output, State
+from dmframe.block.certificate import Certificate, Lemma, Square
+from dmframe.block.parameter import Diagonal, Positive
+from dmframe.block.port import Input, Output, State
 
 
 @final

@@ -15,8 +15,8 @@ import pytest
 
 from dmframe.cli import run as run_module
 from dmframe.cli.graphs import alternatives, graphs_of
+from dmframe.common.errors import DmframeError
 from dmframe.config.document import read_file
-from dmframe.errors import DmframeError
 
 pytestmark = pytest.mark.usefixtures("without_v")
 

@@ -8,8 +8,8 @@ from contextlib import suppress
 import casadi as ca
 import pytest
 
-from dmframe import interrupts
-from dmframe.interrupts import Insistent
+from dmframe.common import interrupts
+from dmframe.common.interrupts import Insistent
 
 
 def interrupted() -> None:
@@ -78,8 +78,8 @@ def test_one_on_its_way_up_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_one_that_is_only_noted_while_files_are_written_is_not_raised() -> None:
-    from dmframe.cli.signals import held_off
+    from dmframe.cli.signals import deferred_signals
 
-    with held_off() as came, Insistent():
+    with deferred_signals() as came, Insistent():
         interrupted()
     assert came == [signal.SIGINT]

@@ -82,19 +82,16 @@ def test_the_version_is_that_of_the_distribution(dmframe: Any) -> None:
     assert (said.status, said.out) == (0, f"dmframe {version('dmframe')}\n")
 
 
-def test_graphs_lists_every_packaged_graph_with_its_title(dmframe: Any) -> None:
+def test_graphs_lists_every_packaged_graph_with_its_title_its_duration_and_its_clock(dmframe: Any) -> None:
     said = dmframe("graphs")
     assert said.status == 0
     lines = said.out.splitlines()
     assert [line.split()[0] for line in lines] == list(graphs())
     for line, path in zip(lines, graphs().values(), strict=True):
         assert line.endswith(str(read_file(path).data["title"]))
-
-
-def test_graphs_prints_how_long_each_runs_and_its_clock(dmframe: Any) -> None:
-    lines = {line.split()[0]: line for line in dmframe("graphs").out.splitlines()}
-    assert "  200 s  8 ms  " in lines["ur10_fast"]
-    assert "30 s   continuous" in lines["pendulum"]
+    named = {line.split()[0]: line for line in lines}
+    assert "  200 s  8 ms  " in named["ur10_fast"]
+    assert "30 s   continuous" in named["pendulum"]
 
 
 def test_what_there_is_to_choose_from_can_be_read_by_a_program(dmframe: Any) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.graph.graph import Graph
 from dmframe.results.place import FIGURES, OF_EACH
 
@@ -129,12 +129,12 @@ def test_the_resolved_graph_gives_the_same_run(dmframe: Any) -> None:
 
 
 def test_figures_are_drawn_by_default(dmframe: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("dmframe.plotting", "dmframe.results.estimate_figure"):
+    for module in ("dmframe.common.plotting", "dmframe.results.estimate_figure"):
         monkeypatch.setattr(f"{module}.settle", lambda figure: None)
     assert dmframe("run", "pendulum", "--until", "0.5", "--out", "mine").status == 0
     names = {path.name for path in tmp_path.joinpath("mine").iterdir()}
     assert {"error.svg", "commands.svg"} <= names
-    monkeypatch.setattr("dmframe.results.figures.files_of", names_of)
+    monkeypatch.setattr("dmframe.results.drawing_process.files_of", names_of)
     assert dmframe("run", "pendulum", "--until", "0.5", "--figures", "png,pdf", "--out", "other").status == 0
     names = {path.name for path in tmp_path.joinpath("other").iterdir() if path.suffix not in FILES_END}
     assert names == {f"{name}.{ending}" for name in (*FIGURES, *OF_EACH) for ending in ("png", "pdf")}
@@ -337,8 +337,8 @@ def test_results_go_to_the_given_folder_whatever_is_there(dmframe: Any, tmp_path
 def test_graphs_of_any_name_are_next_to_their_figures(
     dmframe: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("dmframe.results.figures.files_of", names_of)
-    for module in ("dmframe.plotting", "dmframe.results.estimate_figure"):
+    monkeypatch.setattr("dmframe.results.drawing_process.files_of", names_of)
+    for module in ("dmframe.common.plotting", "dmframe.results.estimate_figure"):
         monkeypatch.setattr(f"{module}.settle", lambda figure: None)
     names = ("error.png.yaml", "..yaml", "new\nline.yaml", "Error_PNG.yaml")
     for name in names:

@@ -11,7 +11,7 @@ import pytest
 from dmframe.catalogue import graphs
 
 LIAR = '''
-from dmframe.certificate import Certificate, TrueValue
+from dmframe.block.certificate import Certificate, TrueValue
 from dmframe_blocks.dynamic_compensator import DynamicCompensator
 
 

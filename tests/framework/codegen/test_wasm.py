@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.parameter import Real, Scalar
+from dmframe.block.port import PERIOD, Access, Input, Output, Side, State
 from dmframe.catalogue import graphs
 from dmframe.codegen import function as c
 from dmframe.codegen import loop_module, loop_source, wasm
@@ -22,11 +24,9 @@ from dmframe.codegen.source import shipped
 from dmframe.codegen.wasm import HOST, written
 from dmframe.codegen.wasm_arithmetic import ARITHMETIC
 from dmframe.codegen.wasm_binary import I32, Function, Whole, module, number, signed, unsigned, whole
+from dmframe.common.errors import EngineError
 from dmframe.diagram import Diagram
-from dmframe.errors import EngineError
 from dmframe.graph.graph import Graph
-from dmframe.parameter import Real, Scalar
-from dmframe.port import PERIOD, Access, Input, Output, Side, State
 from dmframe.program import OPERATIONS
 from dmframe.simulate import Log, Solver
 from dmframe.simulate.engine import Compiled, Interpreted
@@ -336,7 +336,7 @@ def test_a_state_that_is_no_number_has_left_its_bounds(cart: Any) -> None:
         ("_integrate", lambda right: lambda at, size: right(at, size - 1)),
         ("_integrate", lambda right: lambda at, size: right({**at, "k3": at["k2"]}, size)),
         ("_record", lambda right: lambda at, size: right(at, size + 1)),
-        ("_sound", lambda right: lambda size: right(size - 1)),
+        ("_within_bounds", lambda right: lambda size: right(size - 1)),
         ("_slope", lambda right: lambda at, moved: right({**at, "u": at["z"]}, moved)),
         ("_run", lambda right: lambda at, sizes: right(at, {**sizes, "N": 1})),
         ("_run", lambda right: lambda at, sizes: right({**at, "T": at["u"]}, sizes)),

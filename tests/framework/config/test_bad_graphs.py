@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from dmframe.common.errors import DmframeError, Faults
 from dmframe.config.places import placed
-from dmframe.errors import DmframeError, Faults
 from dmframe.graph.graph import Graph
 from dmframe.simulate import simulate
 
@@ -41,8 +41,8 @@ MINE = """\
 from typing import ClassVar
 import casadi as ca
 from dmframe.block import AbstractBlock, Equations
-from dmframe.parameter import Positive, Scalar, Real, Interval, Box, Rows, Table
-from dmframe.port import Access, Input, Output, Side, State, TIME
+from dmframe.block.parameter import Positive, Scalar, Real, Interval, Box, Rows, Table
+from dmframe.block.port import Access, Input, Output, Side, State, TIME
 
 class Mine(AbstractBlock):
 """

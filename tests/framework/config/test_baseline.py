@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from dmframe.catalogue import graphs
+from dmframe.common.errors import DmframeError, MissingError
 from dmframe.config.resolved import resolved_text
-from dmframe.errors import DmframeError, MissingError
 from dmframe.graph.graph import Graph
 
 GRAPH = """\

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from dmframe.common.errors import DmframeError, DocumentError, Faults, MissingError, ValueFault
 from dmframe.config.document import Document, read_document, read_file
-from dmframe.errors import DmframeError, DocumentError, Faults, MissingError, ValueFault
 
 GRAPH = """\
 dmframe: 1

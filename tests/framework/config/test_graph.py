@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from dmframe.catalogue import graphs
+from dmframe.common.errors import DmframeError, Faults
 from dmframe.config.document import read_file
 from dmframe.config.grammar import GraphFile
 from dmframe.config.overrides import overridden
 from dmframe.config.places import placed
-from dmframe.errors import DmframeError, Faults
 from dmframe.graph.graph import Graph
 from dmframe.simulate import Solver, simulate
 
@@ -21,8 +21,8 @@ PENDULUM = graphs()["pendulum"].read_text()
 LEAKY = '''\
 from typing import ClassVar
 from dmframe.block import AbstractBlock, Equations
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import Input, Output, State
+from dmframe.block.parameter import Positive, Scalar
+from dmframe.block.port import Input, Output, State
 
 
 class Leaky(AbstractBlock):

@@ -13,10 +13,10 @@ import pytest
 import dmframe as dm
 from dmframe.catalogue import find_reality, realities
 from dmframe.cli.graphs import graphs_of
+from dmframe.common.errors import DmframeError
 from dmframe.config.document import read_file
 from dmframe.config.given import node_of
 from dmframe.config.reality import SET
-from dmframe.errors import DmframeError
 from dmframe.graph.graph import Graph
 from dmframe.study.grid import Given, changed
 

@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.port import Output
+from dmframe.common.errors import BlockError, DmframeError, Faults
 from dmframe.config.resolved import resolved
-from dmframe.errors import BlockError, DmframeError, Faults
 from dmframe.graph.graph import Graph
-from dmframe.port import Output
 
 pytestmark = pytest.mark.usefixtures("without_v")
 
 BLOCK = '''
 from typing import ClassVar
 from dmframe.block import AbstractBlock, Equations
-from dmframe.certificate import Certificate, Square
-from dmframe.parameter import Positive, Real, Scalar
-from dmframe.port import Access, Input, Output, Side, State
+from dmframe.block.certificate import Certificate, Square
+from dmframe.block.parameter import Positive, Real, Scalar
+from dmframe.block.port import Access, Input, Output, Side, State
 
 
 class Pull(AbstractBlock):

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.parameter import Positive, Real, Scalar
+from dmframe.block.port import PERIOD, TIME, Access, Input, Output, Port, Side, State
+from dmframe.common.errors import BlockError, DerivativeError, DmframeError
 from dmframe.diagram import Diagram
-from dmframe.errors import BlockError, DerivativeError, DmframeError
-from dmframe.parameter import Positive, Real, Scalar
-from dmframe.port import PERIOD, TIME, Access, Input, Output, Port, Side, State
 from dmframe.runtime import Controller
 from dmframe.simulate import Solver, simulate, simulate_many
 

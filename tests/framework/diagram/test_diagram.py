@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.diagram import Diagram
-from dmframe.diagram.wiring import Derived, Time, Wire, Zero
-from dmframe.errors import (
+from dmframe.block.parameter import Diagonal, Positive, Real, Scalar
+from dmframe.block.port import TIME, Access, Input, Output, Side, State
+from dmframe.common.errors import (
     AccessError,
     AlgebraicLoopError,
     BlockError,
@@ -25,9 +25,9 @@ from dmframe.errors import (
     UnknownNameError,
     WiringError,
 )
+from dmframe.diagram import Diagram
+from dmframe.diagram.wiring import Derived, Time, Wire, Zero
 from dmframe.graph.graph import Graph
-from dmframe.parameter import Diagonal, Positive, Real, Scalar
-from dmframe.port import TIME, Access, Input, Output, Side, State
 from dmframe.simulate import Solver, simulate
 
 

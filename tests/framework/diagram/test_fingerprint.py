@@ -13,15 +13,15 @@ import casadi as ca
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.parameter import Positive, Real, Scalar
+from dmframe.block.port import TIME, Input, Output, Side, State
 from dmframe.catalogue import find_graph
 from dmframe.certify import verify
 from dmframe.certify.summary import summary
+from dmframe.common.errors import BlockError, DmframeError
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
-from dmframe.errors import BlockError, DmframeError
 from dmframe.graph.graph import Graph
-from dmframe.parameter import Positive, Real, Scalar
-from dmframe.port import TIME, Input, Output, Side, State
 from dmframe.results.folder import write_run
 from dmframe.results.run import Run
 from dmframe.simulate import simulate

@@ -11,11 +11,11 @@ import pytest
 from structures import structures
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.parameter import Positive, Scalar
+from dmframe.block.port import Access, Input, Output, Side, State
 from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import Known, known_truths
 from dmframe.graph.graph import Graph
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import Access, Input, Output, Side, State
 from dmframe.robot.library import load
 
 

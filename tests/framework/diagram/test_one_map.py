@@ -18,9 +18,12 @@ import pytest
 import dmframe
 from dmframe.analysis import linearise, linearised_period, prove_stability
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Square
+from dmframe.block.certificate import Certificate, Square
+from dmframe.block.parameter import Positive, Scalar
+from dmframe.block.port import Access, Input, Output, Side, State
 from dmframe.certify import verify
 from dmframe.certify.symbols import exact_values
+from dmframe.common.errors import DmframeError
 from dmframe.diagram import ClosedLoop, Diagram, Parameter, Variable
 from dmframe.diagram.bodies import Bodies
 from dmframe.diagram.closed_loop import Noise, Signal
@@ -28,13 +31,10 @@ from dmframe.diagram.fingerprint import fingerprint
 from dmframe.diagram.pieces import Leaf
 from dmframe.diagram.projection import Ball, Box, Projection
 from dmframe.drive.rehearse import Condition, rehearsed
-from dmframe.errors import DmframeError
 from dmframe.export.c import source
 from dmframe.export.program import program_of
 from dmframe.graph.graph import Graph
 from dmframe.page.functions import functions_of
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import Access, Input, Output, Side, State
 from dmframe.runtime import Controller
 from dmframe.simulate import simulate
 
@@ -81,7 +81,7 @@ def every_kind(*, bodies: bool) -> ClosedLoop:
         trajectories=(Leaf("path.g", Side.SOURCE, symbol("g"), ca.sin(t)),),
         ahead=(Leaf("path.g(t + T)", Side.SOURCE, symbol("g_1"), ca.sin(t + period)),),
         noises=(Noise("law.n", n, "normal"),),
-        crossings=(Leaf("arm.y", Side.PLANT, y, 2 * w), Leaf("law.v", Side.CONTROLLER, v, -x * y)),
+        sampled_signals=(Leaf("arm.y", Side.PLANT, y, 2 * w), Leaf("law.v", Side.CONTROLLER, v, -x * y)),
         projections=(
             Projection("law.x", "law.x_box", x, -k * x, corrections[0], Box(box[0], box[1])),
             Projection("law.z", "law.z_ball", z, 0 * z, corrections[1], Ball(ca.vertcat(box), 1 + k, k)),
@@ -346,7 +346,7 @@ def differ(one: Any, other: Any) -> bool:
 
 
 @pytest.mark.parametrize("consumer", CONSUMERS)
-@pytest.mark.parametrize("field", ["controller", "crossings"])
+@pytest.mark.parametrize("field", ["controller", "sampled_signals"])
 def test_each_consumer_follows_the_model_or_refuses(consumer: str, field: str) -> None:
     experiment, diagram = arm2()
     other = changed(diagram, field)

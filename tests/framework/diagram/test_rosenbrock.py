@@ -12,10 +12,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from dmframe.common.errors import EngineError
 from dmframe.diagram.elimination import MOST_FACTORS, Elimination, residual_small
 from dmframe.diagram.rosenbrock import ROS34PW2, Rosenbrock
 from dmframe.diagram.slopes import Slopes
-from dmframe.errors import EngineError
 from dmframe.graph.graph import Graph
 from dmframe.robot.chain import pin_configuration
 from dmframe.simulate import Log, Solver

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, Equations
-from dmframe.certificate import Certificate, Square
+from dmframe.block.certificate import Certificate, Square
+from dmframe.block.port import Output, Side, State
 from dmframe.certify import verify
+from dmframe.common.errors import DmframeError
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError
-from dmframe.port import Output, Side, State
 from dmframe.simulate import simulate
 
 

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.port import Access, Input, Output, Side, State
+from dmframe.common.errors import DmframeError
 from dmframe.diagram import Diagram
 from dmframe.diagram.wiring import Wire
-from dmframe.errors import DmframeError
-from dmframe.port import Access, Input, Output, Side, State
 
 PLANT: Any = Side.PLANT
 

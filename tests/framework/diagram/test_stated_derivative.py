@@ -8,11 +8,11 @@ import casadi as ca
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Square
+from dmframe.block.certificate import Certificate, Square
+from dmframe.block.port import TIME, Input, Output, Side, State
 from dmframe.certify import verify
+from dmframe.common.errors import DerivativeError
 from dmframe.diagram import Diagram
-from dmframe.errors import DerivativeError
-from dmframe.port import TIME, Input, Output, Side, State
 
 
 @final

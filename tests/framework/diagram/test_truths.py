@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Condition, Inequality, Square
+from dmframe.block.certificate import Certificate, Condition, Inequality, Square
+from dmframe.block.parameter import Positive, Scalar
+from dmframe.block.port import TIME, Access, Input, Output, Side, State
 from dmframe.certify import claim_of, verify
 from dmframe.certify.claim import NotApplicableError
+from dmframe.common.errors import BlockError
 from dmframe.diagram import Diagram
 from dmframe.diagram.truths import distances
 from dmframe.diagram.view import view
-from dmframe.errors import BlockError
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import TIME, Access, Input, Output, Side, State
 
 
 class Store(AbstractBlock):

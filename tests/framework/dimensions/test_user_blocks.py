@@ -12,7 +12,7 @@ import casadi as ca
 import pytest
 from user_units import UNITS, faults, joint
 
-from dmframe.certificate import Certificate, Inequality, Square
+from dmframe.block.certificate import Certificate, Inequality, Square
 from dmframe.certify import verify
 
 BASES = ("kg", "m", "s", "rad")
@@ -98,7 +98,7 @@ def test_a_number_that_has_a_unit_has_to_be_a_parameter() -> None:
     (text,) = faults(joint(output=lambda x, p: p.K * x.q + 0.5))
     assert text == (
         "joint: the output tau: expected one unit in K[0]*q[0] + 0.5, found N m in K[0]*q[0] and a plain number in "
-        "0.5; a number that has a unit has to be a parameter"
+        "0.5; declare a number with a unit as a parameter"
     )
 
 

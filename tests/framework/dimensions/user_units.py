@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from dmframe.block import AbstractBlock, Equations
+from dmframe.block.parameter import Diagonal, Positive
+from dmframe.block.port import TIME, Output, State
 from dmframe.diagram import Diagram
-from dmframe.parameter import Diagonal, Positive
-from dmframe.port import TIME, Output, State
 
 UNITS: Mapping[str, str] = {"K": "N m/rad", "D": "N m s/rad", "I": "kg m^2", "w": "1/s"}
 STATES = (State("q", "n", "rad"), State("dq", "n", "rad/s"))

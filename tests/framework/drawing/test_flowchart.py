@@ -4,11 +4,11 @@ import re
 
 import pytest
 
+from dmframe.block.port import Side
+from dmframe.common.names import unicode_name
 from dmframe.diagram.wiring import Derived, Wire
 from dmframe.drawing import mermaid
 from dmframe.graph.graph import Graph
-from dmframe.names import unicode_name
-from dmframe.port import Side
 
 
 @pytest.fixture(scope="module", params=["ur10_fast", "pendulum"])

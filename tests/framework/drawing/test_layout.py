@@ -6,9 +6,9 @@ from itertools import combinations
 
 import pytest
 
+from dmframe.block.port import Side
 from dmframe.drawing.layout import lay_out, segments
 from dmframe.drawing.netlist import Box, Netlist, Pin, columns
-from dmframe.port import Side
 
 
 def random_netlist(seed: int) -> Netlist:

@@ -4,10 +4,10 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
+from dmframe.common.names import unicode_name
 from dmframe.diagram.wiring import Wire
 from dmframe.drawing import svg
 from dmframe.graph.graph import Graph
-from dmframe.names import unicode_name
 
 SVG = "{http://www.w3.org/2000/svg}"
 GRAPHS = ["ur10_fast", "ur10_fast_kinematic", "pendulum", "arm2_joint"]

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import dmframe as dm
-from dmframe.drive.bar import Bar, Measured, farthest, quarters
+from dmframe.common.errors import DmframeError
+from dmframe.drive.error_bounds import ErrorBounds, Measured, farthest, quarters
 from dmframe.drive.rehearse import Condition, Rehearsal, rehearsed
 from dmframe.drive.rival import Rival, law_of
-from dmframe.errors import DmframeError
 from dmframe.runtime.robot import Sample
 
 IDEAL = Condition("nothing, the ideal robot", {})
@@ -21,8 +21,8 @@ LAW = """
 from typing import ClassVar, final
 import casadi as ca
 from dmframe.block import AbstractBlock, Equations
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import Input, Output
+from dmframe.block.parameter import Positive, Scalar
+from dmframe.block.port import Input, Output
 
 @final
 class My(AbstractBlock):
@@ -119,8 +119,8 @@ def test_a_law_that_follows_in_the_last_quarter_alone_fails(tmp_path: Path, befo
 
 def test_a_path_that_is_back_at_its_start_in_the_end_is_judged_where_it_was_away() -> None:
     away = Measured("", "m", 0.001, 0.001, 0.001, 0.0005, "", moved=0.2)
-    assert not Bar(0.002, "", "").above(away, None, ideal=True)
-    assert "third quarter is 200 mm" in Bar(0.002, "", "").above(replace(away, third=0.2), None, ideal=True)
+    assert not ErrorBounds(0.002, "", "").above(away, None, ideal=True)
+    assert "third quarter is 200 mm" in ErrorBounds(0.002, "", "").above(replace(away, third=0.2), None, ideal=True)
 
 
 def test_a_tolerance_that_is_none_is_refused(tmp_path: Path) -> None:
@@ -153,10 +153,10 @@ def test_without_a_fair_rival_a_tolerance_is_required(name: str, why: str) -> No
     assert law_of(graph) == (None, why)
     run = Measured("", "m", 0.001, 0.001, 0.001, 0.2, "")
     assert (
-        Bar(None, "", why).above(run, None, ideal=True)
+        ErrorBounds(None, "", why).above(run, None, ideal=True)
         == f"no rival is applicable ({why}): set a tolerance in the graph"
     )
-    assert not Bar(0.002, "", why).above(run, None, ideal=True)
+    assert not ErrorBounds(0.002, "", why).above(run, None, ideal=True)
 
 
 GOOD = Measured("e", "m", 0.01, 0.0021, 0.002, 0.2, "")
@@ -179,15 +179,15 @@ def test_the_bar_is_half_of_a_stationary_robot_and_the_rival(
     rms: float, still: float, rival: Measured, message: str
 ) -> None:
     run = Measured("e", "m", rms, rms, rms, still, "")
-    found = Bar(None, "rival", "").above(run, rival, ideal=True)
+    found = ErrorBounds(None, "rival", "").above(run, rival, ideal=True)
     assert found.startswith(message)
     assert bool(found) == bool(message)
 
 
 def test_under_a_condition_that_stops_the_rival_too_holding_still_remains() -> None:
     run, stopped = Measured("e", "m", 0.01, 0.01, 0.01, 0.2, ""), replace(GOOD, stopped="cuts")
-    assert not Bar(None, "rival", "").above(run, stopped, ideal=False)
-    assert Bar(None, "rival", "").above(replace(run, last=0.11), stopped, ideal=False)
+    assert not ErrorBounds(None, "rival", "").above(run, stopped, ideal=False)
+    assert ErrorBounds(None, "rival", "").above(replace(run, last=0.11), stopped, ideal=False)
 
 
 def test_quarters_are_those_of_the_whole_time() -> None:

@@ -14,10 +14,10 @@ import pytest
 
 import dmframe as dm
 from dmframe.build.compiler import Compiler
-from dmframe.drive import driven, identity, kept, load_limits, rehearse, robots
+from dmframe.common.errors import DriveError
+from dmframe.drive import identity, load_limits, records, rehearse, robots, run_on_robot
 from dmframe.drive.rehearse import Condition
 from dmframe.drive.robots import Kind
-from dmframe.errors import DriveError
 
 CONDITIONS = rehearse.conditions
 ROBOTS = Path(__file__).parents[3] / "plants" / "dmframe_plants"
@@ -25,8 +25,8 @@ BLOCK = """
 from typing import ClassVar, final
 import {helper} as helper
 from dmframe.block import AbstractBlock, Equations
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import Input, Output
+from dmframe.block.parameter import Positive, Scalar
+from dmframe.block.port import Input, Output
 
 @final
 class My(AbstractBlock):
@@ -99,7 +99,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bench:
 def test_what_was_rehearsed_is_driven_and_nothing_before_it(bench: Bench) -> None:
     with pytest.raises(DriveError, match="expected a passed rehearsal of exactly this graph, found none"):
         bench.drive()
-    assert kept.keep(bench.rehearse())
+    assert records.store(bench.rehearse())
     assert bench.drive().recording.time.size == 51
     assert bench.drive(bench.graph().until(0.04)).recording.time.size == 21  # for a shorter time, too
 
@@ -120,7 +120,7 @@ SETTINGS: dict[str, tuple[Any, str]] = {
 
 @pytest.mark.parametrize("key", SETTINGS)
 def test_another_setting_of_the_graph_is_refused_and_named(bench: Bench, key: str) -> None:
-    kept.keep(bench.rehearse())
+    records.store(bench.rehearse())
     value, named = SETTINGS[key]
     with pytest.raises(DriveError, match=named):
         bench.drive(bench.graph().set({key: value}))
@@ -147,7 +147,7 @@ FILES: dict[str, tuple[Callable[[Bench], None], str]] = {
 
 @pytest.mark.parametrize("what", FILES)
 def test_another_file_is_refused_and_named(bench: Bench, what: str) -> None:
-    kept.keep(bench.rehearse())
+    records.store(bench.rehearse())
     alter, named = FILES[what]
     alter(bench)
     with pytest.raises(DriveError, match=named):
@@ -155,7 +155,7 @@ def test_another_file_is_refused_and_named(bench: Bench, what: str) -> None:
 
 
 def test_another_payload_engine_or_drive_is_refused_and_named(bench: Bench) -> None:
-    kept.keep(bench.rehearse(payload=0.0))
+    records.store(bench.rehearse(payload=0.0))
     with pytest.raises(DriveError, match=r"payload: at the tool \[kg\] was 0.0, is"):
         bench.drive()
     assert bench.drive(payload=0.0).recording.time.size == 51
@@ -181,7 +181,7 @@ VERSIONS: dict[str, tuple[Callable[[pytest.MonkeyPatch], None], str]] = {
 
 def test_a_rehearsal_takes_the_times_of_its_drive(bench: Bench) -> None:
     slow = {"ramp": "0.05 s", "patience": "0.2 s"}
-    kept.keep(bench.rehearse(**slow))
+    records.store(bench.rehearse(**slow))
     assert bench.drive(**slow).recording.time.size > 51  # the first motion takes longer
     with pytest.raises(DriveError, match="drive: ramp"):
         bench.drive()
@@ -197,7 +197,7 @@ def test_a_condition_of_a_rehearsal_has_the_ramp_of_the_drive(bench: Bench) -> N
 
 @pytest.mark.parametrize("what", VERSIONS)
 def test_another_version_is_refused_and_named(bench: Bench, monkeypatch: pytest.MonkeyPatch, what: str) -> None:
-    kept.keep(bench.rehearse())
+    records.store(bench.rehearse())
     alter, named = VERSIONS[what]
     alter(monkeypatch)
     with pytest.raises(DriveError, match=named):
@@ -215,7 +215,7 @@ def test_another_compiler_or_flags_are_another_engine(monkeypatch: pytest.Monkey
 
 
 def test_a_block_file_that_is_put_back_after_it_was_loaded_opens_nothing(bench: Bench) -> None:
-    kept.keep(bench.rehearse())
+    records.store(bench.rehearse())
     bench.edit("my.py", "u.dq_d -", "u.dq_d +")
     turned = bench.graph()
     bench.edit("my.py", "u.dq_d +", "u.dq_d -")
@@ -225,7 +225,7 @@ def test_a_block_file_that_is_put_back_after_it_was_loaded_opens_nothing(bench: 
 
 
 def test_what_no_file_shows_is_seen_in_the_closed_loop_that_drives(bench: Bench) -> None:
-    kept.keep(bench.rehearse(payload=1.0))
+    records.store(bench.rehearse(payload=1.0))
     graph = bench.graph()
     diagram = graph.diagram
     loop = diagram.loop
@@ -235,7 +235,7 @@ def test_what_no_file_shows_is_seen_in_the_closed_loop_that_drives(bench: Bench)
     vars(graph)["diagram"] = replace(diagram, loop=replace(loop, parameters=parameters))
     limits = load_limits(bench.limits, graph.robot)
     with pytest.raises(DriveError, match=r"Changes since its rehearsal of .*: closed loop: field"):
-        driven(graph, "real:host", limits=limits, payload=1.0, ramp=0, engine="interpreted")
+        run_on_robot(graph, "real:host", limits=limits, payload=1.0, ramp=0, engine="interpreted")
 
 
 def notes(tmp_path: Path) -> list[Path]:
@@ -243,7 +243,7 @@ def notes(tmp_path: Path) -> list[Path]:
 
 
 def test_one_flipped_bit_of_the_note_makes_it_none(bench: Bench, tmp_path: Path) -> None:
-    kept.keep(bench.rehearse())
+    records.store(bench.rehearse())
     (note,) = notes(tmp_path)
     graph, whole = bench.graph(), note.read_bytes()
     _ = graph.diagram
@@ -258,7 +258,7 @@ def test_one_flipped_bit_of_the_note_makes_it_none(bench: Bench, tmp_path: Path)
 def test_a_note_edited_by_hand_or_cut_off_is_none(bench: Bench, tmp_path: Path) -> None:
     bench.edit("my.py", "u.dq_d -", "u.dq_d + 0 *")
     found = replace(bench.rehearse(), outcomes=[])
-    kept.keep(found)
+    records.store(found)
     (note,) = notes(tmp_path)
     held = json.loads(note.read_text())
     for text in (json.dumps({**held, "until": 1e9}, indent=1), note.read_text()[:-40], "{", ""):
@@ -268,21 +268,21 @@ def test_a_note_edited_by_hand_or_cut_off_is_none(bench: Bench, tmp_path: Path) 
 
 
 def test_what_is_cut_short_chosen_or_failed_is_not_kept(bench: Bench, tmp_path: Path) -> None:
-    assert not kept.keep(bench.rehearse(until=0.05))
+    assert not records.store(bench.rehearse(until=0.05))
     graph = bench.graph()
     own = rehearse.rehearsed(graph, engine="interpreted", tried=[Condition("nothing, the ideal robot", {})])
-    assert not kept.keep(own)
+    assert not records.store(own)
     assert not notes(tmp_path)
     whole = bench.rehearse()
-    assert kept.keep(whole)
+    assert records.store(whole)
     failed = [replace(outcome, why="too late") for outcome in whole.outcomes]
-    assert not kept.keep(replace(whole, outcomes=failed))
+    assert not records.store(replace(whole, outcomes=failed))
     assert not notes(tmp_path)
 
 
 def test_a_user_without_a_home_is_refused(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("XDG_STATE_HOME")
-    monkeypatch.setattr(kept.platformdirs, "user_state_dir", lambda *_, **__: "~")
+    monkeypatch.setattr(records.platformdirs, "user_state_dir", lambda *_, **__: "~")
     with pytest.raises(DriveError, match="expected a home folder"):
         bench.drive()
 

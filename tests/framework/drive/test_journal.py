@@ -16,19 +16,19 @@ import numpy as np
 import pytest
 
 import dmframe as dm
+from dmframe.common.errors import MissingError
+from dmframe.common.seal import FolderSeal, digest_of
 from dmframe.drive import record
-from dmframe.errors import MissingError
 from dmframe.runtime.journal import BLOCK, Columns, Journal, Spool, _signed, read_samples
 from dmframe.runtime.robot import Sample
 from dmframe.runtime.simulated import SimulatedRobot
-from dmframe.seal import FolderSeal, digest_of
 
 pytestmark = pytest.mark.usefixtures("without_v")
 
 GRAPH = dm.load("arm2_joint")
 
 
-class Steered:
+class ScaledController:
     """As much of one as a journal reads."""
 
     def __init__(self) -> None:
@@ -40,11 +40,11 @@ class Steered:
 
 
 def fill(journal: Journal, count: int) -> None:
-    steered: Any = Steered()
+    scaled: Any = ScaledController()
     for k in range(count):
-        steered.states["task.z"][:] = k
+        scaled.states["task.z"][:] = k
         sample = Sample(0.1 * k, np.array([k, 1.0]), np.array([k, 2.0]), x=np.array([3.0]), missed=k % 2)
-        journal.begin(sample, steered, 0.1 * k, 0.2 * k, 1.0)
+        journal.begin(sample, scaled, 0.1 * k, 0.2 * k, 1.0)
         journal.commanded(np.array([k, -k]), np.array([k, 0.5]))
         if k + 1 < count:
             journal.answered(1e-3 * k)
@@ -199,12 +199,12 @@ def test_the_loop_does_not_wait_for_the_disk(tmp_path: Path, monkeypatch: pytest
         time.sleep(0.3)
 
     monkeypatch.setattr(module, "forced", stalled)
-    journal, steered = Journal(Spool(tmp_path / "samples.bin", {})), Steered()
+    journal, scaled = Journal(Spool(tmp_path / "samples.bin", {})), ScaledController()
     longest, sample = 0.0, Sample(0.0, np.zeros(2), np.zeros(2))
     for k in range(4 * BLOCK):
         begun = time.perf_counter()
-        journal.begin(sample, steered, float(k), float(k), 1.0)  # type: ignore[arg-type]
-        journal.commanded(steered.command, steered.command)
+        journal.begin(sample, scaled, float(k), float(k), 1.0)  # type: ignore[arg-type]
+        journal.commanded(scaled.command, scaled.command)
         journal.answered(0.0)
         longest = max(longest, time.perf_counter() - begun)
     journal.close()

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import dmframe as dm
+from dmframe.common.errors import DmframeError, DriveError
 from dmframe.drive import load_limits, own_limits
-from dmframe.errors import DmframeError, DriveError
 
 ROBOT = dm.load("ur10_fast").robot
 

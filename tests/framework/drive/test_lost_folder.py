@@ -16,10 +16,10 @@ import pytest
 import dmframe as dm
 from dmframe.cli import main
 from dmframe.cli import run as cli_run
+from dmframe.common.seal import seal_of
 from dmframe.results import place as places
 from dmframe.runtime.journal import BLOCK, Columns, Spool, read_samples
 from dmframe.runtime.simulated import SimulatedRobot
-from dmframe.seal import seal_of
 
 pytestmark = pytest.mark.usefixtures("without_v")
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import dmframe as dm
-from dmframe.errors import DriveError, MissingError
+from dmframe.common.errors import DriveError, MissingError
 from dmframe.results.run import Run
 
 pytestmark = pytest.mark.usefixtures("without_v")

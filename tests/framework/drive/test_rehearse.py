@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import dmframe as dm
-from dmframe.drive import kept, rehearse, robots
-from dmframe.drive.bar import Measured
+from dmframe.common.errors import DriveError
+from dmframe.drive import records, rehearse, robots
+from dmframe.drive.error_bounds import Measured
 from dmframe.drive.rehearse import Condition, conditions, rehearsed
 from dmframe.drive.robots import Kind
-from dmframe.errors import DriveError
 
 IDEAL = Condition("nothing, the ideal robot", {})
 
@@ -125,6 +125,6 @@ def test_a_real_robot_is_driven_after_a_passed_rehearsal_and_with_an_acceleratio
     assert go(limits=file, rehearsed=False).recording.time.size > 1
     monkeypatch.setattr(rehearse, "conditions", lambda *_: [IDEAL])
     monkeypatch.setattr(rehearse, "LONGEST", 0.4)
-    assert kept.keep(graph.rehearse(limits=file, engine="interpreted", ramp="0.02 s"))
+    assert records.store(graph.rehearse(limits=file, engine="interpreted", ramp="0.02 s"))
     assert go(limits=file).recording.time.size > 1
     assert go(shadow=True).notices[0] == "robot: real:host, shadow drive: no command was sent"

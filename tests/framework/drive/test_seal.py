@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 
 import dmframe as dm
-from dmframe.errors import MissingError, OutputError
+from dmframe.common.errors import MissingError, OutputError
+from dmframe.common.files import hidden_name
+from dmframe.common.seal import BrokenSeal, FolderSeal, faults, opened, seal_of, sealed
 from dmframe.export.c import write_all
-from dmframe.files import hidden_name
 from dmframe.results.place import built, complete, reserved
 from dmframe.results.run import Run
-from dmframe.seal import BrokenSeal, FolderSeal, faults, opened, seal_of, sealed
 
 pytestmark = pytest.mark.usefixtures("without_v")
 

@@ -16,8 +16,8 @@ from drivers import driven
 from virtual_robots import Trace, graph, own_host, robot
 
 import dmframe as dm
+from dmframe.common.errors import DriveError, LostError, MissingError
 from dmframe.drive.robots import Options, kind_of
-from dmframe.errors import DriveError, LostError, MissingError
 from dmframe.runtime.ur_rtde import CALLS, UrRtde
 
 LIMIT = 120.0

@@ -11,11 +11,11 @@ import pytest
 from drivers import driven, limits
 from virtual_robots import Line, Trace, graph, robot
 
+from dmframe.common.errors import DriveError
 from dmframe.drive.robots import Options, kind_of
-from dmframe.errors import DriveError
-from dmframe.runtime.driving import Driven
+from dmframe.runtime.driving import DriveResult
 from dmframe.runtime.gate import Gate
-from dmframe.runtime.steered import Steered
+from dmframe.runtime.scaled import ScaledController
 from dmframe.runtime.ur import UniversalRobot
 from dmframe.virtual import VirtualRobot
 
@@ -53,7 +53,7 @@ def driver(line: Line, name: str = "ur10_fast", **changed: Any) -> UniversalRobo
 
 def drive(
     at: Setting, happens: Callable[[Setting], str | None] = lambda _: None, tick: int = FAST, ticks: int = 250
-) -> tuple[Driven, float]:
+) -> tuple[DriveResult, float]:
     """Drive; at a sample something happens. How it ended, and when that was by the robot's clock."""
     count, when = [0], [0.0]
 
@@ -70,7 +70,7 @@ def drive(
     return found, when[0]
 
 
-def x_of(found: Driven) -> np.ndarray:
+def x_of(found: DriveResult) -> np.ndarray:
     return found.journal["x"]
 
 
@@ -192,14 +192,14 @@ def test_what_is_not_a_number_is_not_sent_and_the_arm_soon_rests(where: str, mon
 
 def spoilt(monkeypatch: pytest.MonkeyPatch) -> None:
     """From now on the controller commands what is not a number."""
-    step = Steered.step
+    step = ScaledController.step
 
-    def nan(self: Steered, *given: Any) -> bool:
+    def nan(self: ScaledController, *given: Any) -> bool:
         step(self, *given)
         self.command[0] = np.nan
         return True
 
-    monkeypatch.setattr(Steered, "step", nan)
+    monkeypatch.setattr(ScaledController, "step", nan)
 
 
 def test_without_the_gate_it_would_be_sent_and_the_robot_stops_itself(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact import enclosure
 from dmframe.exact.enclosure import Enclosing, Enclosure, down, up
 

@@ -5,7 +5,7 @@ from fractions import Fraction
 import casadi as ca
 import pytest
 
-from dmframe.errors import ShapeError, UnknownNameError, ValueFault
+from dmframe.common.errors import ShapeError, UnknownNameError, ValueFault
 from dmframe.exact import MERSENNE_127, Tape, ZeroTest, zero_test
 from dmframe.exact.sizes import degrees
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dmframe.errors import ShapeError, ValueFault
+from dmframe.common.errors import ShapeError, ValueFault
 from dmframe.exact import (
     MERSENNE_127,
     Echelon,

@@ -9,12 +9,13 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from dmframe.common.errors import ValueFault
 from dmframe.exact import ranges as module
 from dmframe.exact.balls import UndecidedError
 from dmframe.exact.enclosure import Enclosure
 from dmframe.exact.ranges import ranges
-from dmframe.exact.rational import Interval
-from dmframe.program import read
+from dmframe.exact.rational import Interval, evaluate, known_values
+from dmframe.program import TO_READ, read
 
 x, y = ca.SX.sym("x"), ca.SX.sym("y")
 Given = Fraction | Interval
@@ -91,3 +92,20 @@ def test_a_box_that_forgets_its_width_is_found_out(monkeypatch: pytest.MonkeyPat
 def test_what_has_no_range_is_refused(e: Any) -> None:
     with pytest.raises(UndecidedError):
         over(e, between(-0.5, 0.5))
+
+
+@pytest.mark.parametrize("given", [Fraction(-1, 3), between(-0.5, 2.0), Fraction(0)])
+def test_each_value_is_that_of_its_own_evaluation_and_none_where_that_fails(given: Given) -> None:
+    free = ca.SX.sym("free")
+    column = ca.vertcat(x * x + 2, 1 / x, x / y - x, ca.sin(x), y + free, y, y + ca.sin(x))
+    found = known_values(
+        read(ca.Function("f", [x, y], [column], {"allow_free": True, **TO_READ})), [[given], [Fraction(2)]]
+    )
+    alone = list[Any]()
+    for element in ca.vertsplit(column):
+        try:
+            alone.append(evaluate(ca.Function("f", [x, y], [element]), [[given], [Fraction(2)]])[0][0])
+        except (ValueFault, ZeroDivisionError, RuntimeError):  # CasADi refuses a free symbol
+            alone.append(None)
+    assert found == alone
+    assert found.count(None) == (3 if given == Fraction(-1, 3) else 4)

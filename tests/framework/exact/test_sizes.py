@@ -10,9 +10,8 @@ from typing import Any, Final, final
 
 import casadi as ca
 import pytest
-import sympy
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact.ring import evaluated
 from dmframe.exact.sizes import Size, Sizes, free
 from dmframe.exact.tangent import Tangents
@@ -26,6 +25,8 @@ class Quotient:
     """A numerator and a denominator, polynomials that are expanded and never reduced."""
 
     def __init__(self, numerator: Any, denominator: Any = 1) -> None:
+        import sympy  # where it is needed: it takes a second to import, and each worker collects every test
+
         self.numerator, self.denominator = sympy.expand(numerator), sympy.expand(denominator)
 
     def __add__(self, other: Any) -> Quotient:
@@ -49,6 +50,8 @@ class Quotient:
 
 
 def _parts(value: Any) -> tuple[Any, Any]:
+    import sympy
+
     return (value.numerator, value.denominator) if isinstance(value, Quotient) else (sympy.Integer(value), 1)
 
 
@@ -76,6 +79,8 @@ class Quotients:
         return Quotient(numerator ** abs(exponent), denominator ** abs(exponent))
 
     def call(self, name: str, *arguments: Any) -> Quotient:
+        import sympy
+
         function = {"cos": "sin", "fabs": "sign"}.get(name, name)
         key = (function, *(sympy.cancel(a / b) for a, b in map(_parts, arguments)))
         t = self._known.setdefault(key, sympy.Symbol(f"z{len(self._known)}"))
@@ -86,6 +91,8 @@ class Quotients:
 
 def exceeds(polynomial: Any, degree: int, height: int) -> bool:
     """True where a polynomial has a higher degree, or larger coefficients, than the bound says."""
+    import sympy
+
     if polynomial == 0:
         return False
     terms = sympy.Poly(polynomial, *(sorted(polynomial.free_symbols, key=str) or [sympy.Symbol("x")]))
@@ -94,6 +101,8 @@ def exceeds(polynomial: Any, degree: int, height: int) -> bool:
 
 def held(true: Sequence[Any], said: Sequence[Any]) -> int:
     """How many numbers were compared; each bound has to hold."""
+    import sympy
+
     pairs = [(one, other) for one, other in zip(true, said, strict=True) if isinstance(other, Size)]
     for one, size in pairs:
         numerator, denominator = _parts(one)
@@ -103,6 +112,8 @@ def held(true: Sequence[Any], said: Sequence[Any]) -> int:
 
 
 def test_a_size_that_is_too_small_is_seen() -> None:
+    import sympy
+
     x, y = sympy.symbols("x y")
     assert not exceeds(6 * x**2 * y + 2, 3, 3)
     assert exceeds(6 * x**2 * y + 2, 2, 3)
@@ -123,6 +134,8 @@ TWO: Final[Sequence[Callable[[Any, Any], Any]]] = (
 
 @pytest.mark.parametrize("seed", range(4))
 def test_programs_and_their_derivatives_are_no_larger_than_it_says(seed: int) -> None:
+    import sympy
+
     rng, x, compared = random.Random(seed), ca.SX.sym("x", 3), 0
     symbols, directions = ([Quotient(s) for s in sympy.symbols(f"{name}0:3")] for name in "xv")
     for _ in range(40):
@@ -148,6 +161,8 @@ def test_programs_and_their_derivatives_are_no_larger_than_it_says(seed: int) ->
     ("rule", "sizes", "rows"), [("normalised", (2, 1), 1), ("normalised", (1,), 2), ("least_squares", (1,), 1)]
 )
 def test_steps_are_no_larger_than_it_says(rule: Any, sizes: tuple[int, ...], rows: int, box: bool) -> None:
+    import sympy
+
     n, triangles = sum(sizes), sum(size * (size + 1) // 2 for size in sizes)
     counts = {"theta": n, "true": n, "gain": n, "floor": 1} | dict.fromkeys(("lower", "upper") if box else (), n)
     for k in range(rows):

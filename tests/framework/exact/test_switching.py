@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact.enclosure import Enclosing, Enclosure
 from dmframe.exact.switching import SWITCHING, over_pieces
 

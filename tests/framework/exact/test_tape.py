@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.exact import MERSENNE_127, Tape, Trial, ZeroDivision, rational_reconstruction
 from dmframe.exact.sizes import degrees
 from dmframe.exact.trial import SIGN_LIMIT

@@ -18,11 +18,11 @@ import pytest
 from typer.testing import CliRunner
 
 import dmframe as dm
+from dmframe.block.port import Side
 from dmframe.cli.app import app
-from dmframe.errors import DmframeError, OutputError, ValueFault
+from dmframe.common.errors import DmframeError, OutputError, ValueFault
 from dmframe.export import c
 from dmframe.export.program import identifier
-from dmframe.port import Side
 from tests.exported_controller import ExportedController
 
 GCC = shutil.which("gcc")

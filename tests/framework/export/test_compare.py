@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import dmframe as dm
-from dmframe.errors import EngineError
+from dmframe.common.errors import EngineError
 from dmframe.export import c, compare
 from dmframe.export.replay import SAMPLES
 
@@ -27,8 +27,8 @@ from typing import ClassVar
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations
-from dmframe.parameter import Real, Scalar
-from dmframe.port import Access, Input, Output, Side, State
+from dmframe.block.parameter import Real, Scalar
+from dmframe.block.port import Access, Input, Output, Side, State
 
 
 class Law(AbstractBlock):

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import dmframe as dm
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 
 fmpy = pytest.importorskip("fmpy")
 GCC = shutil.which("gcc")

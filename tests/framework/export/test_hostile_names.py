@@ -17,7 +17,7 @@ import pytest
 from ruamel.yaml import YAML
 
 import dmframe as dm
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.export import c, fmu, ros2
 from dmframe.export.program import Member, Program, members, own_name, program_of
 from dmframe.export.robot import robot_of
@@ -121,7 +121,7 @@ def words_of(names: list[str]) -> dict[str, str]:
     return found
 
 
-@pytest.mark.parametrize("every", [4, 1])
+@pytest.mark.parametrize("every", [8, 1])
 def test_names_of_graphs(every: int, tmp_path: Path) -> None:
     words = words_of(NAMES)
     assert set(NAMES) - set(words) == {"..", "-", "--><"}
@@ -179,7 +179,7 @@ def package(found: Program, joints: list[str], folder: Path, monkeypatch: pytest
     return folder
 
 
-@pytest.mark.parametrize("every", [4, 1])
+@pytest.mark.parametrize("every", [8, 1])
 def test_packages(every: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     words = words_of(NAMES)
     given = [(replace(program(), name=word, title=name), list[str]()) for name, word in words.items()]
@@ -205,7 +205,7 @@ def test_packages(every: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     checked([str(CXX), *words_of_gcc, f"-I{STAND_INS / 'control'}", *own, "all.cpp"], tmp_path)
 
 
-@pytest.mark.parametrize("every", [4, 1])
+@pytest.mark.parametrize("every", [8, 1])
 def test_fmus(every: int, tmp_path: Path) -> None:
     sources, made = list[str](), labelled(["M.PI", "st.atime"])
     names = {**words_of(NAMES), **{title: f"t{k}" for k, title in enumerate(TITLES)}}

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 import dmframe as dm
-from dmframe.errors import OutputError
+from dmframe.common.errors import OutputError
 from dmframe.export.c import write_all
 
 KINDS: dict[Any, str] = {"c": "arm2_joint.c", "ros2": "package.xml", "fmi3": "arm2_joint.fmu"}

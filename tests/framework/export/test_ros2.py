@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 
 import dmframe as dm
 from dmframe.cli.app import app
-from dmframe.errors import DmframeError, EngineError
+from dmframe.common.errors import DmframeError, EngineError
 from dmframe.export.ros2 import _quoted, _read_as_xml, _read_back, package_of
 
 CC, CXX = shutil.which("gcc"), shutil.which("g++")
@@ -186,7 +186,7 @@ def test_a_wrong_pace_and_updates_that_stay_away_are_errors(pace: float, periods
 @needs_compilers
 def test_at_half_a_pace_and_over_lost_updates_it_does_what_a_drive_does() -> None:
     from dmframe.runtime.robot import Sample
-    from dmframe.runtime.steered import Steered
+    from dmframe.runtime.scaled import ScaledController
 
     measured = run()[0][:40]
     paces = np.where(np.arange(40) < 10, 1.0, 0.5)
@@ -195,7 +195,7 @@ def test_at_half_a_pace_and_over_lost_updates_it_does_what_a_drive_does() -> Non
     rows[20, 0] = 3 * T
     found = answered(rows, *FULL)
     graph = dm.load(NAME)
-    steered = Steered(graph.diagram, graph.controller(engine="interpreted"))
+    scaled = ScaledController(graph.diagram, graph.controller(engine="interpreted"))
     time, behind, expected = 0.0, 0.0, []
     for k, (row, pace) in enumerate(zip(measured, paces, strict=True)):
         missed = 2 if k == 20 else 0
@@ -204,9 +204,9 @@ def test_at_half_a_pace_and_over_lost_updates_it_does_what_a_drive_does() -> Non
             behind += (1 - paces[k - 1]) * (1 + missed) * T
         sample = Sample(time, *row.reshape(3, 3), x=graph_x(graph, row[:3]), missed=missed)
         if k == 0:
-            steered.begin(sample)
-        assert steered.step(sample, time - behind, pace)
-        expected.append(pace * steered.command)
+            scaled.begin(sample)
+        assert scaled.step(sample, time - behind, pace)
+        expected.append(pace * scaled.command)
     np.testing.assert_allclose(found.commands, expected, rtol=0, atol=1e-9)
     assert np.max(np.abs(found.commands[10:] - run()[1][10:40])) > 1e-3
 
@@ -394,5 +394,5 @@ def test_a_title_reads_back_as_it_is_whatever_it_looks_like(file: str, title: st
 
 @pytest.mark.parametrize("title", ["<x>", "a & b", "bell\a"])
 def test_a_title_that_is_no_xml_is_refused(title: str) -> None:
-    with pytest.raises(EngineError, match=r"graph: package\.xml reads back as something else"):
+    with pytest.raises(EngineError, match=r"graph: package\.xml is not recovered by a parser"):
         _read_as_xml("graph", "package.xml", {"DM_PACKAGE": "own", "DM_TITLE": title})

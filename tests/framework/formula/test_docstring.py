@@ -9,7 +9,7 @@ import textwrap
 import pytest
 
 from dmframe.catalogue import block_types
-from dmframe.errors import BlockError
+from dmframe.common.errors import BlockError
 from dmframe.formula.alone import law_of_type
 from dmframe.formula.docstring import check_docstring, check_docstrings
 from dmframe.formula.laws import laws_of, read_blocks
@@ -37,10 +37,10 @@ from typing import ClassVar, final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations
-from dmframe.certificate import Certificate, Square
-from dmframe.naming import named
-from dmframe.parameter import Diagonal, Positive, Scalar
-from dmframe.port import Input, Output, State
+from dmframe.block.certificate import Certificate, Square
+from dmframe.block.naming import named
+from dmframe.block.parameter import Diagonal, Positive, Scalar
+from dmframe.block.port import Input, Output, State
 
 
 @final
@@ -189,7 +189,7 @@ def test_a_graph_with_a_block_whose_docstring_is_wrong_is_refused(tmp_path):
 
     path = tmp_path / "spring.py"
     path.write_text(
-        "from typing import ClassVar\nfrom dmframe.block import *\nfrom dmframe.port import *\n"
+        "from typing import ClassVar\nfrom dmframe.block import *\nfrom dmframe.block.port import *\n"
         "class Spring(AbstractBlock):\n"
         '    r"""A spring.\n\n    .. math:: \\dot q = 2 q\n    """\n'
         "    side: ClassVar = Side.PLANT\n"
@@ -205,7 +205,7 @@ def test_a_graph_with_a_block_whose_docstring_is_wrong_is_refused(tmp_path):
 DELAY = '''
 from typing import ClassVar
 from dmframe.block import *
-from dmframe.port import *
+from dmframe.block.port import *
 class Delay(AbstractBlock):
     r"""One sample late.
 
@@ -239,8 +239,8 @@ from typing import ClassVar, final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import Side, State
+from dmframe.block.parameter import Positive, Scalar
+from dmframe.block.port import Side, State
 
 
 @final

@@ -7,14 +7,14 @@ from typing import Any
 import casadi as ca
 import pytest
 
+from dmframe.block.linalg import solve_spd
+from dmframe.block.naming import RESERVED, Naming, NamingError, derivative, named, operation, reading
+from dmframe.block.terms import MONOTONE, norm
+from dmframe.common.names import distinct, latex_name, unicode_name
 from dmframe.formula.formula import Formula
 from dmframe.formula.read import FUNCTIONS, UnreadableError, read
 from dmframe.formula.robot import PAPER, SIGNS
 from dmframe.formula.wrap import wrapped
-from dmframe.linalg import solve_spd
-from dmframe.names import distinct, latex_name, unicode_name
-from dmframe.naming import RESERVED, Naming, NamingError, derivative, named, operation, reading
-from dmframe.terms import MONOTONE, norm
 
 N, M, P = 3, 2, 5
 
@@ -186,7 +186,7 @@ def test_an_operation_by_the_name_of_another_function_is_refused():
 
 def test_a_sign_of_its_own_has_the_function_and_not_its_name():
     imitated = _called("norm")
-    imitated.__module__ = "dmframe.terms"
+    imitated.__module__ = "dmframe.block.terms"
     x = ca.MX.sym("x", N)
     assert Formula(read(norm(x))).text == "|x|"
     assert Formula(read(operation(imitated)(x))).text == "norm(x)"

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dmframe.common.names import Symbol, symbol
 from dmframe.formula.latex import evaluate, in_unicode, name_in, tokens
 from dmframe.formula.matrices import UnreadableLatexError
-from dmframe.names import Symbol, symbol
 
 rng = np.random.default_rng(0)
 KNOWN = {

@@ -12,21 +12,21 @@ import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.certificate import Certificate, Square
+from dmframe.block.naming import named
+from dmframe.block.parameter import Diagonal, Positive
+from dmframe.block.port import Output, Side, State
 from dmframe.catalogue import block_types
-from dmframe.certificate import Certificate, Square
 from dmframe.certify import NotApplicableError, claim_of
+from dmframe.common.errors import BlockError
+from dmframe.common.names import unicode_name
 from dmframe.diagram import Diagram
-from dmframe.errors import BlockError
 from dmframe.formula import laws_of, printed
 from dmframe.formula.alone import law_of_type, options_of, plainest, read_type, variants
 from dmframe.formula.points import Pair, agree, in_balls
 from dmframe.formula.tree import Applied, Name, Node, Unprinted
 from dmframe.formula.where import where
 from dmframe.graph.graph import Graph
-from dmframe.names import unicode_name
-from dmframe.naming import named
-from dmframe.parameter import Diagonal, Positive
-from dmframe.port import Output, Side, State
 from dmframe_blocks.adaptive_kinematics import links, tool
 from dmframe_blocks.regressor import heavy
 from dmframe_blocks.sampled_inverse import SampledInverse
@@ -111,7 +111,7 @@ def test_what_prints_as_a_word_takes_the_parameters_that_it_says():
 
 def test_a_start_that_is_the_truth_and_an_error_leaves_the_error():
     law = law_of_type(KINDS["adaptive_kinematics"], leak=0.1)
-    assert [term.whole.text for term in law.excess] == ["|start_error|^2_(task_weight leak/(2 Gamma_k))"]
+    assert [term.whole.text for term in law.residual] == ["|start_error|^2_(task_weight leak/(2 Gamma_k))"]
 
 
 def test_one_function_has_one_sign():

@@ -11,7 +11,7 @@ from dmframe.cli.app import app
 LIAR = '''
 from typing import ClassVar
 from dmframe.block import *
-from dmframe.port import *
+from dmframe.block.port import *
 class Spring(AbstractBlock):
     r"""A spring.
 

@@ -11,15 +11,15 @@ import pytest
 import dmframe as dm
 from dmframe.certify import Verdict
 from dmframe.certify.claim import claim_of
+from dmframe.common.text import Text
 from dmframe.diagram import Diagram
 from dmframe.report.exchange import exchange_of
 from dmframe.report.explanation import Explanation
 from dmframe.report.flow import order
-from dmframe.text import Text
 
 BLOCK = """
 from dmframe.block import AbstractBlock, Equations
-from dmframe.port import Access, Input, Output
+from dmframe.block.port import Access, Input, Output
 
 
 class Plain(AbstractBlock):
@@ -48,7 +48,7 @@ def said(name: str, block: str = "") -> str:
     """The section of a block, or the last one, of one graph, in one line."""
     sections = explained(name).sections
     (found,) = [section for section in sections if f" {block} (" in section.heading] if block else sections[-1:]
-    return " ".join([found.heading, *(item.text for item in found.said)])
+    return " ".join([found.heading, *(item.text for item in found.sentences)])
 
 
 @pytest.mark.parametrize("name", ["ur10_fast", "torque_direct_pi", "theorem_3", "ur10_fast_position"])
@@ -131,17 +131,17 @@ def test_storage_dissipation_supply_rate_and_cross_term_are_those_of_the_block()
 
 def test_what_is_hidden_from_the_controller_is_what_no_wire_may_carry() -> None:
     seen = explained("ur10_fast").sections[-2]
-    read, hidden, unknown = (item.text for item in seen.said)
+    read, hidden, unknown = (item.text for item in seen.sentences)
     assert read == "Measured and read: q_c [rad] of servo; q [rad], q̇ [rad/s] and x [m] of arm."
     assert "u, i, K_D, K_P and K_I of servo" in hidden
     assert "viscous, coulomb" in hidden
     assert unknown == "No block of the controller contains these robot parameters: the masses and inertias."
-    assert explained("theorem_3").sections[-2].said[2].text.endswith("the tool offset, the masses and inertias.")
-    assert "q̈_m [rad/s^2] of sensor" in explained("torque_direct_pi").sections[-2].said[0].text
+    assert explained("theorem_3").sections[-2].sentences[2].text.endswith("the tool offset, the masses and inertias.")
+    assert "q̈_m [rad/s^2] of sensor" in explained("torque_direct_pi").sections[-2].sentences[0].text
 
 
 def test_unread_measurements_are_listed_separately() -> None:
-    read, unread = (item.text for item in explained("pendulum").sections[-2].said[:2])
+    read, unread = (item.text for item in explained("pendulum").sections[-2].sentences[:2])
     assert read == "Measured and read: q_c [rad] of servo; q [rad] and q̇ [rad/s] of arm."
     assert unread == "Measured, but read by no block of the controller: x [m] of arm."
 
@@ -171,13 +171,15 @@ def test_a_supply_rate_that_is_zero_by_itself_is_listed() -> None:
 
 
 def test_the_robot_and_the_clock_are_the_graphs_own() -> None:
-    whole = [" ".join(item.text for item in explained(name).sections[0].said) for name in ("pendulum", "ur10_fast")]
+    whole = [
+        " ".join(item.text for item in explained(name).sections[0].sentences) for name in ("pendulum", "ur10_fast")
+    ]
     assert "The robot is pendulum; 1 joint moves: joint1." in whole[0]
     assert "The controller runs in continuous time." in whole[0]
     assert "3 joints move: shoulder_pan_joint, shoulder_lift_joint and elbow_joint." in whole[1]
     assert "The controller runs every 8 ms." in whole[1]
     assert "the controller reads measurements of arm and servo" in whole[1]
-    kinematic = " ".join(item.text for item in explained("ur10_slow_kinematic").sections[0].said)
+    kinematic = " ".join(item.text for item in explained("ur10_slow_kinematic").sections[0].sentences)
     assert "the controller reads measurements of arm" in kinematic
 
 
@@ -185,12 +187,12 @@ def test_a_cross_term_without_a_dominating_block_is_reported(tmp_path: Path) -> 
     """A tracking loop on a command with an empty certificate, whose dissipation dominates nothing."""
     certificate = "    def certificate(self, u, x, p, truth):\n        return Certificate()\n"
     source = BLOCK.format(doc='"""Sends on."""')
-    (tmp_path / "plain.py").write_text(f"from dmframe.certificate import Certificate\n{source}\n{certificate}")
+    (tmp_path / "plain.py").write_text(f"from dmframe.block.certificate import Certificate\n{source}\n{certificate}")
     text = dm.load("ur10_slow_kinematic").text.replace("kinematic_command", "plain.py:Plain")
     (tmp_path / "own.yaml").write_text(text)
     found = dm.load(tmp_path / "own.yaml").explain()
     (task,) = [section for section in found.sections if " task (" in section.heading]
-    assert "Its cross term in dV/dt is |s|²/γ; no block dominates it." in [item.text for item in task.said]
+    assert "Its cross term in dV/dt is |s|²/γ; no block dominates it." in [item.text for item in task.sentences]
     assert found.verdict.outcome != "proved"
 
 
@@ -199,9 +201,9 @@ def test_supply_rates_that_do_not_cancel_are_reported(tmp_path: Path) -> None:
     path = tmp_path / "twice.py"
     path.write_text(
         "from typing import ClassVar\n"
-        "from dmframe.certificate import Certificate, Square\n"
+        "from dmframe.block.certificate import Certificate, Square\n"
         "from dmframe.block import AbstractBlock, Equations\n"
-        "from dmframe.port import Input, Output, State\n\n\n"
+        "from dmframe.block.port import Input, Output, State\n\n\n"
         "class Twice(AbstractBlock):\n"
         '    """Gathers the sliding variable."""\n\n'
         '    inputs = (Input("sigma", "n", "rad/s"),)\n'
@@ -231,7 +233,7 @@ def test_the_verdict_is_that_of_verify_and_so_are_the_failing_conditions() -> No
     assert "the effect of sampling every 8 ms is not proved" in said("ur10_fast")
     assert "the effect of sampling" not in said("pendulum")
     weak = dm.load("pendulum").set({"inverse.K_c": 0.1}).explain()
-    text = " ".join(item.text for item in weak.sections[-1].said)
+    text = " ".join(item.text for item in weak.sections[-1].sentences)
     assert "Verdict: not applicable (dmframe verify pendulum --set inverse.K_c=0.1)." in text
     assert "Conditions that fail: inverse: M̄ ≥ 0" in text
     assert "- geometry (kinematics) knows exactly the link lengths" in said("ur10_fast")
@@ -259,7 +261,7 @@ def test_user_blocks_are_described_by_their_ports(tmp_path: Path, doc: str, does
     (tmp_path / "own.yaml").write_text(text)
     own = {section.heading: section for section in dm.load(tmp_path / "own.yaml").explain().sections}
     (found,) = [section for heading, section in own.items() if " inverse (" in heading]
-    assert [item.text for item in found.said] == [
+    assert [item.text for item in found.sentences] == [
         does,
         "Inputs: q̇_r [rad/s] from task.",
         "Outputs: q̇_c [rad/s] to servo.",

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import dmframe as dm
-from dmframe.errors import RobotError, UnknownNameError
+from dmframe.common.errors import RobotError, UnknownNameError
 from dmframe.graph.first import first_graph, is_robot
 
 LIMIT = '<limit lower="-2.5" upper="2.5" velocity="3" effort="50"/>'
 
 
-def made(tmp_path: Path, name: str, tool: str | None = None) -> dm.Graph:
-    first = first_graph(name, tmp_path, tool)
+def made(tmp_path: Path, name: str, tool: str | None = None, hold: dict[str, float] | None = None) -> dm.Graph:
+    first = first_graph(name, tmp_path, tool, hold)
     for file, text in first.robot.items():
         (tmp_path / file).write_text(text)
     path = tmp_path / "first.yaml"
@@ -52,12 +52,19 @@ def chain_file(folder: Path, kinds: str, seed: int) -> Path:
 
 
 def sound(graph: dm.Graph) -> None:
-    run = graph.run(until=4.0)
+    run = graph.run(until=4.0, judge=False)
     assert run.divergence is None
     assert graph.verify().outcome == "proved"
 
 
-@pytest.mark.parametrize("name", ["ur10e", "so101"])
+def error(graph: dm.Graph) -> float:
+    """Root mean square of the joint errors over the last third of 15 s [rad]."""
+    run = graph.run(until=15.0, judge=False)
+    found = (run["arm.q"] - run["path.q_d"]).values
+    return float(np.sqrt(np.mean(np.sum(found[2 * len(found) // 3 :] ** 2, axis=1))))
+
+
+@pytest.mark.parametrize("name", ["ur10e", "so101", "arm3"])
 def test_the_first_graph_of_a_packaged_robot_runs_and_is_proved(tmp_path, name):
     graph = made(tmp_path, name)
     sound(graph)
@@ -73,6 +80,34 @@ def test_the_first_graph_of_a_file_runs_and_is_proved(tmp_path, kinds, seed):
     graph = made(tmp_path, str(path))
     sound(graph)
     assert graph.robot.n == len(kinds.replace("-", ""))
+
+
+def test_the_law_of_a_first_graph_halves_the_error_of_the_kinematic_command(tmp_path):
+    graph = made(tmp_path, str(chain_file(tmp_path, "RRRRRR", 7)))
+    assert error(graph) < 0.5 * error(graph.baseline())
+
+
+def test_held_joints_leave_an_arm_of_the_others(tmp_path):
+    path = chain_file(tmp_path, "PRRRRRRR", 8)
+    graph = made(tmp_path, str(path), hold={"j1": 0.1, "j3": -0.2})
+    assert graph.robot.joint_names == ("j2", "j4", "j5", "j6", "j7", "j8")
+    assert dict(graph.file.robot.hold) == {"j1": 0.1, "j3": -0.2}
+
+
+def test_limits_that_are_missing_or_zero_are_none(tmp_path):
+    """A velocity limit of zero is a placeholder of exporters: with it the robot could not move."""
+    path = chain_file(tmp_path, "RRRR", 0)
+    text = path.read_text().replace(LIMIT, '<limit effort="0" velocity="0" lower="0" upper="0"/>', 2)
+    path.write_text(text.replace(LIMIT, '<limit lower="-1" upper="1"/>', 1))
+    first = first_graph(str(path), tmp_path)
+    assert [note for note in first.notes if note.startswith("joint")] == [
+        "joint j1: no limit of position and velocity and effort in the file",
+        "joint j2: no limit of position and velocity and effort in the file",
+        "joint j3: no limit of velocity and effort in the file",
+    ]
+    graph = made(tmp_path, str(path))
+    assert [joint.upper for joint in graph.robot.joints] == [np.inf, np.inf, 1.0, 2.5]
+    assert min(graph.blocks["path"].amplitude) > 0.1
 
 
 def test_placeholders_are_stated_in_the_graph_and_in_the_file(tmp_path):
@@ -99,9 +134,9 @@ def test_the_armature_of_an_mjcf_file_becomes_the_rotor_of_the_arm(tmp_path):
 @pytest.mark.parametrize(
     ("kinds", "tool", "reason"),
     [
-        ("RRR", None, "3 joints move on the way to l3; expected an arm with 4 to 7: name another frame with --tool"),
-        ("RRRRRRRR", None, "8 joints move on the way to l8; expected an arm with 4 to 7"),
-        ("RRRRR", "l2", "2 joints move on the way to l2; expected an arm with 4 to 7"),
+        ("RRR", None, "3 joints move on the way to l3 (j1, j2, j3); expected an arm with 4 to 7: name another frame"),
+        ("RRRRRRRR", None, "expected an arm with 4 to 7: hold some with --hold JOINT=POSITION, or name another frame"),
+        ("RRRRR", "l2", "2 joints move on the way to l2 (j1, j2); expected an arm with 4 to 7: name another frame"),
     ],
 )
 def test_a_robot_that_is_no_arm_is_refused_in_one_sentence(tmp_path, kinds, tool, reason):

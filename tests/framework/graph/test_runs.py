@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import dmframe as dm
-from dmframe.errors import DmframeError, UnknownNameError
+from dmframe.common.errors import DmframeError, UnknownNameError
 
 pytestmark = pytest.mark.usefixtures("without_v")
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import dmframe as dm
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.study.objective import statistic
 from dmframe.study.read import load_study
 

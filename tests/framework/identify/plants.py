@@ -46,8 +46,20 @@ def steps(T: float, seconds: float, seed: int) -> Array:
     return u
 
 
-def record(hidden: Hidden, T: float = 0.008, seconds: float = 12.0, delay: int = 1, seed: int = 0) -> tuple[Array, ...]:
-    """Time, quantised positions and commands of a run from rest."""
+def record(
+    hidden: Hidden,
+    T: float = 0.008,
+    seconds: float = 12.0,
+    delay: int = 1,
+    seed: int = 0,
+    jitter: float = 0.0,
+    limit: float = np.inf,
+) -> tuple[Array, ...]:
+    """Time, quantised positions and commands of a run from rest.
+
+    With `jitter` the samples, at which commands are sent, deviate by up to this fraction of T from a regular clock; the
+    robot clips commands at `limit` [rad/s].
+    """
     model = dm.load("ur10_slow").diagram.robot.model.copy()
     for j, inertia in enumerate(model.inertias):
         model.inertias[j] = pin.Inertia(hidden.mass * inertia.mass, inertia.lever, hidden.mass * inertia.inertia)
@@ -64,17 +76,20 @@ def record(hidden: Hidden, T: float = 0.008, seconds: float = 12.0, delay: int =
         zeta = hidden.c * (q_c - q + START) / hidden.w
         return np.concatenate([v, pin.aba(model, data, q, v, tau), dq_c, zeta, slip])
 
-    found, h, count = np.empty((len(u) + 1, 3)), 0.001, round(T / 0.001)
-    for k in range(len(u) + 1):
+    time = T * (np.arange(len(u) + 1) + jitter * np.random.default_rng(seed + 1).uniform(-1, 1, len(u) + 1))
+    found, time = np.empty((len(u), 3)), time - time[0]
+    for k in range(len(u)):
         found[k] = x[:3]
-        dq_c = u[min(k, len(u) - 1) - delay] if k >= delay else np.zeros(3)
+        dq_c = np.clip(u[k - delay], -limit, limit) if k >= delay else np.zeros(3)
+        count = round((time[k + 1] - time[k]) / 0.001) or 1
+        h = (time[k + 1] - time[k]) / count
         for _ in range(count):
             k1 = rate(x, dq_c)
             k2 = rate(x + h / 2 * k1, dq_c)
             k3 = rate(x + h / 2 * k2, dq_c)
             x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + h * k3, dq_c))
     q = np.round(found / QUANTUM) * QUANTUM
-    return T * np.arange(len(u)), q[:-1], u
+    return time[:-1], q, u
 
 
 def write(file: Path, t: Array, q: Array, u: Array, names: Callable[[str, int], str] | None = None) -> Path:

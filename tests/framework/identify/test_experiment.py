@@ -10,7 +10,7 @@ import pytest
 from virtual_robots import robot, runs
 
 import dmframe as dm
-from dmframe.errors import DmframeError, OutputError
+from dmframe.common.errors import DmframeError, OutputError
 from dmframe.identification.excitation import Excitation, Room, excitation
 from dmframe.identification.joint_box import Obstacles
 from dmframe.identification.subject import subject_of

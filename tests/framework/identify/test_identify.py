@@ -13,7 +13,6 @@ import dmframe as dm
 from dmframe.identification.drawn import thetas
 from dmframe.identification.found import Identified
 from dmframe.identification.model import model_of
-from dmframe.identification.solve import longest_step
 from dmframe.identification.twin import schedule, twins_of
 from tests.framework.identify.plants import Hidden, record, write
 
@@ -43,9 +42,9 @@ def check_draws(found: Identified) -> None:
     """Twins that are drawn from the covariance of the fit leave nearly its residual."""
     unknowns, theta = found.fit.unknowns, found.fit.theta[:, None]
     delay = found.delay[0] * unknowns.log.period
-    plan = schedule(unknowns.log.time, delay, longest_step(unknowns, found.fit.theta))
+    plan = schedule(unknowns.log, delay)
     numbers = unknowns.numbers(np.hstack([theta, thetas(found, 7)]), delay)
-    q = twins_of(unknowns.model).positions(plan, unknowns.log.u, numbers)
+    q = twins_of(unknowns.model).positions(plan, numbers)
     rms = np.sqrt(np.mean((unknowns.log.q[:, :, None] - q) ** 2, axis=0))
     assert np.all(rms[:, 1:] < 1.1 * rms[:, :1])
     assert np.all(rms[:, 1:] > rms[:, :1])
@@ -76,7 +75,9 @@ def test_a_pi_servo_is_found(tmp_path: Path) -> None:
 
 def test_a_cascade_with_half_the_feed_forward_is_found(tmp_path: Path) -> None:
     p, i, f = np.array([8.0, 10.0, 9.0]), np.array([4.0, 3.0, 5.0]), 0.6
-    found = dm.identify(write(tmp_path / "log.csv", *record(Hidden(p + f * i, p + i, p * i, f), delay=2)), "ur10_slow")
+    found = dm.identify(
+        write(tmp_path / "log.csv", *record(Hidden(p + f * i, p + i, p * i, f), seconds=9.5, delay=2)), "ur10_slow"
+    )
     assert found.kind == "p_pi"
     assert found.servo["f"][0] == pytest.approx([f] * 3, abs=0.05)
     assert found.delay[0] == pytest.approx(2, abs=0.1)
@@ -97,3 +98,37 @@ def test_friction_with_memory_is_no_confident_twin(tmp_path: Path) -> None:
     assert found.kind == "unknown"
     assert found.summary["servo"] == {"class": "unknown", "parameters": {}, "intervals": None}
     assert found.summary["delay"]["interval"] is None
+
+
+def test_lost_samples_are_found_and_their_commands_estimated(tmp_path: Path) -> None:
+    t, q, u = record(Hidden(K_P, K_P, K_I), delay=2)
+    kept = np.random.default_rng(0).random(len(t)) > 0.01
+    kept[np.flatnonzero(np.diff(u[:, 0]))[3] + 1] = False  # the first sample of a step
+    kept[0] = True
+    found = dm.identify(write(tmp_path / "log.csv", t[kept], q[kept], u[kept]), "ur10_slow")
+    assert found.kind == "pid"
+    assert found.servo["k_P"][0] == pytest.approx(K_P, rel=0.005)
+    assert found.delay[0] == pytest.approx(2, abs=0.02)
+    assert any("samples are lost" in text and "are estimated" in text for text in found.notices)
+
+
+@pytest.mark.parametrize("kind", ["recorded times", "samples and commands"])
+def test_times_that_vary_are_found(kind: str, tmp_path: Path) -> None:
+    t, q, u = record(Hidden(K_P, K_P, K_I), delay=2, jitter=0.2 if kind == "samples and commands" else 0.0)
+    if kind == "recorded times":
+        t = t + 0.0008 * np.random.default_rng(1).normal(size=len(t))
+    found = dm.identify(write(tmp_path / "log.csv", t, q, u), "ur10_slow")
+    assert found.kind == "pid"
+    assert found.servo["k_P"][0] == pytest.approx(K_P, rel=0.005)
+    assert found.delay[0] == pytest.approx(2, abs=0.02)
+    text = {"recorded times": "its times are used", "samples and commands": "the delay is a number of intervals"}[kind]
+    assert any(text in notice for notice in found.notices)
+
+
+def test_the_limit_of_a_robot_that_clips_commands_is_found(tmp_path: Path) -> None:
+    file = write(tmp_path / "log.csv", *record(Hidden(K_P, K_P, K_I), limit=0.25))
+    found = dm.identify(file, "ur10_slow")
+    assert found.kind == "pid"
+    assert found.servo["k_P"][0] == pytest.approx(K_P, rel=0.005)
+    assert [found.limited[joint][0] for joint in range(3)] == pytest.approx([0.25] * 3, rel=1e-4)
+    assert any("the robot clips them at about 0.25 rad/s" in text for text in found.notices)

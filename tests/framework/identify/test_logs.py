@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import dmframe as dm
-from dmframe.errors import DmframeError, MissingError
+from dmframe.common.errors import DmframeError, MissingError
 from dmframe.identification.checked import checked_log
 from dmframe.identification.columns import signals_of
 from dmframe.identification.identify import chain_of
@@ -34,7 +34,7 @@ def moved() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def read(path: Path) -> Log:
     table = read_table(path, JOINTS)
     signals, _ = signals_of(table, 3)
-    return checked_log(signals, CHAIN, table.name)[0]
+    return checked_log(signals, CHAIN, table.name).log
 
 
 def is_same(log: Log, tolerance: float = 1e-9) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.identification.identify import chain_of, identify
 from tests.framework.identify.plants import Hidden, record, steps, write
 
@@ -77,6 +77,23 @@ def test_a_fault_in_the_numbers_is_found(name: str, log: Columns, tmp_path: Path
         identify(write(tmp_path / "log.csv", *change(*log)), chain_of("ur10_slow"))
     assert text in str(refused.value)
     assert ("excites" in text) == ("dmframe experiment ROBOT" in str(refused.value))
+
+
+def test_a_refused_log_leaves_no_twin_of_another_one(log: Columns, tmp_path: Path) -> None:
+    for name in ("identified.json", "twin.yaml", "twin.urdf"):
+        (tmp_path / name).write_text("of another log")
+    with pytest.raises(DmframeError):
+        identify(write(tmp_path / "log.csv", *nan(*log)), chain_of("ur10_slow"), out=tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["log.csv", "previous"]
+    assert (tmp_path / "previous" / "twin.yaml").read_text() == "of another log"
+
+
+def test_more_lost_commands_than_can_be_estimated_are_refused(log: Columns, tmp_path: Path) -> None:
+    t, q, u = log
+    changes = np.flatnonzero(np.any(np.diff(u, axis=0), axis=1))[:30] + 1
+    kept = np.setdiff1d(np.arange(len(t)), changes)
+    with pytest.raises(DmframeError, match="of their commands at changes, which are not known: expected at most 24"):
+        identify(write(tmp_path / "log.csv", t[kept], q[kept], u[kept]), chain_of("ur10_slow"))
 
 
 @pytest.mark.parametrize(

@@ -14,27 +14,31 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from ruamel.yaml import YAML
 
+import dmframe as dm
 from dmframe.catalogue import find_race
 from dmframe.cli import STOPPED, main
-from dmframe.errors import DisagreementError, OutputError, ValueFault
+from dmframe.common.errors import DisagreementError, OutputError, ValueFault
+from dmframe.common.files import write_text
 from dmframe.identification import verdict as verdicts
 from dmframe.identification.answer import Verdict
 from dmframe.identification.choose import Choice, floor_of
-from dmframe.identification.drawn import Plant, thetas
+from dmframe.identification.drawn import Plant, physical, thetas
 from dmframe.identification.found import Identified
-from dmframe.identification.identify import _doubts, chain_of
+from dmframe.identification.identify import _above, _doubts, chain_of
 from dmframe.identification.log import Log
 from dmframe.identification.model import model_of
 from dmframe.identification.page import as_html
 from dmframe.identification.race_text import clock_of, noise_of, not_applicable, packaged, place_in, race_text, settings
 from dmframe.identification.robot_file import urdf_text
 from dmframe.identification.solve import Fit
+from dmframe.identification.torque import factors
 from dmframe.identification.unknowns import Unknowns
 from dmframe.identification.verdict import DRAWS, decided, outcome_of
-from dmframe.identification.write import graph_text
+from dmframe.identification.write import adaptive_text, graph_text, robot_text
 from dmframe.race.plan import Cell, Race, Run
 from dmframe.race.protocol import Choice as Tuned
 from dmframe.race.protocol import Row, Tried
@@ -319,3 +323,80 @@ def test_six_joints_and_an_unknown_servo_have_no_verdict_and_the_reason() -> Non
     found = known()
     unknown = replace(found, choice=Choice(found.choice.fits, found.choice.floor * 0 - 1.0))
     assert verdicts.verdict_of(unknown).sentence.startswith("not computed: the class of the servo is unknown")
+
+
+def test_the_adaptive_law_on_an_identified_robot_with_rotors_is_proved_over_the_intervals(tmp_path: Path) -> None:
+    found = known()
+    write_text(tmp_path / "twin.urdf", robot_text(found))
+    text = adaptive_text(found)
+    assert text is not None
+    write_text(tmp_path / "adaptive.yaml", text)
+    graph = dm.load(tmp_path / "adaptive.yaml")
+    value = {leaf.label: np.asarray(leaf.value) for leaf in graph.diagram.loop.parameters}
+    assert np.all(value["arm.rotor"] > 0)
+    assert {"servo.K_D", "servo.K_P", "servo.K_I", "arm.rotor", "arm.coulomb"} <= set(graph.intervals())
+    verdict = graph.verify()
+    assert verdict.outcome == "proved", str(verdict)
+    wrong = graph.set({"model.rotors": False}).verify()
+    assert wrong.outcome != "proved"
+    assert "rotor inertia" in str(wrong)
+
+
+def test_links_of_a_twin_are_physical_bodies_with_the_same_base_parameters() -> None:
+    model = known().fit.unknowns.model
+    parameters = model.base.parameters
+    values = np.array([0.0 if value is None else float(value) for value in parameters.values])
+    mass = np.arange(len(values))[parameters.inertial].reshape(-1, 10)
+    values[parameters.places("rotor")] = 1.0
+    alike = np.linalg.svd(model.grouping)[2][len(model.grouping) :]  # directions that change no base parameter
+    moved = values + alike.T @ np.random.default_rng(0).normal(0, 2, len(alike))
+    beta = model.grouping @ values
+    assert np.min(moved[mass[:, [4, 6, 9]]]) < 0
+    found = physical(moved, beta, model.grouping, parameters)
+    assert model.grouping @ found == pytest.approx(beta, abs=1e-9)
+    for own in found[mass]:
+        inertia = np.array([[own[4], own[5], own[7]], [own[5], own[6], own[8]], [own[7], own[8], own[9]]])
+        r = own[1:4] / own[0]
+        center = inertia - own[0] * (r @ r * np.eye(3) - np.outer(r, r))
+        assert own[0] > 0
+        sizes = np.linalg.eigvalsh(center)
+        assert sizes[0] > 0
+        assert sizes[2] < sizes[0] + sizes[1]
+
+
+def test_intervals_are_wider_where_the_fit_leaves_more_than_noise() -> None:
+    found = known()
+    fit = found.fit
+    noise = float(np.min(fit.rms)) / 2
+    left = replace(found, choice=Choice({"pid": fit}, np.full(3, noise), noise))
+    assert found.above == 1
+    assert left.above == pytest.approx(2, rel=0.2)
+    assert left.delay[1][1] - left.delay[0] == pytest.approx(left.above * (found.delay[1][1] - found.delay[0]))
+    assert any("times the noise" in text for text in _above(left))
+    assert list(_above(found)) == []
+
+
+def test_measured_torques_give_the_factor_that_positions_do_not_determine() -> None:
+    found = known()
+    fit, log = found.fit, found.fit.unknowns.log
+    chain, beta = fit.unknowns.model.chain, found.number("beta")[0]
+    plant = Plant.of(fit.unknowns, fit.theta)
+    model = chain.model.copy()
+    for j, own in enumerate(plant.bodies):
+        xx, xy, yy, xz, yz, zz = own[4:]
+        r = own[1:4] / own[0]
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - own[0] * (r @ r * np.eye(3) - np.outer(r, r))
+        model.inertias[j + 1] = pin.Inertia(own[0], r, inertia)
+    assert len(beta)
+    data = model.createData()
+    rates = 1.0 + np.arange(3)
+    angle = np.outer(log.time, rates)
+    q, dq, ddq = 0.3 * np.sin(angle) + START, 0.3 * rates * np.cos(angle), -0.3 * rates**2 * np.sin(angle)
+    tau = np.array([pin.rnea(model, data, *row) for row in zip(q, dq, ddq, strict=True)])
+    tau += plant.rotors * ddq + plant.viscous * dq + plant.coulomb * np.tanh(dq / found.number("v_0")[0])
+    noisy = 1.3 * tau + 4 + np.random.default_rng(0).normal(0, 0.5, tau.shape)
+    some = factors(fit, {"tau": noisy})
+    assert [own.factor for own in some] == pytest.approx([1.3] * 3, rel=0.02)
+    assert all(own.unexplained < 0.1 for own in some)
+    shuffled = factors(fit, {"tau": np.random.default_rng(1).normal(size=tau.shape)})
+    assert all(own.interval[0] < 0 < own.interval[1] or own.unexplained > 0.9 for own in shuffled)

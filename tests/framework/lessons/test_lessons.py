@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.lessons import Lesson, lessons, notebook, readable
 from dmframe.lessons.reading import unicode_formula
 

@@ -47,7 +47,7 @@ def test_beyond_the_bounds_the_verdict_is_not_green_and_says_so() -> None:
     assert (inside["state"], beyond["state"]) == ("proved", "clock")
     assert inside["headline"] == "Proved in continuous time"
     assert beyond["headline"].endswith("unstable near its set-point")
-    assert f"stable up to {1000 * data['periods']['rest']:.3g} ms at rest" in inside["says"][0]
+    assert f"stable up to {1000 * data['periods']['rest']:.3g} ms at rest" in inside["sentences"][0]
 
 
 def test_a_page_that_does_not_look_at_its_clock_would_be_noticed(tmp_path: Path) -> None:
@@ -62,7 +62,7 @@ def test_a_page_that_does_not_look_at_its_clock_would_be_noticed(tmp_path: Path)
 
 def test_at_other_numbers_the_bounds_are_not_known() -> None:
     inside, beyond = said(clocked(), 0.002, 1.0, moved=MOVED)
-    assert "whether that is fast enough is not known at these values" in inside["says"][0]
+    assert "whether that is fast enough is not known at these values" in inside["sentences"][0]
     assert beyond["state"] == "clock"
 
 
@@ -72,7 +72,7 @@ def test_at_other_numbers_the_bounds_are_not_known() -> None:
 )
 def test_bounds_that_were_not_found_are_reported_as_unknown(periods: Any, says: str) -> None:
     (found,) = said({**clocked(), "periods": periods}, 1.0)
-    assert says in found["says"][0]
+    assert says in found["sentences"][0]
 
 
 def test_without_a_clock_and_over_samples_no_bound_is_looked_for() -> None:
@@ -90,11 +90,11 @@ def test_where_v_rose_is_counted_as_a_run_counts_it() -> None:
     draw = np.random.default_rng(0)
     V = [np.cumsum(draw.normal(-0.1, 1.0, 50)) + 100 for _ in range(4)] + [np.array([3.0, 2.0, 2.0 + 1e-15])]
     wrong = [np.zeros(50)] * 2 + [np.full(50, 0.4)] * 2 + [np.full(3, 1e-14)]
-    pairs = [{"V": values.tolist(), "wrong": off.tolist()} for values, off in zip(V, wrong, strict=True)]
+    pairs = [{"V": values.tolist(), "rounding": off.tolist()} for values, off in zip(V, wrong, strict=True)]
     answers = answered({}, climbs=pairs)["answers"]
     for found, values, off in zip(answers, V, wrong, strict=True):
         expected = climb_of(np.arange(float(values.size)), values, off)
         assert (found["rises"], found["steps"]) == (expected.rises, expected.steps)
         assert found["rise"] == pytest.approx(expected.rise, rel=1e-12)
-        assert found["share"] == pytest.approx(expected.share, rel=1e-12)
+        assert found["fraction"] == pytest.approx(expected.fraction, rel=1e-12)
     assert answers[-1]["rises"] == 0

@@ -14,18 +14,18 @@ from pydantic import model_validator
 
 import dmframe as dm
 from dmframe.block import AbstractBlock, Equations
-from dmframe.certificate import Certificate, Clipped, Driven, Inequality, Square
+from dmframe.block.certificate import Certificate, Clipped, Inequality, Square, StableLinear
+from dmframe.block.parameter import Positive, Scalar
+from dmframe.block.port import TIME, Input, Output, Side, State
+from dmframe.block.terms import clip
 from dmframe.certify import Verdict, verify
-from dmframe.certify.elsewhere import elsewhere
+from dmframe.certify.parameter_margins import parameter_margins
+from dmframe.common.text import Text
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
 from dmframe.exact.ends import enclosing
 from dmframe.exact.rational import Interval, evaluate
 from dmframe.page.sliders import sliders_of
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import TIME, Input, Output, Side, State
-from dmframe.terms import clip
-from dmframe.text import Text
 
 FILE = "The proof does not apply at these values"
 
@@ -65,7 +65,7 @@ def test_over_intervals_a_page_judges_as_verify_does(uncertain: Any) -> None:
                 assert row["margin"] == pytest.approx(condition.value, rel=1e-9, abs=1e-12), row["name"]
         assert verdict.kappa is not None
         if page["state"] == "proved":
-            assert f"any κ above {float(verdict.kappa.least):.3g}" in " ".join(page["says"])
+            assert f"any κ above {float(verdict.kappa.least):.3g}" in " ".join(page["sentences"])
 
 
 def test_a_number_known_up_to_an_interval_stays_in_it(uncertain: Any) -> None:
@@ -73,7 +73,7 @@ def test_a_number_known_up_to_an_interval_stays_in_it(uncertain: Any) -> None:
     assert judged(data, {"servo.K_D": 12.0})["state"] == "proved"
     out = judged(data, {"servo.K_D": 31.0})
     assert out["headline"] == FILE
-    assert "servo.K_D lies in the interval that the graph gives (margin −1)" in out["says"][0]
+    assert "servo.K_D lies in the interval that the graph gives (margin −1)" in out["sentences"][0]
 
 
 def test_ends_of_an_expression_are_those_of_interval_arithmetic() -> None:
@@ -124,8 +124,8 @@ class Toy(AbstractBlock):
     def certificate(self, u: Any, x: Any, p: Any, truth: Any) -> Certificate:
         e = x.x - u.r
         more = (Inequality("a < 3/2", 1.5 - p.a, "no source"),)
-        driven = (Driven((x.y,), ((p.a - p.b,),), (x.y,), more),)
-        return Certificate((Square(e),), (Square(e),), driven=driven)
+        driven = (StableLinear((x.y,), ((p.a - p.b,),), (x.y,), more),)
+        return Certificate((Square(e),), (Square(e),), linear=driven)
 
 
 def built(**values: float) -> Diagram:
@@ -152,7 +152,7 @@ def failing(verdict: Verdict, other: Diagram) -> list[str]:
     """What is tacit in a verdict, and fails at the numbers of another diagram; of the conditions none does."""
     claim, names = verdict.claim, list[str]()
     assert claim is not None
-    for item in elsewhere(verdict.conditions, claim, {}):
+    for item in parameter_margins(verdict.conditions, claim, {}):
         if item.margin is not None:
             least = float(ca.mmin(ca.Function("margin", [claim.loop.p], [item.margin])(other.loop.p_values)))
             if not (least > 0 if item.checked.strict else least >= 0):
@@ -172,7 +172,7 @@ class Pushed(AbstractBlock):
         return Equations(rates={"y": -x.y + clip(x.y, p.k - 1)})
 
     def certificate(self, u: Any, x: Any, p: Any, truth: Any) -> Certificate:
-        return Certificate((Square(x.y),), (Square(x.y),), excess=(Clipped(x.y, p.k - 1, x.y),))
+        return Certificate((Square(x.y),), (Square(x.y),), residual=(Clipped(x.y, p.k - 1, x.y),))
 
 
 def test_a_clipped_term_needs_its_width_elsewhere_too() -> None:
@@ -189,7 +189,7 @@ def test_that_a_path_does_not_jump_was_decided_for_its_own_numbers_alone() -> No
     assert verdict.outcome == "proved"
     assert jumping.outcome == "not_applicable"
     assert "path.r[0] jumps" in jumping.reason
-    (found,) = [item for item in elsewhere(verdict.conditions, verdict.claim, {}) if item.margin is None]
+    (found,) = [item for item in parameter_margins(verdict.conditions, verdict.claim, {}) if item.margin is None]
     assert found.checked.name == "path.r is continuous"
     assert [str(symbol) for symbol in ca.symvar(found.reads)] == ["path.end"]
 
@@ -257,7 +257,7 @@ def test_gravity_is_listed_as_known_only_where_it_is() -> None:
     nothing = Verdict("not_applicable", Text())
 
     def says(name: str) -> dict[str, str]:
-        return {slider.label: slider.says for slider in sliders_of(dm.load(name).diagram, nothing)}
+        return {slider.label: slider.description for slider in sliders_of(dm.load(name).diagram, nothing)}
 
     assert says("pd_torque")["robot.gravity"] == "Gravity."
     assert "the controller uses the changed value" in says("pendulum")["robot.gravity"]
@@ -280,7 +280,7 @@ def test_over_intervals_no_text_says_that_a_condition_fails_at_the_numbers(uncer
     assert f"conditions hold at the parameter values of this graph and anywhere in {intervals}." in plain[0]
     assert f"conditions fail somewhere in {intervals}" in plain[1]
     assert "at the parameter values of this graph" not in plain[1]
-    assert "anywhere in the intervals of servo.K_D" in " ".join(judged(data, {})["says"])
+    assert "anywhere in the intervals of servo.K_D" in " ".join(judged(data, {})["sentences"])
 
 
 def test_a_margin_that_rounding_may_have_turned_is_not_decided() -> None:
@@ -288,7 +288,7 @@ def test_a_margin_that_rounding_may_have_turned_is_not_decided() -> None:
     edge, beyond = ({"inverse.K_c": 0.3, "servo.K_P": 0.5, "servo.K_I": K_I} for K_I in (1.977, 1.97701))
     at, past = (judged(content("pendulum"), values) for values in (edge, beyond))
     assert (at["state"], past["state"]) == ("undecided", "fails")
-    assert "are too close to the edge for this page: inverse: M̄ ≥ 0" in " ".join(at["says"])
+    assert "are too close to zero for this page: inverse: M̄ ≥ 0" in " ".join(at["sentences"])
 
 
 @pytest.mark.parametrize("nominal", [1.1, 7.64])

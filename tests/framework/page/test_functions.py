@@ -12,7 +12,7 @@ from in_node import content_of_graph
 
 import dmframe as dm
 from dmframe.codegen import wasm
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.page.content import content_of
 from dmframe.page.sliders import sliders_of
 from dmframe.robot.frames import frames, tool

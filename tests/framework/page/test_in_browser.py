@@ -16,15 +16,15 @@ from in_firefox import firefox
 from in_node import content
 
 import dmframe as dm
-from dmframe import notebook
 from dmframe.cli.graphs import graphs_of
+from dmframe.common import notebook
 from dmframe.page.page import assembled, policy
 from dmframe.results.run import Run
 from dmframe.simulate.start import start_state
 
 HEADLINE = "document.getElementById('headline').textContent"
 PROVED = "Proved in continuous time"
-SAYS = "document.getElementById('says').textContent"
+DETAIL = "document.getElementById('detail').textContent"
 K_C = "move-inverse.K_c"
 OVERHANG = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
 
@@ -33,11 +33,11 @@ def judges_truly(tab: Browser, page: Path) -> None:
     """Open the page, break a condition by hand, and come back."""
     tab.opened(page)
     assert tab.until(f"{HEADLINE} !== 'Loading' && {HEADLINE}") == PROVED
-    assert "All 28 conditions hold" in tab.value(SAYS)
+    assert "All 28 conditions hold" in tab.value(DETAIL)
     tab.dragged(K_C, 0.5, 0.02)
     tab.until("document.getElementById('command').textContent.includes('inverse.K_c=[0.0')")
     assert "does not apply" in tab.value(HEADLINE)
-    assert "M̄ ≥ 0" in tab.value(SAYS)
+    assert "M̄ ≥ 0" in tab.value(DETAIL)
     tab.value("document.getElementById('reset').click()")
     assert tab.until(f"{HEADLINE} === '{PROVED}'")
     assert tab.said == []
@@ -315,7 +315,7 @@ def test_a_page_is_small_and_requests_nothing(name: str) -> None:
 def test_values_in_an_address_that_a_page_cannot_set_are_reported(tab: Browser, tmp_path: Path) -> None:
     page, notice = saved(tmp_path, assembled(content("arm2_joint"))), "document.getElementById('notice').textContent"
     tab.opened(page, "#task.alpha_bar=1.5&other.K=5&clock=1e9&%ZZ&at=2")
-    assert tab.until(notice) == "What the address says cannot be set here: other.K=5, clock=1e9."
+    assert tab.until(notice) == "The address of the page sets unknown or invalid values: other.K=5, clock=1e9."
     tab.opened(page, "#texts")
     tab.until(f"{HEADLINE} === '{PROVED}'")
     assert tab.value(notice) == ""
@@ -330,7 +330,7 @@ def test_a_page_whose_scripts_are_not_allowed_says_so(tab: Browser, tmp_path: Pa
     ]:
         meta = f'<meta http-equiv="Content-Security-Policy" content="script-src {allowed}">'
         tab.opened(saved(tmp_path, html.replace("<head>", f"<head>{meta}")))
-        assert tab.until(f"{HEADLINE} === {headline!r} && {SAYS}.includes({says!r})")
+        assert tab.until(f"{HEADLINE} === {headline!r} && {DETAIL}.includes({says!r})")
 
 
 @IN_ONE
@@ -390,7 +390,7 @@ def test_on_a_slow_clock_the_banner_is_not_green_and_the_title_follows(tab: Brow
     data = {**content("ur10_fast"), "periods": {"rest": 0.0421, "moving": 0.0159, "reason": ""}}
     tab.opened(saved(tmp_path, assembled(data)), "#clock=16")
     assert tab.until(f"{HEADLINE} !== 'Loading' && {HEADLINE}") == f"{PROVED}; at 128 ms unstable near its set-point"
-    assert re.search(r"V rose at \d+ of 156 samples, by at most [\d.]+ % of its fall", tab.value(SAYS))
+    assert re.search(r"V rose at \d+ of 156 samples, by at most [\d.]+ % of its fall", tab.value(DETAIL))
     assert "sampled at 128 ms" in tab.value("document.title")
     assert "sampled at 128 ms" in tab.value("document.querySelector('h1').textContent")
     tone = "getComputedStyle(document.getElementById('headline')).color"

@@ -17,7 +17,7 @@ from dmframe.page.page import assembled
 
 
 def test_a_page_states_where_its_robot_comes_from_and_under_which_licence() -> None:
-    found = content("ur10_fast")["origin"]
+    found = content("ur10_fast_kinematic")["origin"]
     assert "ROS-Industrial's `universal_robot`" in found["text"]
     assert "Licence: BSD" in found["text"]
     assert any("Redistribution and use in source and binary forms" in item["text"] for item in found["licences"])

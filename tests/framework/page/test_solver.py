@@ -9,10 +9,10 @@ import pytest
 from in_node import answered, content, content_of_graph
 
 import dmframe as dm
+from dmframe.common.units import plain
 from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording, simulate
 from dmframe.simulate.start import start_state
-from dmframe.units import plain
 
 
 def simulated(graph: Graph, seconds: float, **options: Any) -> Recording:
@@ -80,7 +80,7 @@ def test_a_pose_for_a_tools_place_is_found_from_the_files_pose_on(sought: Graph)
     moved = sought.set({"path.center": p[at : at + 3]})
     np.testing.assert_allclose(near["states"][0], start_state(moved.diagram, moved.start), atol=1e-7)
     assert near["notices"] == []
-    assert "no pose within the joints' limits is on the path's start" in away["notices"][0]
+    assert "no pose within the joint limits reaches the start of the path" in away["notices"][0]
     assert np.all(np.array(away["start"]) >= data["pose"]["lower"])
     assert np.all(np.array(away["start"]) <= data["pose"]["upper"])
 

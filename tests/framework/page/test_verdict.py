@@ -36,7 +36,7 @@ def test_at_the_files_numbers_a_page_judges_as_verify_does(name: str) -> None:
     (found,) = said(data, {"p": data["p"], "moved": FILE})
     assert found["state"] == "proved"
     assert found["headline"] == "Proved in continuous time"
-    assert "It follows that" in found["says"][-1]
+    assert "It follows that" in found["sentences"][-1]
     for row, condition in zip(found["rows"], data["verdict"]["conditions"], strict=True):
         assert row["holds"] is condition["holds"], row["name"]
         if row["margin"] is not None and not row["name"].startswith(("inverse.w", "the servo level")):
@@ -51,7 +51,7 @@ def test_a_gain_that_breaks_a_condition_takes_the_proof_away() -> None:
     (found,) = said(data, {"p": p, "moved": MOVED})
     assert found["state"] == "fails"
     assert "does not apply" in found["headline"]
-    assert "M̄ ≥ 0" in found["says"][0]
+    assert "M̄ ≥ 0" in found["sentences"][0]
 
 
 @pytest.mark.parametrize(("factor", "state"), [(1.5, "proved"), (4.0, "undecided")])
@@ -68,8 +68,8 @@ def test_a_margin_that_is_zero_holds_where_the_condition_is_not_strict() -> None
     data = stated({"strict": True}, {"strict": False})
     strict, loose, none = said(data, margins(0.0, 1.0), margins(1.0, 0.0), margins(1.0, math.nan))
     assert (strict["state"], loose["state"], none["state"]) == ("fails", "proved", "fails")
-    assert "condition 0" in strict["says"][0]
-    assert "condition 1" in none["says"][0]
+    assert "condition 0" in strict["sentences"][0]
+    assert "condition 1" in none["sentences"][0]
 
 
 def test_the_least_of_several_margins_decides() -> None:
@@ -82,8 +82,8 @@ def test_what_was_decided_for_the_files_numbers_alone_is_open_elsewhere() -> Non
     here, there = said(data, {**margins(1.0), "moved": FILE}, margins(1.0))
     assert here["state"] == "proved"
     assert there["state"] == "undecided"
-    assert "condition 0" in there["says"][-1]
-    assert "file's numbers only" in there["says"][-1]
+    assert "condition 0" in there["sentences"][-1]
+    assert "file's values only" in there["sentences"][-1]
 
 
 def test_what_was_decided_for_the_files_numbers_stands_while_what_it_reads_does() -> None:
@@ -99,38 +99,38 @@ def test_what_is_tacit_is_named_where_it_does_not_hold_and_nowhere_else() -> Non
     holds, zero, here = said(data, margins(1.0, 1.0), margins(1.0, 0.0), {**margins(1.0, 0.0), "moved": FILE})
     assert (holds["state"], zero["state"], here["state"]) == ("proved", "fails", "proved")
     assert (len(holds["rows"]), len(zero["rows"])) == (1, 2)
-    assert "All 1 conditions" in " ".join(holds["says"])
-    assert "k - 3 is not zero" in zero["says"][0]
+    assert "All 1 conditions" in " ".join(holds["sentences"])
+    assert "k - 3 is not zero" in zero["sentences"][0]
     (answered_otherwise,) = said(opening, margins(1.0, 0.0))
     assert answered_otherwise["state"] == "undecided"
 
 
 def test_that_a_loop_stays_bounded_is_of_the_files_numbers_too() -> None:
-    whole, part = (said(stated({}, bounded=bounded), margins(1.0))[0]["says"][-1] for bounded in (True, False))
-    assert "the whole loop stays bounded was concluded for the file's numbers; for these it is not decided" in whole
+    whole, part = (said(stated({}, bounded=bounded), margins(1.0))[0]["sentences"][-1] for bounded in (True, False))
+    assert "the whole loop stays bounded was concluded for the file's values; for these it is not decided" in whole
     assert "bounded" not in part
 
 
 def test_conclusions_are_of_the_files_numbers() -> None:
     here, moved, clock = said(stated({}), *({**margins(1.0), "moved": where} for where in (FILE, MOVED, CLOCK)))
-    assert here["says"][-1] == "It follows that x goes to zero."
-    assert "not decided" in moved["says"][-1]
+    assert here["sentences"][-1] == "It follows that x goes to zero."
+    assert "not decided" in moved["sentences"][-1]
     assert moved["headline"] == "Proved at these values in continuous time"
-    assert "continuous time" in clock["says"][-1]
+    assert "continuous time" in clock["sentences"][-1]
 
 
 def test_a_loop_without_a_proof_says_why() -> None:
     reason = "inverse: a kinematic_command has no certificate"
     (found,) = said(stated(outcome="not_applicable", headline="not applicable", reason=reason), margins())
     assert found["state"] == "unproved"
-    assert reason in found["says"][0]
+    assert reason in found["sentences"][0]
     (refuted,) = said(stated(outcome="refuted", headline="refuted", reason="task: a sign"), margins())
     assert refuted["headline"].startswith("Refuted")
 
 
 def test_samples_are_not_called_a_proof() -> None:
     (found,) = said(stated({"how": "sampled", "size": 0}), margins())
-    assert "not proved" in found["says"][1]
+    assert "not proved" in found["sentences"][1]
 
 
 def test_a_page_that_takes_any_margin_for_one_that_holds_would_be_noticed(tmp_path: Path) -> None:

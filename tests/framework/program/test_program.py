@@ -15,7 +15,7 @@ import pytest
 
 import dmframe.program
 import dmframe.program.program as module
-from dmframe.errors import EngineError
+from dmframe.common.errors import EngineError
 from dmframe.exact.arithmetic import ARITHMETIC
 from dmframe.program import (
     CONST,
@@ -29,6 +29,7 @@ from dmframe.program import (
     instructions,
     read,
     run,
+    shared,
     sign_of,
 )
 
@@ -280,3 +281,19 @@ def test_a_function_made_to_be_read_gives_the_same_program_with_fewer_calls(seed
     one, other = read(plain), read(made)
     assert one.nodes == other.nodes
     assert [list(item) for item in one.sources] == [list(item) for item in other.sources]
+
+
+def test_a_shared_program_has_each_value_once_and_the_outputs_of_the_whole_one() -> None:
+    def made(x: ca.SX, y: ca.SX) -> ca.SX:  # each call builds its nodes anew
+        return ca.vertcat((x + y) * 3 - ca.sin(x * y), y / x + (x - y) * ca.sin(x * y), 3 - x)
+
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    whole = read(ca.Function("f", [x, y], [made(x, y), made(y, x), made(x, y)], TO_READ))
+    once = shared(whole)
+    assert once.sources[0] == once.sources[2] != once.sources[1]
+    assert once.sources[0][2] != once.sources[1][2]
+    assert once.sources[0][1] != once.sources[1][1]  # of a quotient and of a difference the order matters
+    assert len({(node.code, node.a, node.b, node.constant) for node in once.nodes}) == len(once.nodes)
+    assert sum(node.code == ca.OP_ADD for node in once.nodes) == 3  # x + y is y + x, and two sums of products
+    assert sum(node.code == ca.OP_MUL for node in once.nodes) == 4
+    assert number(once, [[1.5], [0.25]]) == number(whole, [[1.5], [0.25]])

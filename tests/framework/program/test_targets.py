@@ -19,7 +19,7 @@ from dmframe.build import load
 from dmframe.build.library import address
 from dmframe.codegen import function as c
 from dmframe.codegen.source import shipped
-from dmframe.errors import DmframeError, EngineError, ValueFault
+from dmframe.common.errors import DmframeError, EngineError, ValueFault
 from dmframe.exact import MERSENNE_127, Tape, Trial, balls, enclosure, pieces, rational, rational_reconstruction
 from dmframe.exact.arithmetic import ARITHMETIC
 from dmframe.exact.sizes import degrees

@@ -9,22 +9,22 @@ import sys
 from dataclasses import replace
 from fractions import Fraction
 from functools import cache
-from typing import Any
+from typing import Any, final
 
 import casadi as ca
 import pytest
 
 import dmframe as dm
-from dmframe.certificate import LeastSquaresSteps, NormalisedSteps
+from dmframe.block.certificate import LeastSquaresSteps, NormalisedSteps
 from dmframe.certify import claim_of
 from dmframe.certify.assemble import assembled
-from dmframe.errors import ValueFault
-from dmframe.exact import Tape, Trial, random_prime
+from dmframe.common.errors import ValueFault
+from dmframe.exact import Tape, Trial, ZeroDivision, random_prime
 from dmframe.exact.balls import ball
 from dmframe.prove.claim import Claim, Steps
 from dmframe.prove.export import digest, from_json, to_json
 from dmframe.prove.faults import inject_faults
-from dmframe.prove.identity import empty, identity
+from dmframe.prove.identity import Points, bound_of, empty, identity, inputs_at
 from dmframe.prove.point import equalities
 from dmframe.prove.reals import Balls
 from dmframe.prove.rules import inverse_of, taken
@@ -49,6 +49,17 @@ def test_what_is_read_back_is_the_claim_that_was_checked(name: str) -> None:
     assert inject_faults(own, seed=3) == inject_faults(again, seed=3)
 
 
+def test_a_shared_claim_has_the_residues_of_the_whole_one_and_its_error_bound_is_not_used() -> None:
+    whole, found = claim("ur10_fast"), list[list[list[int]]]()
+    assert len(whole.shared.program.nodes) < len(whole.program.nodes) / 2
+    for each in (whole, whole.shared):
+        rng = random.Random(3)
+        trial = Trial(random_prime(rng), rng)
+        found.append(each.tape.evaluate(inputs_at(each, trial), trial))
+    assert found[0] == found[1]
+    assert Points.of(whole, seed=0).degree == bound_of(whole).degree_total > bound_of(whole.shared).degree_total
+
+
 def test_terms_without_names_are_part_of_dv_dt() -> None:
     own = claim("arm2_joint")
     parts = [replace(part, stored=tuple(replace(term, name="") for term in part.stored)) for part in own.parts]
@@ -71,7 +82,7 @@ class Refuses:
 sys.meta_path.insert(0, Refuses())
 from dmframe.prove.export import from_json
 from dmframe.prove.faults import inject_faults
-from dmframe.prove.identity import empty, identity
+from dmframe.prove.identity import Points, bound_of, empty, identity, inputs_at
 found = from_json(open("claim.json").read())
 faults = inject_faults(found, seed=0)
 print(identity(found, trials=2, seed=0).zero, len(faults), all(fault.refuted for fault in faults))
@@ -191,6 +202,24 @@ def test_a_matrix_times_its_inverse_is_one() -> None:
     inverse = inverse_of(trial, W)
     product = [[sum(W[i][k] * inverse[k][j] for k in range(4)) % trial.prime for j in range(4)] for i in range(4)]
     assert product == [[int(i == j) for j in range(4)] for i in range(4)]
+
+
+@final
+class _Eliminating:
+    """The ring of a trial without its own inverse of a matrix."""
+
+    def __init__(self, trial: Trial) -> None:
+        self.number, self.reduced, self.inverse = trial.number, trial.reduced, trial.inverse
+
+
+@pytest.mark.parametrize("size", [1, 2, 7])
+def test_a_matrix_has_the_inverse_that_elimination_finds(size: int) -> None:
+    rng = random.Random(size)
+    trial = Trial(random_prime(rng), rng)
+    W = [[trial.random() - trial.random() for _ in range(size)] for _ in range(size)]
+    assert inverse_of(trial, W) == inverse_of(_Eliminating(trial), W)
+    with pytest.raises(ZeroDivision, match="singular"):
+        inverse_of(trial, [*W[1:], [5 * x + trial.prime for x in W[-1]]] if size > 1 else [[trial.prime]])
 
 
 def test_a_real_point_inside_its_box_is_known_to_be_there() -> None:

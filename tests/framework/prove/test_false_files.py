@@ -13,7 +13,7 @@ import pytest
 import dmframe as dm
 from dmframe.certify import claim_of
 from dmframe.certify.assemble import assembled
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.prove.__main__ import main
 from dmframe.prove.export import from_json, to_json
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from dmframe.errors import DisagreementError
+from dmframe.common.errors import DisagreementError
 from dmframe.race.plan import Race, Run
 from dmframe.race.protocol import chosen, judged_runs, rows_of, spread, tuning_runs
 from dmframe.race.read import load_race

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from dmframe.cli import main
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.graph.load import load
 from dmframe.race import compute
 from dmframe.race.compute import JOURNAL, Heat

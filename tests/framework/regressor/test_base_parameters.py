@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from dmframe.errors import RobotError, UnknownNameError
+from dmframe.common.errors import RobotError, UnknownNameError
 from dmframe.exact import Trial, random_prime
 from dmframe.regressor.base_parameters import BaseParameters, base_parameters
 from dmframe.regressor.export import polarised_regressor
@@ -163,7 +163,7 @@ def test_the_listing_shows_values_groupings_lengths_and_what_is_hidden() -> None
     text = listing(robot, found)
     assert "21 base parameters of 36" in text
     assert "p_z3 = 0.612 m" in text
-    assert "No motion shows m_1, mc_x1" in text
+    assert "Not identifiable from any motion: m_1, mc_x1" in text
     values = [float(x) for x in DynamicParameters(robot).values]
     number = found.symbolic.index("mc_z2 + p_z3 m_3")
     expected = values[13] + 0.612 * values[20]

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from dmframe.errors import OutputError, ShapeError, UnknownNameError
+from dmframe.common.errors import OutputError, ShapeError, UnknownNameError
 from dmframe.regressor.base_parameters import base_parameters
 from dmframe.regressor.export import export_c, polarised_regressor, regressor_function, self_test, write_c
 from dmframe.robot.chain import SerialChain
@@ -59,7 +59,7 @@ def test_compiled_base_regressor_carries_pinocchios_torque(tmp_path: Path) -> No
     library = compiled(tmp_path / "base.c")
     base = base_parameters(ur10(), friction)
     assert names == base.kept
-    assert "ur10 in base parameters, each named after the one" in (tmp_path / "base.c").read_text()
+    assert "ur10 in base parameters, each named after its kept" in (tmp_path / "base.c").read_text()
     rng = np.random.default_rng(4)
     motion, full = rng.uniform(-2, 2, (4, 3)), rng.uniform(0, 1, 36)
     beta = np.array([[float(x) for x in row] for row in base.grouping]) @ full

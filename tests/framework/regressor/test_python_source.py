@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dmframe.errors import OutputError
+from dmframe.common.errors import OutputError
 from dmframe.regressor.base_parameters import base_parameters
 from dmframe.regressor.export import export_c, kinematic_function, kinematic_values, polarised_regressor, tool_velocity
 from dmframe.regressor.python_source import python_difference, python_source, write_python

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from latex2mathml.converter import convert
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.regressor.base_parameters import base_parameters
 from dmframe.regressor.export import polarised_regressor, tool_velocity
 from dmframe.regressor.polynomial import Polynomial, expand, wave

@@ -19,7 +19,7 @@ from typing import ClassVar
 import installed
 import helper
 from dmframe.block import AbstractBlock, Equations
-from dmframe.port import Side, State
+from dmframe.block.port import Side, State
 
 
 class Mine(AbstractBlock):
@@ -57,6 +57,53 @@ class Place:
         assert done.returncode == 1, done.stderr
         found: dict[str, Any] = json.loads(done.stdout)
         return found
+
+    def run(self, *words: str) -> tuple[dict[str, Any], bool]:
+        """The summary of a run, and whether its conclusions were recalled: they are not written again."""
+        kept = {path: path.stat().st_ino for path in self.folder.glob("cache/verdicts/*.verdict")}
+        call = [sys.executable, "-c", "from dmframe.cli import main; main()", "run", "graph.yaml", "--json"]
+        call += ["--no-plots", "--force", "--out", "results", *words]
+        done = subprocess.run(call, cwd=self.folder, env=self.environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        found: dict[str, Any] = json.loads(done.stdout)
+        now = {path: path.stat().st_ino for path in self.folder.glob("cache/verdicts/*.verdict")}
+        return {key: value for key, value in found.items() if key not in ("wall_time", "real_time_factor")}, now == kept
+
+
+STORING = (
+    BLOCK.replace("Equations\nfrom", "Certificate, Equations, Square\nfrom")
+    + """
+    def certificate(self, u, x, p, truth):
+        data = float(Path(__file__).with_name("data.txt").read_text())
+        return Certificate(storage=(Square(x.x, data),), dissipation=(Square(x.x, 4 * data),))
+"""
+)
+
+
+def test_what_a_run_concludes_is_recalled_until_an_input_changes(tmp_path: Path) -> None:
+    place = Place(tmp_path)
+    (tmp_path / "my.py").write_text(STORING)
+    first, recalled = place.run()
+    assert not recalled
+    assert first["storage"]["reason"] is None
+    assert place.run() == (first, True)
+    assert place.run("--engine", "interpreted") == (first, True)
+    assert place.run("--fresh") == (first, False)
+    assert not place.run("--set", "duration=2 s")[1]
+    changes = {
+        "data": lambda: (tmp_path / "data.txt").write_text("-1"),  # its storage is negative: there is no V
+        "block": lambda: (tmp_path / "my.py").write_text(STORING + "# more\n"),
+        "helper": lambda: (tmp_path / "lib" / "helper.py").write_text("GAIN = 2\n"),
+        "urdf": lambda: (tmp_path / "arm.urdf").write_text((tmp_path / "arm.urdf").read_text() + "\n"),
+        "variable": lambda: place.environment.update(MY_GAIN="1"),
+        "graph": lambda: (tmp_path / "graph.yaml").write_text(GRAPH + "# more\n"),
+    }
+    for name, change in changes.items():
+        change()
+        found, recalled = place.run()
+        assert not recalled, name
+        assert found["storage"]["reason"], name
+    assert place.run() == (found, True)
 
 
 def test_each_kind_of_change_is_proved_anew(tmp_path: Path) -> None:

@@ -13,13 +13,13 @@ import platformdirs
 import pytest
 
 from dmframe.build.cache import cache_folder
-from dmframe.copies import shared
-from dmframe.files import probed
+from dmframe.common.copies import shared
+from dmframe.common.files import probed
 from dmframe.remembered import recorder, store
 from dmframe.remembered.front import Call, call_of, found, page_of
 from dmframe.remembered.inputs import states_of, unchanged
 
-CALL = Call(("pendulum",), as_json=False, fresh=False)
+CALL = Call("verify", ("pendulum",), as_json=False, fresh=False)
 OLD = 1_700_000_000
 
 
@@ -140,7 +140,7 @@ def test_what_a_copy_would_read_unseen_is_read_and_recorded_here(
     def read() -> tuple[int, str]:
         return os.getpid(), (tmp_path / "data").read_text()
 
-    monkeypatch.setattr("dmframe.copies.threading.active_count", lambda: 1)
+    monkeypatch.setattr("dmframe.common.copies.threading.active_count", lambda: 1)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
     (tmp_path / "data").write_text("1")
     begun._written.clear()
@@ -191,8 +191,8 @@ def test_a_kept_verdict_is_found_and_says_that_it_is_remembered(
     assert entry is not None
     assert page_of(entry, as_json=False).startswith("page\n\nremembered: proved at now")
     assert '"remembered": true' in page_of(entry, as_json=True)
-    assert found(Call(CALL.words, as_json=False, fresh=True)) is None
-    assert found(Call(("other",), as_json=False, fresh=False)) is None
+    assert found(Call("verify", CALL.words, as_json=False, fresh=True)) is None
+    assert found(Call("verify", ("other",), as_json=False, fresh=False)) is None
 
 
 def cut(path: Path) -> None:
@@ -227,7 +227,7 @@ def test_an_entry_under_another_key_is_ignored(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setenv("DMFRAME_CACHE", str(tmp_path))
     kept(tmp_path / store.FOLDER)
     (path,) = (tmp_path / store.FOLDER).iterdir()
-    other = Call(("other",), as_json=False, fresh=False)
+    other = Call("verify", ("other",), as_json=False, fresh=False)
     path.rename(path.with_name(f"{other.key}{store.SUFFIX}"))
     assert found(other) is None
 
@@ -270,10 +270,35 @@ def test_the_folder_is_that_of_compiled_code(monkeypatch: pytest.MonkeyPatch, tm
         ("verify --help", None),
         ("verify a --set", None),
         ("verify", None),
-        ("run a", None),
         ("", None),
     ],
 )
 def test_a_call_is_read_as_its_library_reads_it(words: str, call: tuple[tuple[str, ...], bool, bool] | None) -> None:
     read = call_of(words.split())
     assert (None if read is None else (read.words, read.as_json, read.fresh)) == call
+
+
+@pytest.mark.parametrize(
+    ("words", "kept"),
+    [
+        ("run ur10_fast", ("ur10_fast",)),
+        (
+            "run ur10_fast --fresh --out there --no-plots --json --force --page --engine compiled --figures=png",
+            ("ur10_fast",),
+        ),
+        (
+            "run a b --until 2 --set clock=8ms --reality ur",
+            ("a", "b", "--until", "2", "--set", "clock=8ms", "--reality", "ur"),
+        ),
+        ("run a --baseline --until=3", ("a", "--baseline", "--until=3")),
+        ("run a --trust", None),
+        ("run a --out", None),
+        ("run a --help", None),
+        ("run", None),
+        ("draw a", None),
+    ],
+)
+def test_words_of_a_run_that_its_conclusions_depend_on(words: str, kept: tuple[str, ...] | None) -> None:
+    call = call_of(words.split())
+    assert (None if call is None else call.words) == kept
+    assert call is None or call.key != Call("verify", call.words).key

@@ -18,9 +18,9 @@ from typing import ClassVar, final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations
-from dmframe.certificate import Certificate, Square
-from dmframe.parameter import Diagonal, Positive
-from dmframe.port import Input, Output, State
+from dmframe.block.certificate import Certificate, Square
+from dmframe.block.parameter import Diagonal, Positive
+from dmframe.block.port import Input, Output, State
 
 
 @final

@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dmframe.errors import ValueFault
-from dmframe.results.along import Along, TermAlong, along
-from dmframe.text import Text
+from dmframe.common.errors import ValueFault
+from dmframe.common.text import Text
+from dmframe.results.along import StorageTrace, TermAlong, along
 from dmframe_plants.arm2.closed_form import mass_matrix
 
 
@@ -61,18 +61,18 @@ def test_in_continuous_time_v_never_rises_beyond_the_integrators_error(continuou
 
 
 def test_the_largest_increase_is_reported_with_its_time():
-    found = Along(np.array([0.0, 1.0, 2.0, 3.0]), 1.0, np.array([5.0, 5.5, 3.0, 4.5]), ())
+    found = StorageTrace(np.array([0.0, 1.0, 2.0, 3.0]), 1.0, np.array([5.0, 5.5, 3.0, 4.5]), ())
     assert (found.largest_increase, found.increase_at, found.rises) == (1.5, 2.0, 2)
 
 
 @pytest.mark.parametrize("V", [[3.0, 2.0, 2.0], [1.0]])
 def test_a_v_that_never_rises_has_no_increase(V):
-    found = Along(np.arange(float(len(V))), 1.0, np.array(V), (TermAlong("a", Text("x"), np.array(V)),))
+    found = StorageTrace(np.arange(float(len(V))), 1.0, np.array(V), (TermAlong("a", Text("x"), np.array(V)),))
     assert (found.largest_increase, found.increase_at, found.rises) == (0.0, None, 0)
 
 
 def test_a_run_of_other_blocks_is_refused(proved, failing):
     with pytest.raises(ValueFault) as caught:
         along(proved.verdict.claim, run_of(failing, 0.1))
-    expected = "V along a run: expected a run of the claim's own blocks, with 22 of dynamics.a_d_hat, found 11 of"
+    expected = "V along a run: expected a run of the certificate's blocks, with 22 of dynamics.a_d_hat, found 11 of"
     assert caught.value.text == expected

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from dmframe.analysis import Bracket, analyse
-from dmframe.errors import EngineError
+from dmframe.common.errors import EngineError
 from dmframe.report.linear import _bracket, linear_view
 from dmframe.report.page import as_html, as_markdown
 

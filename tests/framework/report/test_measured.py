@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dmframe.errors import StartError
-from dmframe.notebook import embedded
+from dmframe.common.errors import StartError
+from dmframe.common.notebook import embedded
 from dmframe.report.measured import measure
 from dmframe.simulate import Divergence
 

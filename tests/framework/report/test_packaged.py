@@ -35,7 +35,7 @@ def test_the_summary_and_the_report_of_a_packaged_graph_are_valid_and_complete(n
     claim = found.verdict.flow_claim
     if claim is None:
         # it claims nothing, or moves in samples
-        assert name.endswith(("_kinematic", "_eso")) or found.diagram.loop.clocked
+        assert name.endswith(("_kinematic", "_eso")) or found.diagram.loop.discrete_time
         check_laws(laws_of(found.diagram))
         return
     assert found.proved
@@ -59,7 +59,7 @@ def check_laws(laws):
 def check_symbols(terms, least):
     """Every symbol of a printed weight is in the table, or is defined on the page."""
     defined = {item.symbol for item in terms.legend} | {row.left for row in terms.definitions} | SIGNS
-    weights = [row.weight for row in (*terms.storage, *terms.dissipation, *terms.excess)]
+    weights = [row.weight for row in (*terms.storage, *terms.dissipation, *terms.residual)]
     weights += [row.right for row in terms.definitions]
     found = {symbol for weight in weights for symbol in SYMBOL.findall(MARKS.sub(" ", weight))}
     assert len(found) >= least

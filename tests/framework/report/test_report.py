@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from dmframe.errors import OutputError
+from dmframe.common.errors import OutputError
 from dmframe.report.page import as_html, as_markdown
 from dmframe.report.write import as_data, check_place, write_report
 

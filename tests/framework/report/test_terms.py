@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dmframe.block.parameter import Spec
 from dmframe.certify.claim import claim_of
 from dmframe.graph.graph import Graph
-from dmframe.parameter import Spec
 from dmframe.report.terms import parameter_text, shown, terms_of
 
 

@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, Equations
+from dmframe.block.port import Element, Output
 from dmframe.catalogue import block_types
+from dmframe.common.errors import BlockError
+from dmframe.common.units import sliding
 from dmframe.diagram import Diagram
-from dmframe.errors import BlockError
 from dmframe.graph.graph import Graph
-from dmframe.port import Element, Output
 from dmframe.results.dataset import dataset, element_labels, elements
 from dmframe.robot.library import load
-from dmframe.units import sliding
 
 
 def test_every_variable_and_the_time_have_units_and_a_long_name(ur10, pendulum, arm2):

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from dmframe.errors import UnknownNameError
-from dmframe.plotting import FORMATS, files_of, look, styled, thin
+from dmframe.common.errors import UnknownNameError
+from dmframe.common.plotting import FORMATS, files_of, look, styled, thin
 from dmframe.results.along import along
 from dmframe.results.command_figure import command_figure
 from dmframe.results.effort_figure import effort_figure

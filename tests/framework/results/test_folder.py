@@ -14,14 +14,14 @@ import pytest
 
 import dmframe.results.folder as folder_module
 import dmframe.results.run as run_module
+from dmframe.common.errors import OutputError
+from dmframe.common.files import hidden_name, write_bytes
+from dmframe.common.seal import seal_of
 from dmframe.config.resolved import resolved_text
-from dmframe.errors import OutputError
-from dmframe.files import hidden_name, write_bytes
 from dmframe.graph.graph import Graph
 from dmframe.results.folder import safe_name, write_data, write_run
 from dmframe.results.place import reserved
 from dmframe.results.run import Run
-from dmframe.seal import seal_of
 from dmframe.simulate import simulate
 
 
@@ -171,7 +171,7 @@ def test_figures_that_cannot_be_drawn_lose_no_data(tmp_path, ur10, monkeypatch):
             raise fault
 
         place = tmp_path / type(fault).__name__
-        monkeypatch.setattr("dmframe.results.figures.files_of", fail)
+        monkeypatch.setattr("dmframe.results.drawing_process.files_of", fail)
         with pytest.raises(OutputError, match="signals and summary are written") as caught:
             write_run(place, [ur10])
         assert text in caught.value.text

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -92,3 +94,57 @@ def test_a_tools_rotation_error_is_given_in_degrees_next_to_its_position_error(u
 def test_a_summary_of_a_run_that_took_no_time_has_no_factor(pendulum):
     data = summary("a", replace(pendulum.recording, wall_time=0.0))
     assert (data["real_time_factor"], data["clock"], data["out"]) == (None, "continuous", None)
+
+
+INERTIAL = '<inertial><mass value="1"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>'
+SLIDING = """dmframe: 1
+robot: made.urdf
+clock: 8 ms
+duration: 800 ms
+start: {{q: {start}}}
+blocks:
+  path:    {{type: setpoint, q_d: {goal}}}
+  task:    {{type: joint_tracking, alpha_bar: 1}}
+  inverse: {{type: kinematic_command}}
+  servo:   {{type: pid_servo, K_D: 100, K_P: 100, K_I: 100}}
+  arm:     {{type: manipulator, viscous: 1}}
+"""
+
+
+def sliding_robot(folder: Path, *kinds: str) -> dm.Graph:
+    """A robot of joints about or along z, which carry no weight in their directions but the last one's."""
+    text = '<robot name="made"><link name="l0"/>'
+    for k, kind in enumerate(kinds, 1):
+        text += (
+            f'<link name="l{k}">{INERTIAL}</link><joint name="j{k}" type="{kind}"><parent link="l{k - 1}"/>'
+            f'<child link="l{k}"/><origin xyz="0.2 0 0"/><axis xyz="0 0 1"/>'
+            '<limit lower="-1" upper="1" velocity="1" effort="1"/></joint>'
+        )
+    (folder / "made.urdf").write_text(f"{text}</robot>")
+    path = folder / "sliding.yaml"
+    zeros, goal = [0.0] * len(kinds), [0.01 * (k + 1) for k in range(len(kinds))]
+    path.write_text(SLIDING.format(start=zeros, goal=goal))
+    return dm.load(path)
+
+
+def test_angles_and_lengths_have_errors_of_their_own(tmp_path):
+    graph = sliding_robot(tmp_path, "revolute", "prismatic", "revolute")
+    run = graph.run()
+    error, values = run.error, (run["arm.q"] - run["path.q_d"]).values
+    assert (error.unit, error.prismatic.unit) == ("rad", "m")
+    np.testing.assert_allclose(error.norm, np.hypot(values[:, 0], values[:, 2]), atol=1e-15)
+    found = rms_by_eighth(run.recording.time, np.abs(values[:, 1]), 0.8)
+    assert error.prismatic.rms_by_eighth == pytest.approx(found)
+    assert re.search(r"m?rad, [\d.]+ mm", str(run))
+    data = summary(graph.name, run.recording)["error"]
+    assert data["prismatic"]["unit"] == "m"
+    assert data["prismatic"]["rms_final"] == pytest.approx(found[-1])
+    swept = dm.sweep(graph, {"task.alpha_bar": [1.0, 2.0]})["rms_final"]
+    assert swept.attrs["units"] == "rad"
+    assert float(swept[0]) == pytest.approx(error.rms_final, rel=1e-9)
+
+
+def test_the_error_of_prismatic_joints_alone_is_in_metres(tmp_path):
+    run = sliding_robot(tmp_path, "prismatic", "prismatic").run()
+    assert (run.error.unit, run.error.prismatic) == ("m", None)
+    assert run.error.norm == pytest.approx(np.linalg.norm(run.error.values, axis=1))

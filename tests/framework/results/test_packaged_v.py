@@ -28,10 +28,10 @@ def stated() -> dict[str, float]:
 
 def rises_as_stated(name: str) -> None:
     run = dm.load(name).run(judge=False)
-    share = run.storage.along.climb.share
-    assert share is not None
+    fraction = run.storage.along.climb.fraction
+    assert fraction is not None
     # two digits are stated; where a machine fuses multiplications the run differs by rounding
-    assert 100 * share == pytest.approx(stated()[name], rel=0.06, abs=1e-6)
+    assert 100 * fraction == pytest.approx(stated()[name], rel=0.06, abs=1e-6)
     assert bool(run.storage.notice) is (stated()[name] > 0 or bool(run.storage.along.jumps))
     assert run.storage.along.beyond == 0
 
@@ -61,4 +61,4 @@ def test_a_faster_clock_takes_the_rise_of_the_tuned_graph_away() -> None:
     run = dm.load("ur10_fast_tuned").set(clock="1 ms").run(judge=False)
     found = re.search(r"clock of 1 ms the\s+rise\s+is\s+([\d.]+) %", PAGE.read_text("utf-8"))
     assert found is not None
-    assert 100 * run.storage.along.climb.share == pytest.approx(float(found[1]), rel=0.06)  # type: ignore[operator]
+    assert 100 * run.storage.along.climb.fraction == pytest.approx(float(found[1]), rel=0.06)  # type: ignore[operator]

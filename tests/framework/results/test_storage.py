@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import dmframe as dm
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.results.along import along
 from dmframe.results.climb import climb_of
 from dmframe_plants.arm2.closed_form import jacobian
@@ -157,9 +157,9 @@ def test_the_climb_is_the_largest_rise_above_an_earlier_value() -> None:
     time, none = np.arange(6.0), np.zeros(0)
     climb = climb_of(time, np.array([5.0, 1.0, 2.0, 1.5, 4.0, 0.0]), none)
     assert (climb.rise, climb.since, climb.until, climb.fall, climb.rises) == (3.0, 1.0, 4.0, 5.0, 2)
-    assert climb.share == pytest.approx(0.6)
+    assert climb.fraction == pytest.approx(0.6)
     grown = climb_of(time[:2], np.array([1.0, 3.0]), none)
-    assert (grown.rise, grown.share) == (2.0, None)
+    assert (grown.rise, grown.fraction) == (2.0, None)
 
 
 def test_what_rounding_explains_is_no_rise() -> None:

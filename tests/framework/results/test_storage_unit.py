@@ -6,8 +6,8 @@ import pytest
 
 import dmframe as dm
 from dmframe.certify.claim import claim_of
+from dmframe.common.units import base_units
 from dmframe.results.storage_unit import storage_unit
-from dmframe.units import base_units
 
 
 @pytest.mark.parametrize(

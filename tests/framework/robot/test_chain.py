@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from dmframe.errors import DmframeError, MissingError, RobotError, UnknownNameError, ValueFault
+from dmframe.common.errors import DmframeError, MissingError, RobotError, UnknownNameError, ValueFault
 from dmframe.robot.chain import SerialChain, pin_configuration
 from dmframe.robot.library import find_robot, load
 
@@ -196,7 +196,7 @@ def test_a_free_joint_without_inertia_behind_it_is_named(urdf):
         fault(file),
         RobotError,
         "robot arm: the mass matrix is not positive definite: the links behind joint j2 have too little mass or "
-        "inertia; give its link an inertia, or hold it",
+        "inertia; give its link an inertia, or hold it; `dmframe new FILE` writes a copy with placeholders",
         "model",
     )
     assert SerialChain.from_urdf(file, hold={"j2": 0.0}).n == 1

@@ -8,10 +8,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from dmframe.errors import DmframeError, MissingError, RobotError
+from dmframe.common.errors import DmframeError, MissingError, RobotError
 from dmframe.robot.chain import SerialChain, pin_configuration
 from dmframe.robot.convert import read_any, written
-from dmframe.robot.flange import flange_of, repaired
+from dmframe.robot.flange import flange_of
+from dmframe.robot.repairs import repaired
 
 MOMENTS = '<inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/>'
 INERTIAL = f'<inertial><origin xyz="0.1 0 0"/><mass value="2"/>{MOMENTS}</inertial>'
@@ -72,14 +73,90 @@ def test_the_flange_is_before_the_fingers(end, tool):
 def test_of_two_arms_none_is_chosen():
     second = "".join(f'<link name="r{k}">{INERTIAL}</link>' for k in range(1, 5))
     second += "".join(joint(f"k{k}", "l0" if k == 1 else f"r{k - 1}", f"r{k}") for k in range(1, 5))
-    with pytest.raises(RobotError, match=r"robot a: at link l0 it branches into arms; name the tool .* l4, r4"):
+    with pytest.raises(RobotError, match=r"name the tool with --tool, one of l4 \(4 joints\), r4 \(4 joints\)"):
         flange_of(ElementTree.fromstring(arm(end=second)), "robot a")
+
+
+def branch(name: str, n: int, start: str) -> str:
+    """A chain of n joints with its links, from a link of the arm on."""
+    links = "".join(f'<link name="{name}{k}">{INERTIAL}</link>' for k in range(1, n + 1))
+    return links + "".join(
+        joint(f"to_{name}{k}", start if k == 1 else f"{name}{k - 1}", f"{name}{k}") for k in range(1, n + 1)
+    )
+
+
+MIMIC = '<mimic joint="g1"/>'
+
+
+@pytest.mark.parametrize(
+    ("n", "end", "tool"),
+    [
+        (4, branch("left", 3, "l0") + branch("right", 3, "l0"), "l4"),  # legs
+        (4, branch("head", 2, "l1"), "l4"),
+        (7, branch("thumb", 4, "l7") + branch("index", 4, "l7"), "l7"),  # a hand
+        (4, branch("head", 2, "l4") + branch("arm", 6, "l4"), "arm6"),  # no hand: six joints are no finger
+        (5, f'<link name="moving_jaw">{INERTIAL}</link>' + joint("gripper", "l5", "moving_jaw"), "l5"),
+        (5, f'<link name="l6">{INERTIAL}</link>' + joint("roll", "l5", "l6"), "l6"),
+        (
+            5,
+            "".join(f'<link name="k{k}">{INERTIAL}</link>' for k in (1, 2))
+            + joint("g1", "l5", "k1")
+            + joint("g2", "l5", "k2", extra=MIMIC),
+            "l5",
+        ),
+    ],
+)
+def test_legs_heads_hands_and_grippers_are_no_part_of_the_arm(n, end, tool):
+    assert flange_of(ElementTree.fromstring(arm(n, end)), "robot a") == tool
+
+
+def test_a_robot_without_an_arm_is_refused_with_the_ends_of_its_chains():
+    text = f'<robot name="a"><link name="l0"/>{branch("left", 3, "l0")}{branch("right", 3, "l0")}</robot>'
+    with pytest.raises(
+        RobotError, match=r"4 to 7 moving joints, found chains to left3 \(3 joints\), right3 \(3 joints\)"
+    ):
+        flange_of(ElementTree.fromstring(text), "robot a")
+
+
+def test_a_prefix_without_a_namespace_is_part_of_a_name(tmp_path):
+    """Exports for Gazebo have elements such as <controller:gazebo_ros/>, which a parser of namespaces refuses."""
+    path = tmp_path / "a.urdf"
+    path.write_text(arm(end='<controller:gazebo_ros name="c"><topic>/c</topic></controller:gazebo_ros>'))
+    root = read_any(path).root
+    assert repaired(root, "l4", "robot a") == []
+    path.write_text(written(root, []))
+    assert SerialChain.from_urdf(path).n == 4
+
+
+def test_joints_off_the_way_are_fixed_where_their_numbers_are_invalid(tmp_path):
+    path = tmp_path / "a.urdf"
+    path.write_text(arm(end=branch("head", 2, "l1").replace('upper="2"', 'upper="-3"', 1)))
+    with pytest.raises(DmframeError, match="expected lower <= upper"):
+        SerialChain.from_urdf(path, tool="l4")
+    root = read_any(path).root
+    (note,) = repaired(root, "l4", "robot a")
+    assert note == "joint to_head1: invalid, made fixed; the joint is not between the base and l4"
+    path.write_text(written(root, []))
+    chain = SerialChain.from_urdf(path, tool="l4")
+    assert [float(body[0]) for body in chain.inertia] == [6, 2, 2, 2]  # the head counts
+
+
+def test_a_mass_without_moments_gets_those_of_a_sphere(tmp_path):
+    path = tmp_path / "a.urdf"
+    path.write_text(arm().replace('ixx=".1" iyy=".1" izz=".1"', 'ixx="0" iyy="0" izz="0"'))
+    root = read_any(path).root
+    notes = repaired(root, "l4", "robot a")
+    assert notes[0] == "link l1: no moments of inertia in the file; placeholder of 0.005 kg m^2"
+    path.write_text(written(root, notes))
+    assert float(SerialChain.from_urdf(path).inertia[0][4]) == pytest.approx(0.005)
 
 
 def test_only_the_way_to_the_tool_must_be_valid(tmp_path):
     head = f'<link name="head">{BAD}</link>' + joint("neck", "l1", "head", "fixed")
     root = ElementTree.fromstring(arm(end=head))
-    assert repaired(root, "l4", "robot a") == ["link head: invalid inertia left out; it is not on the way to l4"]
+    assert repaired(root, "l4", "robot a") == [
+        "link head: invalid inertia removed; the link is not between the base and l4"
+    ]
     path = tmp_path / "a.urdf"
     path.write_text(written(root, []))
     assert SerialChain.from_urdf(path, tool="l4").n == 4
@@ -203,3 +280,15 @@ def test_without_xacrodoc_a_xacro_file_names_the_package(tmp_path, monkeypatch):
         MissingError, match=r'need the package xacrodoc, which is not installed; pip install "dmframe\[xacro\]"'
     ):
         read_any(path)
+
+
+def test_an_invalid_inertia_that_no_free_joint_moves_is_ignored(tmp_path):
+    path = tmp_path / "a.urdf"
+    path.write_text(arm(end=f'<link name="shelf">{BAD}</link>' + joint("to_shelf", "l0", "shelf")))
+    with pytest.raises(DmframeError, match="link shelf: expected ixx >= 0"):
+        SerialChain.from_urdf(path)
+    assert SerialChain.from_urdf(path, tool="l4").n == 4
+    assert SerialChain.from_urdf(path, free=["j1", "j2", "j3", "j4"]).n == 4
+    path.write_text(arm(end=f'<link name="head">{BAD}</link>' + joint("neck", "l2", "head")))
+    with pytest.raises(DmframeError, match="link head: expected ixx >= 0"):
+        SerialChain.from_urdf(path, tool="l4")

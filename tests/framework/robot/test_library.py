@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from dmframe.errors import DmframeError, MissingError, RobotError, UnknownNameError
+from dmframe.common.errors import DmframeError, MissingError, RobotError, UnknownNameError
 from dmframe.robot import library
 from dmframe.robot.library import find_robot, load, robots, robots_in
 

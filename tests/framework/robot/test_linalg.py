@@ -3,7 +3,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from dmframe.linalg import ldl, solve_spd
+from dmframe.block.linalg import ldl, solve_spd
 
 
 def positive_definite(n):

@@ -13,10 +13,10 @@ import dmframe as dm
 from dmframe.block.sizes import Sizes, parameter_arrays
 from dmframe.catalogue import block_types
 from dmframe.cli.app import app
+from dmframe.common.errors import DmframeError, RobotError, ValueFault
+from dmframe.common.units import Stated, joint_place, joint_quantity, of_sliding
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError, RobotError, ValueFault
 from dmframe.robot.chain import SerialChain
-from dmframe.units import Stated, joint_place, joint_quantity, of_sliding
 
 
 def _link(name: str, mass: float) -> str:

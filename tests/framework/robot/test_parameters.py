@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from dmframe.errors import UnknownNameError
+from dmframe.common.errors import UnknownNameError
 from dmframe.robot import parameters
 from dmframe.robot.chain import SerialChain, pin_configuration
 from dmframe.robot.library import load
@@ -36,7 +36,7 @@ def chain() -> SerialChain:
 
 
 def whole(chain: SerialChain) -> DynamicParameters:
-    return DynamicParameters(chain, ("coulomb", "viscous"), gravity_apart=True, bias=True)
+    return DynamicParameters(chain, ("coulomb", "viscous"), separate_gravity=True, bias=True)
 
 
 def by_name(chain: SerialChain) -> dict[str, float]:

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from dmframe.gain import check_definite
+from dmframe.block.gain import check_definite
 from dmframe.robot.pseudo_inertia import natural_gain, pseudo_inertia
 
 

@@ -4,9 +4,9 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from dmframe.robot.rational import decimal, rational_axis, rational_rotation, simplest_between, simplest_near
 
@@ -30,7 +30,7 @@ def change(R, exact):
 @settings(max_examples=100, derandomize=True)
 @given(st.tuples(angle, angle, angle))
 def test_a_rational_rotation_is_exactly_orthogonal_and_next_to_the_rounded_one(rpy):
-    R = Rotation.from_euler("xyz", rpy).as_matrix()
+    R = scipy.spatial.transform.Rotation.from_euler("xyz", rpy).as_matrix()
     exact = rational_rotation(R)
     assert gram(exact) == IDENTITY
     assert determinant(exact) == 1
@@ -40,19 +40,19 @@ def test_a_rational_rotation_is_exactly_orthogonal_and_next_to_the_rounded_one(r
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 @pytest.mark.parametrize("turn", [np.pi, np.pi / 2, -np.pi / 2, np.pi - 1e-6, 3.0, 1e-7])
 def test_a_rotation_near_a_half_turn_or_none_loses_no_accuracy(axis, turn):
-    R = Rotation.from_euler(axis, turn).as_matrix()
+    R = scipy.spatial.transform.Rotation.from_euler(axis, turn).as_matrix()
     exact = rational_rotation(R)
     assert gram(exact) == IDENTITY
     assert change(R, exact) < 2e-15
 
 
 def test_a_quarter_turn_of_ten_digits_is_a_quarter_turn():
-    R = Rotation.from_euler("y", 1.57079632679).as_matrix()
+    R = scipy.spatial.transform.Rotation.from_euler("y", 1.57079632679).as_matrix()
     assert rational_rotation(R) == ((0, 0, 1), (0, 1, 0), (-1, 0, 0))
 
 
 def test_a_quarter_turn_of_five_digits_stays_what_it_is():
-    R = Rotation.from_euler("y", 1.5708).as_matrix()
+    R = scipy.spatial.transform.Rotation.from_euler("y", 1.5708).as_matrix()
     exact = rational_rotation(R)
     assert exact[0][0] != 0
     assert float(exact[0][0]) == pytest.approx(np.cos(1.5708), rel=1e-9)

@@ -45,7 +45,7 @@ def test_the_expressions_are_those_of_the_recursion(name: str, share: Any) -> No
             plain = dq_ref is dq
             expected = robot._torque(plain, q, dq, ddq_ref, robot.inertia, ca.SX(share), dq_ref)
             assert same_expression(found, expected), what
-    assert len(recursion._STATED) == len(arguments(2)) - 2  # expressions have the zeros of all; some constants, none
+    assert len(recursion._TRACED) == len(arguments(2)) - 2  # expressions have the zeros of all; some constants, none
 
 
 def test_other_zeros_and_constants_are_stated_anew() -> None:
@@ -79,7 +79,7 @@ def test_few_functions_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     robot, q = SymbolicRobot(load("arm2")), ca.SX.sym("q", 2)
     for k in range(8):
         robot.inverse_dynamics(q, q, q, ca.SX([float(k), 1.0]))
-    assert 1 <= len(recursion._STATED) <= 3
+    assert 1 <= len(recursion._TRACED) <= 3
 
 
 def test_robots_with_free_axes_are_not_repeated() -> None:

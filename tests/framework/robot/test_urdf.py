@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from dmframe.errors import DmframeError, Faults, RobotError
+from dmframe.common.errors import DmframeError, Faults, RobotError
 from dmframe.robot import urdf
 from dmframe.robot.library import find_robot, robots
 from dmframe.robot.urdf import read_urdf
@@ -82,7 +82,7 @@ def fault_of_file(file: Path) -> str:
         ("0.1 0 0.2", "0.1 0 0.2.", "13: joint j: expected 3 finite numbers as xyz of <origin>, found '0.1 0 0.2.'"),
         ("0 0.5 0", "0 nan 0", "13: joint j: expected 3 finite numbers as rpy of <origin>, found '0 nan 0'"),
         ("0 0 1", "0 0", "14: joint j: expected 3 finite numbers as xyz of <axis>, found '0 0'"),
-        ("0 0 1", "0 0.0 0", "14: joint j: expected an axis that is not zero, found 0 0.0 0"),
+        ("0 0 1", "0 0.0 0", "14: joint j: expected a nonzero axis, found 0 0.0 0"),
         ('lower="-3"', 'lower="-3 rad"', "15: joint j: expected a finite lower, found '-3 rad'"),
         ('lower="-3"', 'lower="4"', "15: joint j: expected lower <= upper, found 4 and 3"),
         (' effort="100"', "", "15: joint j: expected effort in <limit>, found none"),
@@ -106,8 +106,8 @@ def test_a_malformed_number_has_its_line(write: Callable[[str], Path], old: str,
         ),
         ('"2.5"', '"1e308"', "6: link a: expected a number below 1e+100, found '1e308'"),
         ("0.1 0 0.2", "1e100 0 0", "13: joint j: expected numbers below 1e+100, found '1e100 0 0'"),
-        ("0 0 1", "1e-200 0 0", "14: joint j: expected an axis of a length near 1, found 1e-200 0 0"),
-        ("0 0 1", "1e308 1e308 0", "14: joint j: expected an axis of a length near 1, found 1e308 1e308 0"),
+        ("0 0 1", "1e-200 0 0", "14: joint j: expected an axis of length near 1, found 1e-200 0 0"),
+        ("0 0 1", "1e308 1e308 0", "14: joint j: expected an axis of length near 1, found 1e308 1e308 0"),
     ],
 )
 def test_a_number_that_no_body_has_is_reported_with_its_line(

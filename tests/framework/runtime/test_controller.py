@@ -12,8 +12,8 @@ import pytest
 import dmframe as dm
 from dmframe.build import compiler as compilers
 from dmframe.catalogue import graphs
+from dmframe.common.errors import EngineError, ValueFault
 from dmframe.diagram import Diagram
-from dmframe.errors import EngineError, ValueFault
 from dmframe.graph.graph import Graph
 from dmframe.runtime import Controller
 from dmframe.simulate import Recording, simulate

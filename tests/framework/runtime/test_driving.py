@@ -12,8 +12,8 @@ import pytest
 from drivers import Script, driven, limits, simulated
 
 import dmframe as dm
-from dmframe.errors import DriveError, LostError
-from dmframe.runtime.driving import Driven
+from dmframe.common.errors import DriveError, LostError
+from dmframe.runtime.driving import DriveResult
 from dmframe.runtime.robot import Sample
 
 Q = np.array([1.455411, -1.016031, 0.978316])
@@ -30,7 +30,7 @@ def standing(ticks: int, **changed: Any) -> list[Any]:
     return [replace(Sample(0.008 * k, Q, np.zeros(3), Q, X), **changed) for k in range(ticks)]
 
 
-def ended(samples: list[Any], ticks: int = 20, **plan: Any) -> tuple[Driven, Script]:
+def ended(samples: list[Any], ticks: int = 20, **plan: Any) -> tuple[DriveResult, Script]:
     robot = Script(samples)
     return driven(graph(), robot, ticks, **plan), robot
 
@@ -175,7 +175,7 @@ class Hidden:
         return replace(self._robot.read(), scaling=1.0)
 
 
-def missed(found: Driven) -> float:
+def missed(found: DriveResult) -> float:
     """How far the tool is from its path, the circle of the graph, in the second half [m]."""
     x = found.journal["x"]
     offset = np.hypot(x[:, 0] + 0.07, x[:, 1] - 0.67) - 0.15
@@ -236,7 +236,7 @@ class Walker(Script):
 AWAY = Q + np.array([0.1, 0, 0])
 
 
-def walked(way: list[Sample], **plan: Any) -> tuple[Driven, Walker]:
+def walked(way: list[Sample], **plan: Any) -> tuple[DriveResult, Walker]:
     robot = Walker([Sample(0.0, AWAY, np.zeros(3), AWAY, X), *standing(21)], way)
     return driven(graph(), robot, 20, start=Q, **plan), robot
 

@@ -9,8 +9,8 @@ import pytest
 from drivers import driven, simulated
 
 import dmframe as dm
-from dmframe.errors import DriveError
-from dmframe.runtime.driving import Driven
+from dmframe.common.errors import DriveError
+from dmframe.runtime.driving import DriveResult
 from dmframe.runtime.robot import Sample
 from dmframe.runtime.signals import measured_as
 from dmframe.simulate import Recording
@@ -19,7 +19,7 @@ GCC = shutil.which("gcc")
 PLAIN = "-ffp-contract=off -fno-tree-vectorize"
 
 
-def same_bits(found: Driven, graph: dm.Graph, run: Recording) -> None:
+def same_bits(found: DriveResult, graph: dm.Graph, run: Recording) -> None:
     journal = found.journal
     assert found.stop is None
     assert journal["reference"].tobytes() == np.ascontiguousarray(run.time).tobytes()

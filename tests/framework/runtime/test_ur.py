@@ -11,8 +11,8 @@ import pytest
 from drivers import driven
 
 import dmframe as dm
+from dmframe.common.errors import DriveError, LostError, ValueFault
 from dmframe.drive.robots import Options, kind_of
-from dmframe.errors import DriveError, LostError, ValueFault
 from dmframe.runtime import ur
 from dmframe.runtime.rtde import PORT, Rtde
 from dmframe.runtime.ur import INPUTS, OUTPUTS, UniversalRobot

@@ -16,8 +16,8 @@ import pytest
 from drivers import driven
 
 import dmframe as dm
+from dmframe.common.errors import DriveError, LostError, ValueFault
 from dmframe.drive.robots import Options, kind_of
-from dmframe.errors import DriveError, LostError, ValueFault
 from dmframe.runtime import xarm
 from dmframe.runtime.xarm import Report, XArm
 

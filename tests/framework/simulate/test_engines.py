@@ -18,8 +18,8 @@ from dmframe.build.library import address
 from dmframe.codegen import loop_source
 from dmframe.codegen.function import written
 from dmframe.codegen.source import shipped
+from dmframe.common.errors import DmframeError, EngineError, UnknownNameError, ValueFault
 from dmframe.diagram.parts import Parts
-from dmframe.errors import DmframeError, EngineError, UnknownNameError, ValueFault
 from dmframe.graph.graph import Graph
 from dmframe.results.metrics import tracking_error
 from dmframe.simulate import Log, Recording, Solver, simulate

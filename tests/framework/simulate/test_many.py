@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.parameter import Diagonal, Gain, Positive, PositiveDefinite, Real, Scalar
+from dmframe.block.port import Output, Side, State
+from dmframe.common.errors import DmframeError, UnknownNameError, ValueFault
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
-from dmframe.errors import DmframeError, UnknownNameError, ValueFault
 from dmframe.graph.graph import Graph
-from dmframe.parameter import Diagonal, Gain, Positive, PositiveDefinite, Real, Scalar
-from dmframe.port import Output, Side, State
 from dmframe.results.metrics import tracking_error
 from dmframe.simulate import Recording, simulate, simulate_many
 

@@ -9,13 +9,13 @@ import pytest
 
 from dmframe.analysis import linearise
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate
+from dmframe.block.certificate import Certificate
+from dmframe.block.parameter import Box, Interval, Real, Scalar
+from dmframe.block.port import PERIOD, Access, Input, Output, Side, State
 from dmframe.certify import verify
+from dmframe.common.errors import DmframeError
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError
 from dmframe.graph.graph import Graph
-from dmframe.parameter import Box, Interval, Real, Scalar
-from dmframe.port import PERIOD, Access, Input, Output, Side, State
 from dmframe.results.claimed import unproved_along
 from dmframe.runtime import Controller
 from dmframe.simulate import Solver, simulate, simulate_many

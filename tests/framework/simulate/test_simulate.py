@@ -10,11 +10,11 @@ import pytest
 import scipy
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.parameter import Box, Interval, Real, Scalar
+from dmframe.block.port import TIME, Access, Input, Output, Side, State
+from dmframe.common.errors import DmframeError, EngineError, ValueFault
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError, EngineError, ValueFault
 from dmframe.graph.graph import Graph
-from dmframe.parameter import Box, Interval, Real, Scalar
-from dmframe.port import TIME, Access, Input, Output, Side, State
 from dmframe.simulate import Recording, Solver, simulate
 
 
@@ -261,7 +261,7 @@ def test_a_stiff_plant_is_noticed_for_rk4_alone() -> None:
     (notice,) = run_alone(Stiff(), 0.01, [1, 1], clock=0.01, solver=Solver(step=0.001)).notices
     assert notice == (
         "the plant is stiff: at rest h |lambda| = 5.00 for rk4 at 1 ms, stable up to 2.785; "
-        "take solver.step: 0.45 ms, leave it out, or take solver.method: ros34pw2"
+        "set solver.step: 0.45 ms, remove solver.step for an automatic step, or set solver.method: ros34pw2"
     )
     assert run_alone(Stiff(), 0.01, [1, 1], clock=0.01, solver=Solver(step=0.0004)).notices == ()
 
@@ -278,7 +278,7 @@ def test_the_default_step_of_rk4_is_stable_for_the_plant() -> None:
 def test_a_plant_too_stiff_for_any_step_of_rk4_is_run_by_ros34pw2() -> None:
     run = run_alone(Stiff(), 100.0, [1, 1], clock=10.0)
     assert run.solver == Solver("ros34pw2", 0.005)
-    assert run.notices == ("the plant is stiff: rk4 would take steps of 450 µs; ros34pw2 runs it, in steps of 5 ms",)
+    assert run.notices == ("the plant is stiff: rk4 would take steps of 450 µs; ros34pw2 is used, with steps of 5 ms",)
     np.testing.assert_allclose(run["plant.y"][-1], 0, atol=1e-6)
 
 
@@ -335,5 +335,7 @@ def test_a_log_that_keeps_less_often_than_the_run_is_long_keeps_its_begin() -> N
 def test_a_plant_too_steep_to_compute_with_is_reported_without_its_digits(value: str) -> None:
     graph = Graph.read("pendulum", [f"servo.K_D={value}"])
     run = simulate(graph.diagram, 0.02, solver=graph.solver, start=graph.start)
-    assert run.notices == ("at the start the plant's rates are too steep to compute with; take parameters nearer to 1",)
+    assert run.notices == (
+        "the Jacobian of the plant at the initial state is not finite or exceeds 1e12; use parameters nearer to 1",
+    )
     assert run.divergence is not None

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.port import Input, Output, Side, State
+from dmframe.common.errors import StartError, ValueFault
 from dmframe.diagram import Diagram
-from dmframe.errors import StartError, ValueFault
 from dmframe.graph.graph import Graph
-from dmframe.port import Input, Output, Side, State
 from dmframe.simulate import simulate, start_state
 from dmframe.simulate.start import goal_and_place, joint_goal, on_path
 from dmframe_plants.arm2 import closed_form

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from dmframe import plotting
+from dmframe.common import plotting
 from dmframe.study import execute, report, tune_page
 from dmframe.study.execute import State, run_study
 from dmframe.study.executor import InProcess

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.study.read import load_study
 
 TEXT = (Path(__file__).parent / "bad_studies.txt").read_text(encoding="utf-8")

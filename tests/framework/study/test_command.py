@@ -113,13 +113,13 @@ def test_a_study_runs_grows_reruns_and_moves(mine: Path, tmp_path: Path, dmframe
     assert (status, err) == (0, "")
     assert out.startswith("study: 18 of 18 runs; 18 computed in ")
     assert (
-        "\nProved over what was drawn; none of 9 robots diverged at 2 of 2 settings: Gamma = 1 and Gamma = 10; " in out
+        "\nProved over the sampled box; none of 9 robots diverged at 2 of 2 settings: Gamma = 1 and Gamma = 10; " in out
     )
     assert out.endswith(
         "diverged: 0, not run for a fault: 0\nresults: studies/study\nreport: studies/study/report.html\n"
     )
     page = re.sub(r"<[^>]+>", "", (tmp_path / "studies/study/report.html").read_text("utf-8"))
-    assert "Proved over what was drawn; none of 9 robots diverged at 2 of 2 settings" in page
+    assert "Proved over the sampled box; none of 9 robots diverged at 2 of 2 settings" in page
 
     folder = tmp_path / "studies" / "study"
     moved = tmp_path / "moved"
@@ -135,7 +135,7 @@ def test_a_study_runs_grows_reruns_and_moves(mine: Path, tmp_path: Path, dmframe
     (moved / "report.html").unlink()
     status, out, err = dmframe("report", "moved")
     assert (status, err) == (0, "")
-    assert out.startswith("Proved over what was drawn; none of 9 robots diverged at 2 of 2 settings: ")
+    assert out.startswith("Proved over the sampled box; none of 9 robots diverged at 2 of 2 settings: ")
     assert out.endswith("\nwrote moved/report.html\n")
     assert "`" not in out
     page = (moved / "report.html").read_text("utf-8")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.study.design import Design, Method, Spread
 
 NAMES = ("servo.K_P", "arm.viscous", "path.radius")

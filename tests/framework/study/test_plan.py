@@ -12,7 +12,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from dmframe.batch.columns import joined
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.graph.load import load
 from dmframe.results.metrics import tracking_error
 from dmframe.study.grammar import study_schema

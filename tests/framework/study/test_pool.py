@@ -86,7 +86,7 @@ def test_a_chunk_that_fails_three_times_is_named_and_the_rest_goes_on(
     state = run_study(FakeStudy(gates=gates), out, workers=2, chunk=8)
     assert state.kept == 120 - 16
     assert {str(chunk): why for chunk, why in state.failed.items()} == {
-        "point 0, samples 8 to 15": "its process was ended: killed, as by a system that runs out of memory",
+        "point 0, samples 8 to 15": "its process was ended: killed, possibly because memory ran out",
         "point 2, samples 32 to 39": "ArithmeticError: no number",
     }
     (gates / "poison-0-8").unlink()
@@ -96,7 +96,7 @@ def test_a_chunk_that_fails_three_times_is_named_and_the_rest_goes_on(
 
 
 def test_a_study_that_no_worker_can_read_ends_in_one_sentence(tmp_path: Path) -> None:
-    from dmframe.errors import EngineError
+    from dmframe.common.errors import EngineError
 
     with pytest.raises(EngineError, match=r"a worker process could not be started: \w+Error"):
         run_study(Unreadable(), tmp_path / "out", workers=1)

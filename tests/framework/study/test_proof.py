@@ -13,18 +13,18 @@ import pytest
 
 from dmframe.certify import verify
 from dmframe.certify.checked import Checked
-from dmframe.certify.elsewhere import Elsewhere
+from dmframe.certify.parameter_margins import ParameterMargin
 from dmframe.study import proof as module
 from dmframe.study import sections
 from dmframe.study.answer import ReportData, proof_in_short
 from dmframe.study.box import COVERAGE, box_of
 from dmframe.study.design import Spread
-from dmframe.study.drawn import HOLDS, OPEN, _Samples, held_at
 from dmframe.study.findings import Findings
 from dmframe.study.plan import Study
 from dmframe.study.proof import proofs_of
 from dmframe.study.read import load_study
 from dmframe.study.report import reported
+from dmframe.study.sample_proofs import HOLDS, OPEN, _Samples, conditions_at
 from dmframe.study.varied import Factor
 
 
@@ -146,7 +146,7 @@ def test_margins_are_of_the_point_and_not_of_the_graph() -> None:
 
 def test_samples_of_a_loop_without_a_claim_are_undecided() -> None:
     found = study("servo.K_D: {scale: [0.9, 1.1]}", graph="pendulum_kinematic")
-    assert held_at(of(found), {}, found.values(0, 0, 5), 5, verify(of(found))) is None
+    assert conditions_at(of(found), {}, found.values(0, 0, 5), 5, verify(of(found))) is None
 
 
 def test_only_the_first_points_are_decided(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -159,8 +159,8 @@ def test_only_the_first_points_are_decided(monkeypatch: pytest.MonkeyPatch) -> N
     ("sample", "says", "apart"),
     [
         ("clock: {scale: [1, 2]}", "hold at the numbers that the graphs state", True),
-        ("clock: {scale: [1, 2]}\nservo.K_P: {scale: [1, 2]}", "hold over the whole box of what was drawn", True),
-        ("servo.K_P: {scale: [1, 2]}", "hold over the whole box of what was drawn", False),
+        ("clock: {scale: [1, 2]}\nservo.K_P: {scale: [1, 2]}", "hold over the whole sampled box", True),
+        ("servo.K_P: {scale: [1, 2]}", "hold over the whole sampled box", False),
     ],
 )
 def test_the_answer_says_what_the_box_does_not_hold(sample: str, says: str, apart: bool) -> None:
@@ -184,9 +184,9 @@ LEAKY = '''"""A tank with one number."""
 from typing import Any, ClassVar, final
 
 from dmframe.block import AbstractBlock, Equations
-from dmframe.certificate import Certificate, Square
-from dmframe.parameter import Positive, Scalar
-from dmframe.port import Output, Side, State
+from dmframe.block.certificate import Certificate, Square
+from dmframe.block.parameter import Positive, Scalar
+from dmframe.block.port import Output, Side, State
 
 
 @final
@@ -240,7 +240,7 @@ def test_a_graph_with_one_scalar_state_and_nothing_to_measure_runs(tank: Callabl
 @pytest.mark.parametrize(
     ("dissipated", "begins", "outcome"),
     [
-        ("p.rate", "Proved over what was drawn; of 20", "proved"),
+        ("p.rate", "Proved over the sampled box; of 20", "proved"),
         ("2 * p.rate", "The proof is refuted; of 20", "refuted"),
     ],
 )
@@ -284,6 +284,6 @@ def test_a_divisor_that_is_zero_in_a_sample_is_no_large_margin() -> None:
     claim = verify(of(study("servo.K_I: {scale: [1, 2]}"))).claim
     assert claim is not None
     (K_I,) = (item.symbol for item in claim.loop.parameters if item.label == "servo.K_I")
-    item = Elsewhere(Checked("toy", "", 1.0, True, "a test"), 1 / (K_I - 20) ** 2)
+    item = ParameterMargin(Checked("toy", "", 1.0, True, "a test"), 1 / (K_I - 20) ** 2)
     samples = _Samples(claim, {"servo.K_I": np.array([[20.0, 21.0, 40.0]])}, 3)
     assert samples.judged([item]).tolist() == [OPEN, HOLDS, HOLDS]

@@ -16,7 +16,7 @@ import pytest
 import scipy
 
 import dmframe as dm
-from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault
+from dmframe.common.errors import DmframeError, MissingError, UnknownNameError, ValueFault
 from dmframe.report.parts import Lead
 from dmframe.study import results as results_module
 from dmframe.study.answer import WORTH, ReportData, lead, summary
@@ -273,7 +273,7 @@ def test_no_interval_is_printed_where_none_is_valid(folder: Callable[..., Path],
     assert "No interval of probability is given" in said
     for never in ("95 % interval", "at most", "confidence", "by chance", "sign test", "Clopper"):
         assert never not in said.replace("over at most 16 bins", "").replace(
-            "Share of the runs with at most", ""
+            "Fraction of the runs with at most", ""
         ).replace("what so many bins explain by chance", "")
     assert Results(place).table["low"].null_count() == 2
 
@@ -320,7 +320,7 @@ def test_what_decides_is_named_only_where_chance_does_not_explain_it(tmp_path: P
         (tmp_path / str(seed)).mkdir()
         results = Results(write(tmp_path / str(seed), figures, text_of(runs=20, method=method, grid="\n")))
         data = ReportData(findings_of(results), (), (), True, (), ())
-        shares = [item.share for item in data.found.points[0].influences["rms_final"]]
+        shares = [item.explained for item in data.found.points[0].influences["rms_final"]]
         said = "Largest influence" in repr(list(summary(data)))
         named += said
         assert not said or max(shares) >= WORTH

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import scipy
 
-from dmframe.study.statistics import adjusted, influence, map_of, paired, quantile, share
+from dmframe.study.statistics import adjusted, influence, map_of, paired, proportion, quantile
 
 
 @pytest.mark.parametrize(("count", "runs"), [(0, 299), (1, 50), (7, 40), (40, 40)])
 def test_the_interval_of_a_share_is_clopper_and_pearsons(count: int, runs: int) -> None:
-    found = share(np.arange(runs) < count, independent=True)
+    found = proportion(np.arange(runs) < count, independent=True)
     both = scipy.stats.binomtest(count, runs).proportion_ci(0.95, method="exact")
     one = scipy.stats.binomtest(count, runs, alternative="less").proportion_ci(0.95, method="exact")
     assert (found.low, found.high) == pytest.approx((both.low, both.high))
@@ -22,31 +22,31 @@ def test_the_interval_of_a_share_is_clopper_and_pearsons(count: int, runs: int) 
 
 
 def test_none_of_299_is_at_most_one_percent() -> None:
-    found = share(np.zeros(299, dtype=bool), independent=True)
+    found = proportion(np.zeros(299, dtype=bool), independent=True)
     assert found.most == pytest.approx(1 - 0.05 ** (1 / 299))
     assert found.most is not None
-    assert found.most < 0.01 < (share(np.zeros(298, dtype=bool), independent=True).most or 0)
+    assert found.most < 0.01 < (proportion(np.zeros(298, dtype=bool), independent=True).most or 0)
 
 
 @pytest.mark.parametrize("p", [0.003, 0.02, 0.1, 0.4])
 @pytest.mark.parametrize("runs", [20, 150])
 def test_limits_of_a_share_hold_as_often_as_they_say(p: float, runs: int) -> None:
     weights = scipy.stats.binom.pmf(np.arange(runs + 1), runs, p)
-    found = [share(np.arange(runs) < k, independent=True) for k in range(runs + 1)]
+    found = [proportion(np.arange(runs) < k, independent=True) for k in range(runs + 1)]
     assert sum(w for w, each in zip(weights, found, strict=True) if each.low <= p <= each.high) >= 0.95
     assert sum(w for w, each in zip(weights, found, strict=True) if p <= each.most) >= 0.95
 
 
 def test_shares_that_hold_together_are_wider() -> None:
     happened = np.arange(100) < 5
-    one, many = share(happened, independent=True), share(happened, independent=True, together=10)
-    assert many.most == pytest.approx(share(happened, independent=True, level=0.995).most)
+    one, many = proportion(happened, independent=True), proportion(happened, independent=True, together=10)
+    assert many.most == pytest.approx(proportion(happened, independent=True, level=0.995).most)
     assert many.low < one.low < one.high < many.high  # type: ignore[operator]
 
 
 def test_a_design_that_spreads_its_points_gets_no_interval() -> None:
     happened, values = np.zeros(64, dtype=bool), np.arange(64.0)
-    found = share(happened, independent=False)
+    found = proportion(happened, independent=False)
     assert (found.low, found.high, found.most) == (None, None, None)
     assert (quantile(values, 0.9, independent=False).low, quantile(values, 0.9, independent=False).high) == (None, None)
     assert paired(values, values + 1, independent=False).p is None
@@ -122,7 +122,7 @@ def test_influences_are_the_first_order_indices_of_a_known_function() -> None:
         rng=np.random.default_rng(1),
     ).first_order
     found = [influence(name, draws, y, independent=True) for name, draws in zip("abcd", (a, b, c, d), strict=True)]
-    assert [each.share for each in found] == pytest.approx(known.ravel().tolist(), abs=0.03)
+    assert [each.explained for each in found] == pytest.approx(known.ravel().tolist(), abs=0.03)
     assert found[3].p is not None
     assert found[3].p > 0.01
     assert all(each.p is not None and each.p < 1e-10 for each in found[:3])
@@ -133,8 +133,8 @@ def test_an_influence_on_ranks_survives_decades_and_divergence() -> None:
     a, b = rng.uniform(size=(2, 5000))
     y = 10 ** (6 * a + 0.1 * b)
     y[a > 0.9] = math.inf
-    assert influence("a", a, y, independent=True).share > 0.95
-    assert influence("b", b, y, independent=True).share < 0.01
+    assert influence("a", a, y, independent=True).explained > 0.95
+    assert influence("b", b, y, independent=True).explained < 0.01
 
 
 def test_the_chance_of_a_share_is_that_of_kruskal_and_wallis() -> None:
@@ -151,13 +151,13 @@ def test_no_influence_is_claimed_more_often_than_its_chance_says() -> None:
     rng = np.random.default_rng(11)
     found = [influence("a", rng.uniform(size=200), rng.normal(size=200), independent=True) for _ in range(400)]
     assert np.mean([(each.p or 0) < 0.05 for each in found]) == pytest.approx(0.05, abs=0.03)
-    assert np.mean([each.share for each in found]) < 0.03  # chance itself is taken away
+    assert np.mean([each.explained for each in found]) < 0.03  # chance itself is taken away
 
 
 def test_a_factor_of_one_value_has_no_influence() -> None:
-    assert influence("a", np.ones(50), np.arange(50.0), independent=True).share == 0
-    assert influence("a", np.arange(50.0), np.ones(50), independent=True).share == 0
-    assert influence("a", np.empty(0), np.empty(0), independent=True).share == 0
+    assert influence("a", np.ones(50), np.arange(50.0), independent=True).explained == 0
+    assert influence("a", np.arange(50.0), np.ones(50), independent=True).explained == 0
+    assert influence("a", np.empty(0), np.empty(0), independent=True).explained == 0
 
 
 def test_a_map_counts_its_bins() -> None:

@@ -14,7 +14,7 @@ import pytest
 from fake_study import FakeStudy
 from study_processes import environment, frame, written
 
-from dmframe.errors import OutputError, ValueFault
+from dmframe.common.errors import OutputError, ValueFault
 from dmframe.study import executor, journal
 from dmframe.study.chunks import Chunk
 from dmframe.study.execute import run_study
@@ -71,7 +71,7 @@ def test_a_damaged_file_is_noticed_and_computed_again(out: Path, harm: Callable[
     state = run_study(FakeStudy(), out, workers=1)
     assert state.computed == 8
     (notice,) = state.notices
-    assert "not what this study has written" in notice
+    assert "not written by this study" in notice
     assert frame(out).rows() == before.rows()
 
 
@@ -103,7 +103,7 @@ def test_a_line_that_was_cut_off_loses_its_chunk_alone(out: Path) -> None:
 
 def test_a_changed_study_is_refused_with_what_has_changed(out: Path) -> None:
     with (
-        pytest.raises(ValueFault, match='study: meaning was "one", now "two"; name another folder, or take --force'),
+        pytest.raises(ValueFault, match='study: meaning was "one", now "two"; name another folder, or use --force'),
         opened(out, FakeStudy(meaning="two"), {}),
     ):
         pass
@@ -148,7 +148,7 @@ def test_the_second_of_two_clients_is_refused(out: Path) -> None:
 def test_a_folder_of_something_else_is_refused(tmp_path: Path, name: str, content: str) -> None:
     (tmp_path / name).write_text(content)
     with (
-        pytest.raises(OutputError, match=f"{name}|expected what a study has written"),
+        pytest.raises(OutputError, match=f"{name}|expected the record of a study"),
         opened(tmp_path, FakeStudy(), {}),
     ):
         pass
@@ -174,7 +174,7 @@ def test_rows_that_are_not_those_of_their_chunk_are_refused(out: Path, wrong: di
 FULL = """
 import resource, signal, sys
 from fake_study import FakeStudy
-from dmframe.errors import OutputError
+from dmframe.common.errors import OutputError
 from dmframe.study.execute import run_study
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (12000, resource.RLIM_INFINITY))
@@ -213,5 +213,5 @@ def test_a_full_disk_is_one_sentence_and_costs_nothing_that_was_written(tmp_path
 def test_a_lock_with_an_invalid_part_is_refused(out: Path, part: str, value: object) -> None:
     held = json.loads((out / journal.LOCK).read_text())
     (out / journal.LOCK).write_text(json.dumps(held | {part: value}))
-    with pytest.raises(OutputError, match="expected what a study has written"), opened(out, FakeStudy(), {}):
+    with pytest.raises(OutputError, match="expected the record of a study"), opened(out, FakeStudy(), {}):
         pass

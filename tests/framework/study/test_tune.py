@@ -19,7 +19,7 @@ import pytest
 from dmframe.analysis.linear import linearise
 from dmframe.analysis.period import linearised_period
 from dmframe.cli.tune import tune_study
-from dmframe.errors import DmframeError, OutputError
+from dmframe.common.errors import DmframeError, OutputError
 from dmframe.graph.load import load
 from dmframe.report.verification import Verification
 from dmframe.study import candidate as candidates

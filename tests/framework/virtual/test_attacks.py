@@ -16,7 +16,7 @@ import pytest
 from script_attacks import ATTACKS
 from virtual_robots import Client, message, robot
 
-from dmframe.errors import OutputError
+from dmframe.common.errors import OutputError
 from dmframe.virtual import VirtualRobot
 from dmframe.virtual.budget import BURSTS, LEAST_BURST
 from dmframe.virtual.rtde import MOST_NAMES, MOST_OUTPUTS

@@ -15,7 +15,7 @@ from virtual_robots import FOLLOW, Client, message, robot, runs
 from dmframe.virtual import ScriptError, VirtualRobot
 from dmframe.virtual.budget import BURST, MOST_SECONDARY
 from dmframe.virtual.server import MOST_CLIENTS, Ports
-from dmframe.virtual.words import MOST_WORDS, Arriving
+from dmframe.virtual.words import MOST_WORDS, ScriptBuffer
 
 CYCLES = 400
 SHARED: list[VirtualRobot] = []
@@ -248,7 +248,7 @@ def test_the_dashboard_answers_a_flood_bit_by_bit() -> None:
 
 
 def test_a_text_is_looked_at_once() -> None:
-    arriving = Arriving()
+    arriving = ScriptBuffer()
     whole = "def a():\n" + "  x = 1\n" * 100 + "end\n"
     for character in whole[:-1]:
         arriving.text += character

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from virtual_robots import graph, robot
 
-from dmframe.errors import DmframeError
+from dmframe.common.errors import DmframeError
 from dmframe.export.robot import robot_of
 from dmframe.virtual.plant import Plant
 

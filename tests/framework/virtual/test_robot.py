@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from virtual_robots import FOLLOW, Client, graph, robot, runs
 
-from dmframe.errors import ValueFault
+from dmframe.common.errors import ValueFault
 from dmframe.runtime import Controller
 from dmframe.virtual import VirtualRobot
 

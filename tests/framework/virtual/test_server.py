@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import pytest
 from virtual_robots import message, robot
 
-from dmframe.errors import OutputError
+from dmframe.common.errors import OutputError
 from dmframe.virtual import Ports, VirtualRobot
 
 HOST = "127.0.0.1"

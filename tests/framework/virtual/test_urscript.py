@@ -9,7 +9,7 @@ import pytest
 from virtual_robots import robot, runs
 
 from dmframe.virtual import ScriptError, VirtualRobot
-from dmframe.virtual.words import Arriving
+from dmframe.virtual.words import ScriptBuffer
 
 SHARED: list[VirtualRobot] = []
 
@@ -238,7 +238,7 @@ def test_text_arrives_in_pieces() -> None:
     whole = '# a comment\ndef a():\n  if True: # end\n    x = 1\n  end\n  textmsg("end")\nend\n'
 
     def taken(text: str) -> str:
-        arriving = Arriving()
+        arriving = ScriptBuffer()
         arriving.text = text
         return arriving.take()
 

@@ -1,0 +1,77 @@
+"""Instructions that do not give a number everywhere: divisions, and functions that are not defined everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Final
+
+import casadi as ca
+
+from dmframe.block.certificate import SX
+from dmframe.certify.sign import SIGNED, Sign, sign_after
+from dmframe.program import CONST, DIVISIONS, OPERATIONS, POWERS, TO_READ, Program, read
+
+
+def instructions(expressions: Iterable[SX]) -> Iterator[tuple[SX, list[SX]]]:
+    """Each instruction of expressions once, with its operands."""
+    todo = [element for item in expressions for element in ca.vertsplit(ca.vec(ca.densify(item)))]
+    seen = set[int]()
+    while todo:
+        x = todo.pop()
+        if x.element_hash() not in seen and x.n_dep():
+            seen.add(x.element_hash())
+            parts = [x.dep(k) for k in range(x.n_dep())]
+            yield x, parts
+            todo += parts
+
+
+def domains_of(outputs: Sequence[SX]) -> Iterator[tuple[int, SX]]:
+    """Instructions that divide or are not defined everywhere, with what must keep away from a bad value."""
+    column = ca.veccat(ca.SX(0, 1), *map(ca.densify, outputs))
+    function = ca.Function("domains_of", [], [column], {"allow_free": True, **TO_READ})
+    program, signs = read(function), dict[tuple[int, int], Sign]()
+    expressions: SX | None = None
+    todo, seen = [*program.sources[0]], set[int]()
+    while todo:
+        place = todo.pop()
+        node = program.nodes[place]
+        if place in seen or node.code not in OPERATIONS:
+            continue
+        seen.add(place)
+        domain = OPERATIONS[node.code].domain
+        if domain is not None and not _is_safe(program, place, node.operands[domain], signs):
+            if expressions is None:
+                expressions = function.instructions_sx()  # SX.dep takes ten times as long
+            yield node.code, expressions[node.line].dep(domain)
+        todo += node.operands
+
+
+_ABOVE: Final = (*DIVISIONS, ca.OP_SQRT, ca.OP_LOG, ca.OP_LOG1P)
+_DEEP: Final = 12
+"""How far back the sign of a value is looked for."""
+
+
+def _sign_of(program: Program, place: int, known: dict[tuple[int, int], Sign], deep: int = _DEEP) -> Sign:
+    """What is known of the sign of a program's value by its last operations."""
+    node = program.nodes[place]
+    if node.code == CONST:
+        return sign_after(CONST, (), positive=node.constant > 0)
+    if not deep or node.code not in SIGNED:
+        return Sign.ANY
+    if (place, deep) not in known:
+        operands = [_sign_of(program, k, known, deep - 1) for k in node.operands]
+        known[place, deep] = sign_after(node.code, operands)
+    return known[place, deep]
+
+
+def _is_safe(program: Program, place: int, operand: int, signs: dict[tuple[int, int], Sign]) -> bool:
+    """What divides by, or is the root or logarithm of, something that is above zero by how it is computed, such as
+    max(x, c) or x^2 + c, c > 0, and a whole power that is not negative, are defined everywhere.
+    """
+    node = program.nodes[place]
+    if node.code in _ABOVE and _sign_of(program, operand, signs) is Sign.ABOVE:
+        return True
+    exponent = program.nodes[node.b]
+    if node.code in POWERS and exponent.code == CONST:
+        return exponent.constant >= 0 and exponent.constant.is_integer()
+    return False

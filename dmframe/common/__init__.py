@@ -1,0 +1,1 @@
+"""Small modules that any package may use: errors, units, names, text, files."""

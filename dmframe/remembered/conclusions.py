@@ -1,0 +1,63 @@
+"""What ``dmframe run`` concludes from its graphs alone, kept while everything that they were made from is the same.
+
+A run computes and prints everything anew that depends on its samples. What does not, such as the stability near the
+set-point or the conditions under which there is a V, is decided once; a graph, a block or a library that has changed
+since is decided anew.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+from dmframe.remembered import recorder, store
+
+T = TypeVar("T")
+Inputs = tuple[tuple[tuple[str, str], ...], str]
+"""What a copy of the process read, by kind and name, and why not all of it is known; the latter may be empty."""
+
+_recalled: list[dict[str, Any]] = []
+
+
+def recall(entry: dict[str, Any]) -> None:
+    """Use what was kept of the call of this process."""
+    _recalled[:] = entry["conclusions"]
+
+
+def recalled(count: int) -> Sequence[dict[str, Any]]:
+    """What was kept, for each of so many graphs; empty where nothing was."""
+    return _recalled if len(_recalled) == count else ()
+
+
+def watched(job: Callable[[], T]) -> tuple[T, Inputs]:
+    """The result of a job, and what it read in a copy of this process, for `adopt`."""
+    watching = recorder.current()
+    if watching is None or os.getpid() == watching.process:
+        return job(), ((), "")
+    watching.start_in_copy()
+    result = job()
+    return result, (tuple(watching.names()), watching.refused)
+
+
+def adopt(found: tuple[T, Inputs]) -> T:
+    """The result of a `watched` job; what it read is recorded here."""
+    result, (names, refused) = found
+    watching = recorder.current()
+    if watching is not None:
+        for kind, name in names:
+            watching.add(kind, name)
+        if refused:
+            watching.refuse(refused)
+    return result
+
+
+def keep(watching: recorder.Recorder | None, conclusions: Sequence[dict[str, Any]]) -> bool:
+    """Keep the conclusions of the call that `watching` recorded; returns whether they were kept."""
+    entry = watching.entry() if watching is not None else None
+    if watching is None or entry is None:
+        return False
+    return store.keep(watching.place, watching.call.key, {**entry, "conclusions": list(conclusions)})
+
+
+__all__ = ["adopt", "keep", "recall", "recalled", "watched"]

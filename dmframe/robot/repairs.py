@@ -1,0 +1,154 @@
+"""Repair of a robot's file for a new graph: what is invalid off the way to the tool, and what is missing on it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Final
+from xml.etree import ElementTree
+
+import numpy as np
+
+from dmframe.robot.convert import Element, joints_to
+from dmframe.robot.flange import MOVING
+from dmframe.robot.urdf_numbers import INERTIA, numbers, part_faults
+from dmframe.robot.xml_tree import Lines
+
+DENSITY: Final = 5.0
+"""Placeholder mass of a link per length [kg/m]."""
+LEAST: Final = 0.5
+"""Least placeholder mass of a link [kg]."""
+UNLIMITED: Final = "1e9"
+"""Velocity or effort that stands for none [SI units]."""
+STROKE: Final = 0.5
+"""Placeholder limit of a prismatic joint [m]."""
+
+
+def repaired(root: Element, tool: str, where: str) -> list[str]:
+    """Repair a URDF tree for an arm that ends at `tool`; returns a note for each change.
+
+    Off the way to the tool invalid inertias are left out, and invalid joints are fixed. On the way missing limits are
+    replaced by none, and links without inertia get a placeholder: a sphere of `DENSITY` times the distance to the next
+    joint, half way to it.
+    """
+    way = joints_to(root, tool)
+    return [*_without_faults(root, way, tool, where), *_limits(root, way), *_inertias(root, way)]
+
+
+def _without_faults(root: Element, way: list[Element], tool: str, where: str) -> Iterator[str]:
+    on = {_end(joint, "child") for joint in way} | {_end(joint, "parent") for joint in way}
+    lines = Lines.fromkeys(root.iter(), 0)
+    for link in root.findall("link"):
+        inertial = link.find("inertial")
+        if link.get("name", "") not in on and inertial is not None and part_faults(link, lines, where):
+            for found in link.findall("inertial"):
+                link.remove(found)
+            yield f"link {link.get('name', '')}: invalid inertia removed; the link is not between the base and {tool}"
+    for joint in root.findall("joint"):
+        if joint in way or joint.get("type") == "fixed":
+            continue
+        _complete(joint)
+        if part_faults(joint, lines, where):
+            joint.set("type", "fixed")
+            for tag in ("axis", "limit", "dynamics", "mimic", "safety_controller", "calibration"):
+                for found in joint.findall(tag):
+                    joint.remove(found)
+            yield f"joint {joint.get('name', '')}: invalid, made fixed; the joint is not between the base and {tool}"
+
+
+def _limits(root: Element, way: list[Element]) -> Iterator[str]:
+    for joint in way:
+        if joint.get("type") not in MOVING:
+            continue
+        missing = _complete(joint)
+        if joint.get("type") in ("revolute", "prismatic") and _is_empty(joint):
+            limit = joint.find("limit")
+            assert limit is not None  # it was completed
+            if joint.get("type") == "revolute":
+                joint.set("type", "continuous")
+                for key in ("lower", "upper"):
+                    limit.attrib.pop(key, None)
+            else:
+                limit.attrib.update(lower=str(-STROKE), upper=str(STROKE))
+            missing = ["position", *missing]
+        if missing:
+            yield f"joint {joint.get('name', '')}: no limit of {' and '.join(missing)} in the file"
+
+
+def _complete(joint: Element) -> list[str]:
+    """Set limits of velocity and effort that are missing or zero; returns their names."""
+    if joint.get("type") not in MOVING:
+        return []
+    limit = joint.find("limit")
+    if limit is None:
+        if joint.get("type") == "continuous":
+            return []
+        limit = ElementTree.SubElement(joint, "limit")
+    found = [key for key in ("velocity", "effort") if _value(limit.get(key, "0")) == 0]
+    for key in found:
+        limit.set(key, UNLIMITED)
+    return found
+
+
+def _is_empty(joint: Element) -> bool:
+    """True if the lower and the upper limit are equal, as where they are left out."""
+    limit = joint.find("limit")
+    ends = [0.0, 0.0] if limit is None else [_value(limit.get(key, "0")) for key in ("lower", "upper")]
+    return ends[0] == ends[1]
+
+
+def _value(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan  # reported when the file is read
+
+
+def _inertias(root: Element, way: list[Element]) -> Iterator[str]:
+    moving = [place for place, joint in enumerate(way) if joint.get("type") in MOVING]
+    links = {link.get("name", ""): link for link in root.findall("link")}
+    for place, following in zip(moving, [*moving[1:], len(way)][: len(moving)], strict=True):
+        group = [links[_end(joint, "child")] for joint in way[place:following]]
+        if any(_value(mass.get("value", "0")) != 0 for link in group for mass in link.findall("inertial/mass")):
+            yield from _without_moments(group)
+            continue
+        steps = [_origin(joint) for joint in way[place + 1 : following + 1]]
+        reach = np.sum(steps, axis=0) if steps else np.zeros(3)
+        yield _placeholder(group[0], np.asarray(reach, dtype=float))
+
+
+def _without_moments(group: list[Element]) -> Iterator[str]:
+    """Give links whose moments of inertia are all zero those of a sphere."""
+    for link in group:
+        for inertial in link.findall("inertial"):
+            mass, inertia = inertial.find("mass"), inertial.find("inertia")
+            if mass is None or inertia is None or _value(mass.get("value", "0")) <= 0:
+                continue
+            if not any(_value(inertia.get(key, "0")) for key in INERTIA):
+                moment = f"{_value(mass.get('value', '0')) * 0.05**2:.4g}"
+                inertia.attrib.update(dict.fromkeys(("ixx", "iyy", "izz"), moment))
+                yield f"link {link.get('name', '')}: no moments of inertia in the file; placeholder of {moment} kg m^2"
+
+
+def _origin(joint: Element) -> list[float]:
+    origin = joint.find("origin")
+    return numbers(origin.get("xyz", "0 0 0")) if origin is not None else [0.0, 0.0, 0.0]
+
+
+def _placeholder(link: Element, reach: np.ndarray) -> str:
+    length = float(np.linalg.norm(reach))
+    mass = max(LEAST, DENSITY * length)
+    moment = mass * max(0.05, 0.3 * length) ** 2
+    for old in link.findall("inertial"):
+        link.remove(old)
+    inertial = ElementTree.SubElement(link, "inertial")
+    ElementTree.SubElement(inertial, "origin", xyz=" ".join(f"{x:.6g}" for x in reach / 2))
+    ElementTree.SubElement(inertial, "mass", value=f"{mass:.4g}")
+    zeros = dict.fromkeys(("ixy", "ixz", "iyz"), "0")
+    ElementTree.SubElement(inertial, "inertia", dict.fromkeys(("ixx", "iyy", "izz"), f"{moment:.4g}") | zeros)
+    return f"link {link.get('name', '')}: no inertia in the file; placeholder of {mass:.3g} kg and {moment:.3g} kg m^2"
+
+
+def _end(joint: Element, tag: str) -> str:
+    found = joint.find(tag)
+    return "" if found is None else found.get("link", "")
