@@ -129,7 +129,8 @@ def test_the_silent_expert_is_alone_while_the_delay_is_unknown(weighting: str) -
     q, states, shares = 0.0, start(1), []
     for k in range(120):
         identified = float(20 <= k < 80)  # unknown, known, and unknown again
-        u = {"q": [q], "dq_r": [0.3], "dq_model": [9.0 if identified == 0 else 0.3 + lag], "q_model": [q + 0.01]}
+        u: dict[str, Any] = {"q": [q], "dq_r": [0.3], "q_model": [q + 0.01]}
+        u |= {"dq_model": [9.0 if identified == 0 else 0.3 + lag]}
         u |= {"slope": [1.0], "T": T, "epsilon": [0.001], "delay_hat": identified, "identified": identified}
         item = block.evaluate(u, states, robot="pendulum")
         states = dict(item.next)
