@@ -28,7 +28,7 @@ from dmframe.common.units import plain
 from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import known_truths
 from dmframe.results.metrics import goal_of
-from dmframe.simulate.keep import apart_of
+from dmframe.simulate.keep import rotation_distance_of
 from dmframe.simulate.warnings import warning_signals
 
 DOCS = Path(__file__).parent
@@ -107,7 +107,7 @@ def followed(diagram: Diagram) -> str:
         return "-"
     what = FOLLOWED[goal.actual.partition(".")[2]]
     rows = int(goal.found.numel())
-    if apart_of(diagram.loop) is not None:
+    if rotation_distance_of(diagram.loop) is not None:
         what, rows = f"{what} and orientation", rows + 3
     moves = ca.depends_on(goal.wanted, diagram.loop.time) or any(
         ca.depends_on(leaf.expression, diagram.loop.time)

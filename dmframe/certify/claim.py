@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 import casadi as ca
 import numpy as np
@@ -35,8 +35,6 @@ from dmframe.block.model import symbols_in
 from dmframe.block.port import Side
 from dmframe.certify.certificates import Certificates, certificates_of, is_over_samples
 from dmframe.certify.form import NotApplicableError, unfit
-from dmframe.certify.labels import labelled
-from dmframe.certify.laws import printed_laws
 from dmframe.certify.operators import Flow, Sample
 from dmframe.certify.partial_functions import domains_of
 from dmframe.certify.steady import hold_claims
@@ -47,7 +45,9 @@ from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.projection import Projection
 from dmframe.diagram.truths import Stated
 from dmframe.diagram.wiring import Wire
-from dmframe.formula.law import PrintedLaw
+
+if TYPE_CHECKING:
+    from dmframe.formula.law import PrintedLaw
 
 
 @final
@@ -257,13 +257,20 @@ def unsteady(diagram: Diagram) -> str:
 
 def _in_continuous_time(diagram: Diagram, found: Certificates, named: bool) -> Claim:
     stated, truths = dict(found.stated), found.truths
-    laws = printed_laws(diagram, stated, truths) if named else {}
+    laws: Mapping[str, PrintedLaw] = {}
+    if named:
+        from dmframe.certify.laws import printed_laws  # a run that recalls its names reads no law
+
+        laws = printed_laws(diagram, stated, truths)
     unfollowed = _unfollowed(diagram, stated)
     stated |= {name: Certificate(truth=stated[name].truth) for name in unfollowed}
     laws = {name: law.silent if name in unfollowed else law for name, law in laws.items()}
     along = Flow(diagram)
-    labelled_ones = labelled(stated, laws) if named else stated
-    parts = tuple(flow_part(along, name, item) for name, item in labelled_ones.items())
+    if named:
+        from dmframe.certify.labels import labelled
+
+        stated = labelled(stated, laws)
+    parts = tuple(flow_part(along, name, item) for name, item in stated.items())
     if not any(part.certificate.storage for part in parts):
         raise NotApplicableError("no block of this graph stores anything; there is no V")
     cascades = [part for part in parts if part.certificate.consumes is not None]

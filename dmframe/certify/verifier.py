@@ -169,9 +169,10 @@ def _verified(
             return refuted(first)
         jobs: list[Callable[[], Any]] = [partial(inject_faults, exact, seed=seed)]
         jobs += [*(partial(points.at, k) for k in range(1, trials)), partial(_unit_faults, diagram)]
+        jobs.append(partial(empty, exact, seed))
         with shared(jobs, busy=True, small=alone) as finished:
             found = find(claim, symbols, numbers, start, seed)
-            controls, *others, units = finished()
+            controls, *others, units, nothing = finished()
     except ValueFault as error:
         return undefined(error)
     test = replace(together([first, *others]), seed=own)
@@ -180,8 +181,7 @@ def _verified(
     if found.fault:
         return ends("not_applicable", found.fault, test=test)
     conditions = found.conditions if found.undefined else tuple(over_intervals(list(found.conditions), claim, numbers))
-    nothing = () if found.undefined else empty(exact, seed)
-    outcome, reason = _judge(claim, conditions, controls, nothing, found.bounds)
+    outcome, reason = _judge(claim, conditions, controls, () if found.undefined else nothing, found.bounds)
     if outcome == "proved" and units:
         outcome, reason = "not_applicable", Text(f"the units do not agree: {units}")
     if found.undefined:

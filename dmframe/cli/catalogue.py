@@ -35,12 +35,13 @@ def robots(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, a list or the one robot.")] = False,
 ) -> None:
     """List the packaged robots, or print joints, masses, tool and known errors of one."""
-    from dmframe.graph.registries import robots as registry
-    from dmframe.graph.robot_page import robot_data, robot_page
-
     if name is None:
+        from dmframe.graph.registries import robots as registry
+
         _print(registry(), as_json)
     else:
+        from dmframe.graph.robot_page import robot_data, robot_page
+
         tell(json.dumps(robot_data(name), indent=2) if as_json else robot_page(name))
 
 

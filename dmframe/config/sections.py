@@ -93,10 +93,10 @@ def robot_of(given: Any, base: Path, faults: list[DmframeError]) -> Any:
         section = RobotSection.model_validate(value)
     except ValidationError:
         return None
-    from dmframe.config.kept_robot import kept_robot
+    from dmframe.config.cached_robot import cached_robot
 
     try:
-        return kept_robot(
+        return cached_robot(
             section.model,
             base,
             free=section.free,

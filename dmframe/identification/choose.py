@@ -19,6 +19,8 @@ STARTS: Final = 3
 """Delays from which a candidate is fitted, as long as its residual is above the floor."""
 NEAR: Final = 0.01
 """Deviation of f from 1 that does not count."""
+ABOUT: Final = 0.1
+"""Deviation of f from 1 up to which a PID servo is fitted from the cascade."""
 BRIEF: Final = 8
 """Rounds of a candidate after another one has explained the log."""
 ABOVE: Final = 3.0
@@ -27,7 +29,7 @@ SHARP: Final = 1.25
 """Largest residual of a fit that leaves noise only, in standard deviations of the noise."""
 SMALL: Final = 0.2
 """Part of the tracking error's share in the floor that counts as noise."""
-WHITE: Final = 2.0
+WHITE: Final = 2.5
 """Largest inflation of such a residual."""
 SHARE: Final = 0.001
 """Fraction of the tracking error that counts as explained."""
@@ -63,7 +65,7 @@ class Choice:
     def _full_feed_forward(self) -> bool:
         fit = self.fits["p_pi"]
         place = fit.unknowns.places["f"]
-        spread = 2 * np.sqrt(np.diag(fit.covariance)[place])
+        spread = 3 * np.sqrt(np.diag(fit.covariance)[place])  # of several joints, one may well be beyond 2
         return bool(np.all(np.abs(fit.theta[place] - 1) <= np.maximum(spread, NEAR)))
 
     def explained(self, kind: str) -> bool:
@@ -114,13 +116,26 @@ def chosen(twins: Twins, log: Log, say: Callable[[str], None] = lambda text: Non
             _fitted(twins, unknowns[kind], started[kind][attempt][1], found)
         if any(map(found.explained, found.fits)):
             break
-    if any(map(found.explained, found.fits)) and not found.sharp(found.best):
+    _refined(twins, unknowns, found)
+    if found.explained(found.best) and not found.sharp(found.best):
         say("fitting, more starts")
         _again(twins, unknowns, found)
-    best = found.fits[found.best]
-    if found.explained(found.best):  # its rounds may have been few, and the integrator coarse
-        found.fits[found.best] = solved(twins, best.unknowns, best.theta, step=fine_step(twins, best, found.floor))
+        _refined(twins, unknowns, found)
     return found
+
+
+def _refined(twins: Twins, unknowns: Mapping[str, Unknowns], found: Choice) -> None:
+    """Fit the best candidate further, if it explains the log: its rounds may have been few, and the integrator coarse.
+
+    A cascade whose feed-forward is complete is a PID servo: both have to converge before they are compared.
+    """
+    best = found.fits[found.best]
+    if best.unknowns.kind == "p_pi" and np.all(np.abs(best.theta[best.unknowns.places["f"]] - 1) < ABOUT):
+        start = unknowns["pid"].carried(best.unknowns, best.theta)
+        _kept(found, "pid", solved(twins, unknowns["pid"], start))
+        best = found.fits[found.best]
+    if found.explained(found.best):
+        found.fits[found.best] = solved(twins, best.unknowns, best.theta, step=fine_step(twins, best, found.floor))
 
 
 def _again(twins: Twins, unknowns: Mapping[str, Unknowns], found: Choice) -> None:

@@ -180,7 +180,7 @@ def empty(claim: Claim, seed: int) -> list[str]:
         trial = Trial(random_prime(rng, BITS), rng)
         try:
             inputs = inputs_at(claim, trial)
-            point = Point(claim, trial, inputs, claim.tape.values(inputs, trial))
+            point = Point(claim, trial, inputs, Evaluation(claim.tape, inputs, trial, (), claim.places).values)
             named = list(_of_samples(point) if claim.over_samples else _of_a_flow(point))
         except ZeroDivision:
             continue

@@ -45,7 +45,7 @@ class Joint:
     effort: float
 
     EXACT: ClassVar = ("axis", "rotation", "translation")
-    """The fields that hold rational numbers."""
+    """Fields with rational numbers."""
 
 
 @final
@@ -120,18 +120,18 @@ class SerialChain:
         return tuple(joint.name for joint in self.joints)
 
     @classmethod
-    def later(cls, numbers: Mapping[str, Any], again: Callable[[], SerialChain]) -> SerialChain:
-        """A chain of known numbers, whose model is that of `again()` when it is first used."""
+    def with_lazy_model(cls, numbers: Mapping[str, Any], load: Callable[[], SerialChain]) -> SerialChain:
+        """Chain with given numbers; its model is that of `load()`, called at the first use."""
         chain = object.__new__(cls)
-        vars(chain).update(numbers, _again=again)
+        vars(chain).update(numbers, _load=load)
         return chain
 
     def __getattr__(self, name: str) -> Any:
-        """The model of a chain that was made by `later`."""
-        again = vars(self).get("_again")
-        if again is None or name not in ("model", "model_tool"):
+        """Model of a chain made by `with_lazy_model`."""
+        load = vars(self).get("_load")
+        if load is None or name not in ("model", "model_tool"):
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-        made = again()
+        made = load()
         vars(self).update(model=made.model, model_tool=made.model_tool)
         return vars(self)[name]
 

@@ -91,7 +91,7 @@ def _from_mjcf(path: Path, where: str) -> RobotFile:
     try:
         found = pin.buildModelFromMJCF(str(path))
     except (ValueError, RuntimeError, OSError) as fault:
-        reason = " ".join(str(fault).split()).rstrip(".")
+        reason = " ".join(str(fault).rpartition("message:")[2].split()).rstrip(".")  # without lines of its source
         raise RobotError(f"{where}: Pinocchio cannot read this MJCF file: {reason}") from None
     model = found[0] if isinstance(found, tuple) else found
     root = Element("robot", name=path.stem)

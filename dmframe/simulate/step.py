@@ -47,7 +47,7 @@ MOST_SUBSTEPS = 2000
 
 
 EXPANDED = 30_000
-"""Instructions in a tick up to which its function is expanded; of more, that takes longer than it saves."""
+"""Largest number of instructions in a tick whose function is expanded; above, expansion takes longer than it saves."""
 
 PLAIN_STEP = 0.001
 """Default maximum step of rk4 [s]."""
@@ -151,7 +151,7 @@ class Step:
         """
         made = _tick(self.parts, self.solver, self.instants, self.substeps)
         rates = 4 * self.substeps * (self.parts.rate.n_instructions() + self.parts.trajectory.n_instructions())
-        # as one list of scalar operations, the same numbers take three quarters of the time
+        # expanded to scalar operations, the same results take three quarters of the time
         return made.expand() if self.solver.method == "rk4" and rates <= EXPANDED else made
 
     @cached_property

@@ -31,7 +31,8 @@ from dmframe_blocks.wall import Wall
 Array = NDArray[np.float64]
 V_0 = 0.005  # [rad/s] of Coulomb friction
 K_D, K_P, K_I = np.array([800.0, 800, 400]), np.array([1760.0, 1760, 880]), np.array([560.0, 560, 280])
-B, D = np.array([5.0, 5, 2]), np.array([8.0, 8, 4])
+B, D = np.array([19.7, 16.8, 8.9]), np.array([13.6, 14.9, 5.8])
+ROTORS = np.array([2.5, 4.7, 1.2])  # [kg m^2]
 FACE, STIFFNESS, DAMPING = 0.84, 1000.0, 500.0  # the wall y = 0.84 m, N/m, N s/m^2
 K_A = 400.0  # [N/m]
 PRESSED = 0.05  # [m] from the wall's face to the goal in it
@@ -44,7 +45,9 @@ def model() -> Any:
     pose = pin.neutral(full)
     for joint, angle in hold.items():
         pose[full.joints[full.getJointId(joint)].idx_q] = angle
-    return pin.buildReducedModel(full, [full.getJointId(joint) for joint in hold], pose)
+    reduced = pin.buildReducedModel(full, [full.getJointId(joint) for joint in hold], pose)
+    reduced.armature = ROTORS
+    return reduced
 
 
 @cache

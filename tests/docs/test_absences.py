@@ -15,7 +15,9 @@ from dmframe.virtual import dashboard
 from dmframe.virtual.functions import Functions, names_of
 
 DOCS = Path(__file__).parents[2] / "docs"
-SECTION = re.compile(r"^## (What is not (?:here|there|in it|emulated))\n(.*?)(?=^## |\Z)", re.M | re.S)
+SECTION = re.compile(
+    r"^## (What is not emulated|Not (?:available|supported|simulated|included))\n(.*?)(?=^## |\Z)", re.M | re.S
+)
 
 
 def commands() -> dict[str, set[str]]:
@@ -42,7 +44,7 @@ def emulated(*names: str) -> list[str]:
 
 
 ABSENT: list[tuple[str, str, Callable[[], object]]] = [
-    ("how_to/simulink.md", "No canvas", lambda: commands().keys() & {"canvas", "edit", "gui"}),
+    ("how_to/simulink.md", "no canvas", lambda: commands().keys() & {"canvas", "edit", "gui"}),
     (
         "how_to/simulink.md",
         "transfer functions, logic or state machines",
@@ -50,12 +52,16 @@ ABSENT: list[tuple[str, str, Callable[[], object]]] = [
     ),
     (
         "how_to/simulink.md",
-        "No import of FMUs",
+        "FMUs cannot be imported",
         lambda: [name for name in commands() if "import" in name] + packaged("fmu"),
     ),
-    ("how_to/simulink.md", "No code for a particular target", lambda: commands()["export"] & {"--target", "--board"}),
-    ("how_to/camera.md", "A goal that moves", lambda: inputs_of("dchi_d", "ddchi_d")),
-    ("how_to/camera.md", "and no block", lambda: packaged("image tracking", "image observer")),
+    (
+        "how_to/simulink.md",
+        "Code is not generated for a particular target",
+        lambda: commands()["export"] & {"--target", "--board"},
+    ),
+    ("how_to/camera.md", "The goal has to be at rest", lambda: inputs_of("dchi_d", "ddchi_d")),
+    ("how_to/camera.md", "there is no such block", lambda: packaged("image tracking", "image observer")),
     ("how_to/camera.md", "Uncertain lengths together with an uncertain camera", lambda: inputs_of("W_k")),
     ("how_to/reality.md", "Backlash", lambda: packaged("backlash", "ripple", "anti-windup", "thermal")),
     (

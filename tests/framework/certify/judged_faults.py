@@ -93,8 +93,8 @@ def unlabelled(stated: Mapping[str, Certificate], laws: Any) -> dict[str, Certif
 def nothing_printed() -> Iterator[None]:
     """Without the printed laws, which would refuse some faults before the exact test, and without conclusions."""
     with (
-        mock.patch("dmframe.certify.claim.printed_laws", return_value={}),
-        mock.patch("dmframe.certify.claim.labelled", unlabelled),
+        mock.patch("dmframe.certify.laws.printed_laws", return_value={}),
+        mock.patch("dmframe.certify.labels.labelled", unlabelled),
         mock.patch("dmframe.certify.assumed._named", return_value=Text()),
         mock.patch("dmframe.certify.verifier.statements_of", return_value=[]),
         mock.patch("dmframe.certify.verifier.hypotheses", return_value=[]),

@@ -33,7 +33,8 @@ def test_a_pid_servo_its_gains_and_its_delay_are_found_within_half_a_percent(tmp
     assert found.delay[0] == pytest.approx(1, abs=0.02)
     assert found.delay[1][0] <= 1 <= found.delay[1][1]
     summary = found.summary
-    assert set(summary) == set("servo delay friction bodies residual floor indistinguishable verdict".split())
+    keys = "servo delay friction limits torques bodies residual floor indistinguishable verdict"
+    assert set(summary) == set(keys.split())
     check_twin(found, tmp_path / "out")
     check_draws(found)
 

@@ -292,3 +292,10 @@ def test_an_invalid_inertia_that_no_free_joint_moves_is_ignored(tmp_path):
     path.write_text(arm(end=f'<link name="head">{BAD}</link>' + joint("neck", "l2", "head")))
     with pytest.raises(DmframeError, match="link head: expected ixx >= 0"):
         SerialChain.from_urdf(path, tool="l4")
+
+
+def test_a_fragment_of_an_mjcf_file_is_refused_without_lines_of_the_parser(tmp_path):
+    path = tmp_path / "part.xml"
+    path.write_text("<mujoco><asset/></mujoco>")
+    with pytest.raises(RobotError, match=r"cannot read this MJCF file: MJCF [\w :]+$"):
+        read_any(path)

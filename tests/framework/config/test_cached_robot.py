@@ -13,8 +13,8 @@ import pytest
 
 import dmframe_plants
 from dmframe.common.errors import MissingError, RobotError
-from dmframe.config import kept_robot as module
-from dmframe.config.kept_robot import kept_robot
+from dmframe.config import cached_robot as module
+from dmframe.config.cached_robot import cached_robot
 from dmframe.remembered import recorder
 from dmframe.remembered.front import Call
 from dmframe.robot.library import load, robots
@@ -36,14 +36,14 @@ def reads(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
 
 def test_each_packaged_robot_is_recalled_as_it_was_read(reads: list[str]) -> None:
     for name in robots():
-        read = kept_robot(name, Path())
-        again = kept_robot(name, Path())
+        read = cached_robot(name, Path())
+        again = cached_robot(name, Path())
         assert again == read
         assert hash(again) == hash(read)
         assert repr(again) == repr(read)
         assert "model" not in vars(again)
     assert reads == list(robots())
-    last = kept_robot(name, Path())
+    last = cached_robot(name, Path())
     assert (last.model_tool, last.model.njoints) == (read.model_tool, read.model.njoints)
     assert reads == [*robots(), name]  # for the model
     with pytest.raises(AttributeError, match="no attribute 'mode'"):
@@ -52,20 +52,20 @@ def test_each_packaged_robot_is_recalled_as_it_was_read(reads: list[str]) -> Non
 
 def test_a_recalled_robot_is_pickled_with_the_way_to_its_model(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("DMFRAME_CACHE", str(tmp_path / "cache"))
-    read, recalled = kept_robot("arm2", Path()), kept_robot("arm2", Path())
+    read, recalled = cached_robot("arm2", Path()), cached_robot("arm2", Path())
     again = pickle.loads(pickle.dumps(recalled))
     assert again == recalled == read
     assert again.model.njoints == read.model.njoints
 
 
-def test_a_robot_is_read_again_after_a_change_of_what_made_it(
+def test_a_robot_is_read_again_after_a_change_of_an_input(
     reads: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     urdf = tmp_path / "mine.urdf"
     shutil.copy(Path(dmframe_plants.__path__[0]) / "arm2" / "arm2.urdf", urdf)
 
     def count(**given: Any) -> int:
-        _ = kept_robot("mine.urdf", tmp_path, **given)
+        _ = cached_robot("mine.urdf", tmp_path, **given)
         return len(reads)
 
     assert [count(), count()] == [1, 1]
@@ -87,18 +87,18 @@ def test_a_robot_is_read_again_after_a_change_of_what_made_it(
 def test_a_file_that_changed_since_is_not_taken_for_the_model(reads: list[str], tmp_path: Path) -> None:
     urdf = tmp_path / "mine.urdf"
     shutil.copy(Path(dmframe_plants.__path__[0]) / "arm2" / "arm2.urdf", urdf)
-    _ = kept_robot("mine.urdf", tmp_path)
-    recalled = kept_robot("mine.urdf", tmp_path)
+    _ = cached_robot("mine.urdf", tmp_path)
+    recalled = cached_robot("mine.urdf", tmp_path)
     urdf.write_text(urdf.read_text() + "\n")
     with pytest.raises(RobotError, match=r"mine.urdf: the file has changed since"):
         _ = recalled.model
 
 
 def test_what_a_recalled_robot_was_made_from_is_an_input_of_a_verdict(reads: list[str], tmp_path: Path) -> None:
-    _ = kept_robot("arm2", Path())
+    _ = cached_robot("arm2", Path())
     watching = recorder.begin(Call("verify", ("x",)))
     try:
-        _ = kept_robot("arm2", Path())
+        _ = cached_robot("arm2", Path())
     finally:
         recorder.end()
     assert reads == ["arm2"]
@@ -110,8 +110,8 @@ def test_what_a_recalled_robot_was_made_from_is_an_input_of_a_verdict(reads: lis
 
 def test_faults_are_those_of_reading(reads: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(MissingError, match="expected a URDF file, found none"):
-        kept_robot("none.urdf", tmp_path)
+        cached_robot("none.urdf", tmp_path)
     find_spec = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "pinocchio" else find_spec(name))
-    assert kept_robot("arm2", Path()) == kept_robot("arm2", Path())
+    assert cached_robot("arm2", Path()) == cached_robot("arm2", Path())
     assert reads == ["none.urdf", "arm2", "arm2"]

@@ -1,7 +1,7 @@
-"""The chain of a robot's file, kept while everything that it was made from is the same.
+"""Cache of the serial chains of robot files.
 
-Reading a URDF file takes the import of Pinocchio, which takes as long as building a loop. What is kept are the chain's
-rational numbers; `SerialChain.model`, which few commands use, is read from the file when it is first used.
+Reading a URDF file requires the import of Pinocchio, which takes as long as building a loop. An entry contains the
+rational numbers of the chain; `SerialChain.model`, which few commands use, is read from the file at its first use.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ _PLAIN: Final = ("name", "axes", "rotation_change", "friction_velocity")
 _EXACT: Final = ("tool", "tool_rotation", "inertia", "gravity")
 
 
-def kept_robot(model: str, base: Path, **given: Any) -> SerialChain:
-    """As `dmframe.robot.library.load` with these arguments, which raises its errors.
+def cached_robot(model: str, base: Path, **given: Any) -> SerialChain:
+    """Load a chain as `dmframe.robot.library.load` does, from the cache if nothing changed.
 
-    The key of an entry holds the arguments, the content of the URDF file and of the modules that read it, the versions
+    The key of an entry covers the arguments, the content of the URDF file and of the modules that read it, the versions
     of all installed packages, and the libraries of Pinocchio.
     """
     found, fresh = find_robot(model, base), partial(load, model, base=base, **given)
     place, file = store.folder(), str(found.urdf.absolute())
     with recorder.paused():
-        inputs = [("content", file), *_makers()] if place is not None and found.urdf.is_file() else []
-    if place is None or len(inputs) < 2:  # without Pinocchio the error says so
+        inputs = [("content", file), *_dependencies()] if place is not None and found.urdf.is_file() else []
+    if place is None or len(inputs) < 2:  # without Pinocchio, `load` raises the error
         return fresh()
     states = states_of(inputs)
     key = digest(repr((store.FORMAT, sys.version, found, given, states)).encode("utf-8", "surrogateescape"))
@@ -49,23 +49,25 @@ def kept_robot(model: str, base: Path, **given: Any) -> SerialChain:
     with recorder.paused():
         entry = store.find(folder, key)
     if entry is not None:
-        return SerialChain.later(_numbers(entry["chain"]), partial(_again, fresh, file, states["content"][file]))
+        return SerialChain.with_lazy_model(
+            _numbers(entry["chain"]), partial(_reload, fresh, file, states["content"][file])
+        )
     chain = fresh()
     with recorder.paused():
         store.keep(folder, key, {"chain": _data(chain)})
     return chain
 
 
-def _again(fresh: Any, file: str, content: str) -> SerialChain:
-    """The chain with its model, of the file that it was read from."""
+def _reload(fresh: Any, file: str, content: str) -> SerialChain:
+    """Load the chain with its model. Raises `RobotError` if the file has changed since."""
     if content_of(file) != content:
         raise RobotError(f"robot {Path(file).name}: the file has changed since it was read; load the graph again")
     chain: SerialChain = fresh()
     return chain
 
 
-def _makers() -> Iterator[tuple[str, str]]:
-    """What makes a chain from a file: our modules, the installed packages and Pinocchio's libraries."""
+def _dependencies() -> Iterator[tuple[str, str]]:
+    """Inputs of a chain other than its file: modules of dmframe, installed packages and libraries of Pinocchio."""
     spec = importlib.util.find_spec("pinocchio")
     if spec is None or spec.origin is None:
         return
@@ -89,7 +91,7 @@ def _numbers(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _text(value: Any) -> Any:
-    """A fraction as text, in tuples as deep as they are."""
+    """Nested tuples of fractions as nested lists of texts."""
     return str(value) if isinstance(value, Fraction) else [_text(item) for item in value]
 
 
