@@ -208,8 +208,9 @@ class ExpertAggregation(AbstractBlock):
             return named(f"missed_{k}", ca.horzcat(0 * lag, *found[:half], 0 * lag, *found[half:]))
 
         experts = self._forecasts(u, queue, ahead)
-        weights, losses = self._weighed(u, x, p)
-        w = named("w_all", with_first(weights, lag))
+        weights, kept = self._weighed(u, x, p)
+        trusted = weights if self.delay_up_to is None else named("w_used", u.identified * weights)
+        w = named("w_all", with_first(trusted, lag))
         q_start = named("q_mean", along(w, experts.q_start))
         wished = clip(named("dq_mean", along(w, experts.command)), p.u_max)
         last = x.queue[:, -1]
@@ -220,9 +221,9 @@ class ExpertAggregation(AbstractBlock):
         return Equations(
             outputs={"dq_sent": dq_sent, "q_start": q_start, "model_share": ca.sum2(w[:, E // 2 :])},
             next={
-                **self._begun(u, {"observed": ca.horzcat(*held), "count": x.count + 1, **losses}),
+                **self._begun(u, {"observed": ca.horzcat(*held), "count": x.count + 1}),
+                **kept,
                 **phase,
-                "weights": weights,
                 "forecasts": ca.horzcat(x.forecasts[:, E:], ends),
                 "q_before": u.q,
                 "queue": ca.horzcat(x.queue[:, 1:], dq_sent),
@@ -255,14 +256,21 @@ class ExpertAggregation(AbstractBlock):
         errors = named("e", (x.count > delay + 1) * (arrived - halves(u.q, u.q, arrived)) / u.T)
         return named("h_w", differences(errors)), named("y_w", -errors[:, 0]), errors
 
-    def _weighed(self, u: Signals, x: Signals, p: Signals) -> tuple[SX, dict[str, SX]]:
-        """The weights of all experts but the first, by losses or by projection; and what else is kept."""
+    def _weighed(self, u: Signals, x: Signals, p: Signals) -> tuple[SX, Mapping[str, SX]]:
+        """The weights of all experts but the first, by losses or by projection; and the states for the next ones.
+
+        Exponential weights begin when the delay is identified. Those of the projection stay, as its steps prescribe.
+        """
         h, y, errors = self._row(u, x)
         if self.weighting == "projection":
-            return named("w_new", projected(x.weights, h, y, p.Gamma, p.nu)), {}
+            weights = named("w_new", projected(x.weights, h, y, p.Gamma, p.nu))
+            return weights, {"weights": weights}
+        delay = self.delay if self.delay_up_to is None else u.delay_hat
         losses = named("L", ca.fmax(0, 1 - u.T / p.memory) * x.losses + elementwise(errors, errors))
         wanted = named("w_wanted", in_power(losses / (p.quiet * p.quiet) + 1, p.memory / (2 * u.T)))
-        return named("w_new", x.weights + p.weight_gain * (wanted - x.weights)), {"losses": losses}
+        known = x.count > delay + 1  # before, all losses are zero
+        weights = named("w_new", x.weights + known * p.weight_gain * (wanted - x.weights))
+        return weights, self._begun(u, {"weights": weights, "losses": losses})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
         """Normalised steps of the weights towards any constant ones; nothing for exponential weights."""

@@ -123,6 +123,26 @@ def test_a_command_changes_by_at_most_a_max() -> None:
     assert abs(sent[0]) <= 0.5 * T + 1e-12
 
 
+@pytest.mark.parametrize("weighting", ["exponential", "projection"])
+def test_the_silent_expert_is_alone_while_the_delay_is_unknown(weighting: str) -> None:
+    block, lag = KIND(delay_up_to=1, weighting=weighting), 0.2
+    q, states, shares = 0.0, start(1), []
+    for k in range(120):
+        identified = float(20 <= k < 80)  # unknown, known, and unknown again
+        u: dict[str, Any] = {"q": [q], "dq_r": [0.3], "q_model": [q + 0.01]}
+        u |= {"dq_model": [9.0 if identified == 0 else 0.3 + lag]}
+        u |= {"slope": [1.0], "T": T, "epsilon": [0.001], "delay_hat": identified, "identified": identified}
+        item = block.evaluate(u, states, robot="pendulum")
+        states = dict(item.next)
+        shares.append(abs(float(item.outputs["dq_sent"][0]) - 0.3))
+        if not identified:
+            assert item.outputs["dq_sent"][0] == pytest.approx(0.3, abs=1e-12)
+            assert item.outputs["q_start"][0] == pytest.approx(q, abs=1e-12)
+            assert item.outputs["model_share"][0] == pytest.approx(0, abs=1e-12)
+        q += T * (float(item.outputs["dq_sent"][0]) - lag)
+    assert max(shares[40:80]) > lag / 2  # the others have weight while it is known
+
+
 @pytest.mark.parametrize("options", [{"periodic": True}, {"rate": 1.0}, {"delay": 9}, {"memory": -1}])
 def test_options_that_do_not_fit_are_refused(options: dict[str, Any]) -> None:
     with pytest.raises(DmframeError):
