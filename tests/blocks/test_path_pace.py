@@ -102,9 +102,7 @@ def test_a_clock_that_does_not_say_what_comes_is_refused() -> None:
         _ = dm.load(text).diagram
 
 
-def test_where_a_path_that_waits_begins_has_to_be_said() -> None:
+def test_a_path_that_waits_requires_a_start_pose() -> None:
     made = graph(pace=PACE).text
-    with pytest.raises(
-        DmframeError, match=r"start: expected arm\.q, found none; .* as that of path, the beginning is not"
-    ):
+    with pytest.raises(DmframeError, match=r"start: expected arm\.q, found none; path scales the time of its path"):
         dm.load(made.replace("q: [-0.15312, 1.32528]", "")).run("0.4 s", progress=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import stat
 import sys
 from collections.abc import Callable
@@ -19,6 +20,7 @@ from dmframe.build.compiler import CompileFailed, Compiler, find_compiler
 from dmframe.common.errors import ValueFault
 from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording, simulate
+from tests.framework.build.cached_libraries import libraries
 
 Runner = Callable[..., Recording]
 
@@ -33,17 +35,13 @@ def forget() -> None:
     library._reported.clear()
 
 
-def entries(folder: Path) -> list[Path]:
-    return sorted(folder.iterdir())
-
-
 def test_a_loop_is_compiled_once(cache: Path, pendulum: Runner) -> None:
     first = pendulum()
-    (entry,) = entries(cache)
+    (entry,) = libraries(cache)
     before = entry.stat().st_ino
     forget()
     again = pendulum()
-    (entry,) = entries(cache)
+    (entry,) = libraries(cache)
     assert entry.stat().st_ino == before
     np.testing.assert_array_equal(first["arm.q"], again["arm.q"])
 
@@ -63,14 +61,14 @@ def test_gains_true_parameters_starts_clock_and_step_need_no_new_compilation(cac
         run = simulate(graph.diagram, 0.2, clock=graph.file.clock, solver=graph.solver, start=start, engine="compiled")
         assert run.engine == "compiled"
         found.append(run["arm.q"][-1])
-    assert len(entries(cache)) == 1
+    assert len(libraries(cache)) == 1
     assert len({tuple(last) for last in found}) == len(changes)
 
 
 @pytest.mark.parametrize("harm", ["empty", "truncated", "one byte", "text", "another's"])
 def test_a_broken_entry_is_thrown_away_and_made_again(harm: str, cache: Path, pendulum: Runner) -> None:
     sound = pendulum()["arm.q"]
-    (entry,) = entries(cache)
+    (entry,) = libraries(cache)
     content = entry.read_bytes()
     middle = len(content) // 2
     entry.unlink()  # this process has it mapped
@@ -87,20 +85,20 @@ def test_a_broken_entry_is_thrown_away_and_made_again(harm: str, cache: Path, pe
         entry.chmod(0o777)  # somebody else may have written it
     forget()
     np.testing.assert_array_equal(pendulum()["arm.q"], sound)
-    (again,) = entries(cache)
+    (again,) = libraries(cache)
     assert again.read_bytes() == content
     assert not again.stat().st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def test_a_link_in_the_place_of_an_entry_is_not_followed(cache: Path, tmp_path: Path, pendulum: Runner) -> None:
     pendulum()
-    (entry,) = entries(cache)
+    (entry,) = libraries(cache)
     elsewhere = tmp_path / "elsewhere.so"
     entry.rename(elsewhere)
     entry.symlink_to(elsewhere)
     forget()
     pendulum()
-    (again,) = entries(cache)
+    (again,) = libraries(cache)
     assert not again.is_symlink()
 
 
@@ -169,7 +167,7 @@ def test_a_compiler_that_fails_says_its_first_complaint_and_leaves_nothing(tmp_p
     compiler = script(tmp_path / "cc", 'echo "loop.c:1: error: no space left" >&2; echo "error: more" >&2; exit 1')
     with pytest.raises(CompileFailed, match=r"^loop.c:1: error: no space left$"):
         make(tmp_path / "cache", "key", "int x;", compiler)
-    assert entries(tmp_path / "cache") == []
+    assert libraries(tmp_path / "cache") == []
 
 
 def test_a_compiler_that_fails_leaves_the_interpreter_with_a_notice(
@@ -185,6 +183,7 @@ def test_a_compiler_that_fails_leaves_the_interpreter_with_a_notice(
 def test_a_cache_that_cannot_be_written_is_reported_and_the_run_is_compiled_all_the_same(
     cache: Path, pendulum: Runner
 ) -> None:
+    shutil.rmtree(cache, ignore_errors=True)
     cache.write_text("a file where the folder should be", encoding="utf-8")
     run, again = pendulum(), pendulum("compiled")
     assert (run.engine, again.engine) == ("compiled", "compiled")
@@ -207,7 +206,7 @@ def test_the_least_recently_used_go_first_when_the_cache_is_full(tmp_path: Path)
     assert find(folder, "key0") == made[0]  # used now
     size = made[0].stat().st_size
     last = make(folder, "key3", "int dm_x(void) { return 3; }", compiler, most=int(2.5 * size))
-    assert set(entries(folder)) == {made[0], last}
+    assert set(libraries(folder)) == {made[0], last}
 
 
 def test_what_a_killed_process_left_is_cleared_away_after_a_while(tmp_path: Path) -> None:
@@ -221,7 +220,7 @@ def test_what_a_killed_process_left_is_cleared_away_after_a_while(tmp_path: Path
         modified = place.stat().st_mtime - age
         os.utime(place, (modified, modified))
     make(folder, "key", "int dm_x(void) { return 1; }", compiler)
-    assert [path.name for path in entries(folder) if path.is_dir()] == [f"{keeping._PART}new"]
+    assert [path.name for path in libraries(folder) if path.is_dir()] == [f"{keeping._PART}new"]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="each platform has a place of its own")

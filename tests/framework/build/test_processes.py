@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from dmframe.cli import main
+from tests.framework.build.cached_libraries import libraries
 
 MAIN = "from dmframe.cli import main; main()"
 NEW = pytest.mark.usefixtures("cache")
@@ -59,7 +60,7 @@ def sound(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     assert (stopped.value.code or 0, err) == (0, "")
     found = json.loads(out)
     assert (found["engine"], notices_of(found)) == ("compiled", [])
-    assert all(path.suffix == ".so" or path.name.startswith(".part-") for path in (folder / "cache").iterdir())
+    assert all(path.suffix == ".so" or path.name.startswith(".part-") for path in libraries(folder / "cache"))
 
 
 def killed_when_ready(process: subprocess.Popen[str], pipe: Path) -> None:
@@ -77,7 +78,7 @@ def test_two_processes_may_compile_the_same_at_once(tmp_path: Path) -> None:
     both = [started("", (*RUN, "--until", "0.2", "--out", name), tmp_path) for name in ("one", "two")]
     errors = [read_line(process)["error"] for process in both]
     assert errors[0] == errors[1]
-    assert {path.suffix for path in (tmp_path / "cache").iterdir()} == {".so"}
+    assert {path.suffix for path in libraries(tmp_path / "cache")} == {".so"}
 
 
 @NEW
@@ -97,7 +98,7 @@ def test_killed_while_it_compiles_a_process_leaves_no_entry(
     compiler.chmod(0o755)
     process = started("", (*RUN, "--until", "0.2", "--out", "mine"), tmp_path, CC=str(compiler))
     killed_when_ready(process, pipe)
-    assert [path.name[:6] for path in (tmp_path / "cache").iterdir()] == [".part-"]
+    assert [path.name[:6] for path in libraries(tmp_path / "cache")] == [".part-"]
     assert list((tmp_path / "mine").iterdir()) == []  # held for a run that has gone, and free for the next
     sound(tmp_path, monkeypatch, capsys)
 
