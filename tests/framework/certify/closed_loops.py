@@ -57,6 +57,11 @@ class Built:
     wires: Mapping[str, str]
 
     @property
+    def start(self) -> Mapping[str, Any]:
+        """The start values of a graph; some conditions are decided there."""
+        return {}
+
+    @property
     def types(self) -> set[str]:
         """Those whose certificates count; of what a filter changes, nothing is claimed."""
         return counting({name: kind for name, (kind, _) in self.specs.items()}, self.wires)
@@ -101,6 +106,11 @@ class PackagedLoop(Built):
     @property
     def robot(self) -> Any:  # type: ignore[override]
         return self._graph.robot
+
+    @property
+    def start(self) -> Mapping[str, Any]:
+        start: Mapping[str, Any] = self._graph.start
+        return start
 
     @property
     def wires(self) -> Mapping[str, str]:  # type: ignore[override]

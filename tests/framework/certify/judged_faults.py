@@ -249,7 +249,7 @@ def concluded(mutant: Mutant, loop: Built) -> Result:
     """
     with reusing(loop.diagram):
         try:
-            verdict = verify(loop.build({mutant.owner: mutant}, mutated_block), trials=1)
+            verdict = verify(loop.build({mutant.owner: mutant}, mutated_block), trials=1, start=loop.start)
         except DmframeError as error:
             return Result(mutant, loop.name, "no diagram", error.text)
     if verdict.outcome != "proved":
@@ -263,13 +263,18 @@ def concluded(mutant: Mutant, loop: Built) -> Result:
 @cache
 def verdict_without_faults(loop: Built) -> Verdict:
     """That of the loop itself."""
-    return verify(loop.diagram, trials=1)
+    return verify(loop.diagram, trials=1, start=loop.start)
 
 
 def new_conclusions(verdict: Verdict, before: Verdict) -> list[str]:
     """What is concluded of a signal or a state that another verdict names, and not concluded there."""
     named = {str(item.signal) for item in before.statements}
     known = [(str(item.signal), item.says, set(map(str, item.assumes))) for item in before.statements]
+    known += [  # by Barbalat's lemma
+        (str(item.signal), "goes to zero", {f"the derivative of {item.signal} is bounded"})
+        for item in before.statements
+        if item.says == "is square-integrable"
+    ]
     found = [
         f"{item.signal} {item.says}"
         for item in verdict.statements
@@ -297,7 +302,7 @@ def judged(mutant: Mutant, loop: Built) -> Result:
                 return Result(mutant, loop.name, "refuted", "the residual is not zero")
             if not block and digest(claim) == _digest_without_faults(loop) and same_field(diagram, loop.diagram):
                 return Result(mutant, loop.name, "equivalent", SAME_RATES)
-            verdict = verify(diagram, trials=1)
+            verdict = verify(diagram, trials=1, start=loop.start)
         except DmframeError as error:
             return Result(mutant, loop.name, "no diagram", error.text)
         except Exception as error:  # a fault in the library may raise any error; that of a block is a `DmframeError`
