@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dmframe.block.author import *  # noqa: F403
+    from dmframe.block.author import *  # noqa: F403 - `author.__all__` names them; the type checker follows it
 
 
 def __getattr__(name: str) -> Any:

@@ -85,7 +85,7 @@ def loaded(*, documented: bool = True) -> None:
     with suppress(Exception), nullcontext() if documented else _undocumented():
         import matplotlib.backends.backend_agg
         import matplotlib.backends.backend_svg
-        import matplotlib.figure  # noqa: F401
+        import matplotlib.figure  # noqa: F401 - imported so that drawing finds it
 
 
 @contextmanager

@@ -30,10 +30,10 @@ from ruamel.yaml.events import (
 
 from dmframe.common.errors import DmframeError, DocumentError, MissingError, ValueFault, nearest, raise_all, visible
 from dmframe.common.units import shorten
+from dmframe.config.scalars import Scalar, plain_scalar
 from dmframe.config.syntax import plain_words
 
 Plain: TypeAlias = "dict[str, Plain] | list[Plain] | str | int | float | bool | None"
-Scalar: TypeAlias = "str | int | float | bool | None"
 Steps: TypeAlias = tuple[str | int, ...]
 
 MOST_BYTES = 1_000_000
@@ -52,11 +52,6 @@ class Kind:
 
 GRAPH: Final = Kind("graph", "dmframe: 1")
 
-_WORDS: dict[str, Scalar] = dict.fromkeys(("", "~", "null", "Null", "NULL"))
-_WORDS |= {form: form.lower() == "true" for form in ("true", "True", "TRUE", "false", "False", "FALSE")}
-_INTEGER = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
-_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
-_NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
@@ -357,18 +352,9 @@ class _Reader:
             return UNPRINTABLE.sub("", text)
         if event.style is not None:
             return text
-        if text in _WORDS:
-            return _WORDS[text]
-        number: float = math.nan if _NOT_FINITE.fullmatch(text) else 0.0
-        try:
-            if _INTEGER.fullmatch(text):
-                return int(text, {"0o": 8, "0x": 16}.get(text[:2], 10))
-            if _FLOAT.fullmatch(text):
-                number = float(text)
-            elif number == 0.0:
-                return text
-        except ValueError:  # Python rejects integers of thousands of digits
-            number = math.inf
+        number = plain_scalar(text)
+        if not isinstance(number, float):
+            return number
         if not math.isfinite(number):
             where = ".".join(map(str, path))
             found = f"{where}: expected a finite number, found {shorten(text, 30)}"
