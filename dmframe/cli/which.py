@@ -12,7 +12,7 @@ from dmframe.cli.streams import tell
 from dmframe.common.errors import DmframeError, MissingError
 
 if TYPE_CHECKING:
-    from dmframe.graph.which import Guide, Question
+    from dmframe.graph.which import Question
 
 
 def which(
@@ -43,16 +43,15 @@ def which(
     if missing and not (sys.stdin.isatty() and sys.stderr.isatty()):
         raise MissingError(
             f"no terminal to ask; give {', '.join(f'--{key}' for key in missing)}, for example:"
-            f" dmframe which {' '.join(_example(found, key) for key in found.questions)}"
+            f" dmframe which {' '.join(_words(key, answers.get(key, item.default)) for key, item in found.questions.items())}"
         )
     answers |= {key: _answer(found.questions[key]) for key in missing}
     selection = found.select(answers)
     tell(json.dumps(selection.summary, indent=2) if as_json else str(selection))
 
 
-def _example(found: Guide, key: str) -> str:
-    default = found.questions[key].default
-    return f"--{key} " + (f"'{default}'" if " " in default else default)
+def _words(key: str, answer: str) -> str:
+    return f"--{key} " + (f"'{answer}'" if " " in answer else answer)
 
 
 def _answer(question: Question) -> str:

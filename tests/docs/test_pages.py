@@ -191,3 +191,13 @@ def test_the_reference_lists_every_key_of_the_json(tmp_path: Path, monkeypatch: 
     for words in (["run", "arm2_joint", "--until", "0.1", "--no-plots", "--json"], ["verify", "arm2_joint", "--json"]):
         said = CliRunner().invoke(app, words)
         assert all(f"`{key}`" in text for key in json.loads(said.stdout)), words
+
+
+def test_each_message_of_the_troubleshooting_page_is_one_of_the_code() -> None:
+    files = [path for folder in ("dmframe", "blocks") for path in sorted(ROOT.joinpath(folder).rglob("*.py"))]
+    code = re.sub(r'"\s*\n\s*f?"', "", "".join(path.read_text(encoding="utf-8") for path in files))
+    code = re.sub(r"\{[^{}]*\}", "...", code)
+    messages = re.findall(r"(?<!\*)\*([^*\n]+)\*(?!\*)", read("docs", "how_to", "troubleshooting.md"))
+    pieces = [piece.strip(" ?,.;") for message in messages for piece in message.split("...")]
+    assert len(messages) > 10
+    assert [piece for piece in pieces if piece not in code] == []

@@ -56,7 +56,7 @@ def test_a_period_other_than_the_graphs_is_set(dmframe: Any) -> None:
 def test_without_a_terminal_missing_answers_are_listed(dmframe: Any) -> None:
     said = dmframe("which", *STIFF[:4])
     assert said.status == 2
-    assert "no terminal to ask; give --path, --load, --known, for example: dmframe which --servo unknown" in said.err
+    assert "no terminal to ask; give --path, --load, --known, for example: dmframe which --servo stiff" in said.err
 
 
 @pytest.mark.parametrize(
