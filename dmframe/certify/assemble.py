@@ -147,7 +147,7 @@ class _Assembly:
             steps=tuple(self._steps(block, item) for item in stated.steps),
             lines=tuple(self._line(block, item) for item in stated.delay_lines),
             plant=tuple(
-                data.Relation(self._out(f"{block}.momentum", item.momentum), self._out(f"{block}.rest", item.rest))
+                data.PlantIdentity(self._out(f"{block}.momentum", item.momentum), self._out(f"{block}.rest", item.rest))
                 for item in stated.plant
             ),
             solved=tuple(self._out(f"{block}.solved", item) for item in stated.solved),

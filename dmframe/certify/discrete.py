@@ -201,7 +201,7 @@ def _domains(claim: Claim, symbols: Symbols, seed: int) -> Iterator[Assumption]:
             values, *numbers = outputs_at(tape, symbols, trial)
             divisors, left = _Dividing(trial), iter(numbers)
             for item in steps:
-                item.taken_in(divisors, {name: next(left) for name in item.named})
+                item.result_in(divisors, {name: next(left) for name in item.named})
             return values, divisors.residues
 
         values, known = in_random_field("domains", seed, found)

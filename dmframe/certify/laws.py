@@ -48,7 +48,7 @@ def check_laws(diagram: Diagram) -> tuple[str, ...]:
     except NotApplicableError:
         return tuple(notices)
     for name, certificate in found.stated.items():
-        blocks[name].hold(certificate, view(diagram, name, found.truths), diagram.loop)
+        blocks[name].compare_certificate(certificate, view(diagram, name, found.truths), diagram.loop)
     return tuple(notices)
 
 
@@ -61,7 +61,7 @@ def printed_laws(diagram: Diagram, stated: Mapping[str, Certificate], truths: St
     try:
         blocks = read_blocks(diagram, near=True)
         for name, certificate in stated.items():
-            blocks[name].hold(certificate, view(diagram, name, truths), diagram.loop, near=True)
+            blocks[name].compare_certificate(certificate, view(diagram, name, truths), diagram.loop, near=True)
         return {name: block.law() for name, block in blocks.items()}
     except DmframeError as error:
         raise NotApplicableError(error.text) from None

@@ -11,7 +11,7 @@ from dmframe.block import AbstractBlock
 from dmframe.block.certificate import SX, Certificate
 from dmframe.block.faults import fault_context
 from dmframe.block.parameter import specs
-from dmframe.block.steady import Stating, collected, hold_steady
+from dmframe.block.steady import Stating, check_steady, collected
 from dmframe.certify.form import NotApplicableError
 from dmframe.common.errors import BlockError, DmframeError
 from dmframe.diagram import Diagram
@@ -30,7 +30,7 @@ def hold_claims(diagram: Diagram, truths: Stated) -> None:
         seen = recalling(diagram, name, view(diagram, name, truths))
         for says, stating in _methods(name, seen, {}):
             try:
-                hold_steady(name, block, says, stating(block), stating)
+                check_steady(name, block, says, stating(block), stating)
             except BlockError as error:
                 raise NotApplicableError(error.text) from None
 

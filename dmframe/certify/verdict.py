@@ -19,7 +19,7 @@ from dmframe.common.text import Text
 from dmframe.exact import ZeroTest
 from dmframe.exact.rational import as_float
 from dmframe.prove import claim as data
-from dmframe.prove.faults import Control
+from dmframe.prove.faults import InjectedFault
 from dmframe.prove.refute import Refutation
 
 Outcome = Literal["proved", "refuted", "not_applicable"]
@@ -64,7 +64,7 @@ class Verdict:
     kappa: Kappa | None = None
     conditions: tuple[Checked, ...] = ()
     assumptions: tuple[Assumption, ...] = ()
-    controls: tuple[Control, ...] = ()
+    controls: tuple[InjectedFault, ...] = ()
     statements: tuple[Statement, ...] = ()
     states: States | None = None
     fixed: tuple[str, ...] = ()

@@ -198,4 +198,4 @@ def test_a_step_in_the_wrong_direction_is_refuted(monkeypatch: pytest.MonkeyPatc
     found = verify(dm.load(repetitive()).diagram)
     assert found.outcome == "refuted", found.reason
     assert found.refutation is not None
-    assert found.refutation.says == "inverse: what theta becomes"
+    assert found.refutation.statement == "inverse: next value of theta"

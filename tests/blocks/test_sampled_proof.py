@@ -54,7 +54,7 @@ def test_it_is_proved_over_samples(servo: dict[str, Any], options: dict[str, Any
 
 def _says(found: Verdict) -> str:
     assert found.refutation is not None, found.reason
-    return found.refutation.says
+    return found.refutation.statement
 
 
 @pytest.mark.parametrize("servo", [PID, PI])
@@ -92,7 +92,7 @@ def _away(self: AveragedServo, theta: Any, h: Any, g: Any, Gamma: Any, nu: Any) 
 def test_another_adaptation_is_refuted(law: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     averaged_servo.cache_clear()
     monkeypatch.setattr(AveragedServo, "projected", law)
-    assert _says(verdict()) == "inverse: what theta becomes"
+    assert _says(verdict()) == "inverse: next value of theta"
     averaged_servo.cache_clear()
 
 
@@ -143,7 +143,7 @@ _put_back, _learnt = LeastSquares.put_back, LeastSquares.learnt
 def test_another_least_squares_is_refuted(name: str, law: Any, state: str, monkeypatch: pytest.MonkeyPatch) -> None:
     averaged_servo.cache_clear()
     monkeypatch.setattr(LeastSquares, name, law)
-    assert _says(verdict(PI, estimator="least_squares")) == f"inverse: what {state} becomes"
+    assert _says(verdict(PI, estimator="least_squares")) == f"inverse: next value of {state}"
     averaged_servo.cache_clear()
 
 

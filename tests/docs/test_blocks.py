@@ -13,7 +13,7 @@ import pytest
 import dmframe as dm
 from dmframe.block.parameter import specs
 from dmframe.catalogue import block_types, graphs
-from dmframe.formula.alone import plainest
+from dmframe.formula.alone import simplest
 
 ROOT = Path(__file__).parents[2]
 
@@ -55,7 +55,7 @@ def test_each_block_is_in_one_family_and_the_index_links_to_each_page_once() -> 
 
 
 def test_a_page_prints_the_law_of_the_code(dynamics: str) -> None:
-    found = plainest(KINDS["dynamic_compensator"])
+    found = simplest(KINDS["dynamic_compensator"])
     assert found is not None
     law = section(dynamics, "Law")
     lines = [make_blocks._row(line) for line in found[1].lines]
@@ -137,7 +137,7 @@ def test_an_impossible_value_is_reported_and_the_others_are_tried() -> None:
 
 
 def test_a_long_sum_is_broken_between_its_summands_and_says_the_same() -> None:
-    found = plainest(KINDS["pid_inverse"])
+    found = simplest(KINDS["pid_inverse"])
     assert found is not None
     for line in found[1].lines:
         row = make_blocks._row(line)

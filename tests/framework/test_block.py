@@ -107,7 +107,7 @@ def test_equations_that_read_what_is_not_there_name_the_nearest() -> None:
     assert list(signals) == ["dq_ref", "sigma"]
     with pytest.raises(BlockError) as caught:
         _ = signals.dq_reff
-    assert str(caught.value) == "task: its equations read dq_reff, which is none of its inputs; did you mean dq_ref?"
+    assert str(caught.value) == "task: its equations read dq_reff, which is not among its inputs; did you mean dq_ref?"
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_equations_that_read_what_is_not_there_name_the_nearest() -> None:
         ),
         (
             {"states": (State("a", box="a_bux"),)},
-            "the box of a is a_bux, which is no Interval parameter; did you mean a_box?",
+            "the box of a is a_bux, not an Interval parameter; did you mean a_box?",
         ),
         (
             {"states": (State("b_d_hat"),), "outputs": (Output("b_hat_d"),)},

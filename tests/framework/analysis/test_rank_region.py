@@ -376,8 +376,11 @@ def test_a_random_matrix_is_bounded_below_everywhere(shape: Any) -> None:
 
 
 FAULTS = {
-    "the parameters are forgotten": ("_spread", lambda doubt, half, shape: 0 * doubt[0]),
-    "a ball is taken where a box is meant": ("_spread", lambda doubt, half, shape: _spread(doubt, half, "ball")),
+    "the parameters are forgotten": ("_spread", lambda uncertainty, half, shape: 0 * uncertainty[0]),
+    "a ball is taken where a box is meant": (
+        "_spread",
+        lambda uncertainty, half, shape: _spread(uncertainty, half, "ball"),
+    ),
     "a norm is half of itself": ("_norm", lambda error: _norm(error) / 2),
     "the inverse is taken for smaller": ("_size", lambda X, U: _size(X, U) / 2),
     "the wrong part of E is taken": ("_symmetric", lambda E: _symmetric(E) if len(E.lower) == 1 else E - _symmetric(E)),

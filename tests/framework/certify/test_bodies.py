@@ -102,7 +102,7 @@ def _taken_whole(kept: Bodies, s: Any, v: Any) -> Any:
     link = _link(kept)
     values, V = eigen(link.at(s[:10]))
     out = ca.if_else(values <= 0, 1, 0)
-    D = V.T @ link.seen(v[:10]) @ V
+    D = V.T @ link.transformed(v[:10]) @ V
     return _rest(link.parameters(V @ ca.diag(ca.fmax(-out * ca.diag(D), 0)) @ V.T), s)
 
 

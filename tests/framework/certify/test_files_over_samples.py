@@ -50,7 +50,7 @@ def test_the_file_itself_is_read_and_holds() -> None:
 FALSE: dict[str, tuple[Change, str]] = {
     "V that holds a state of which nothing says the move": (
         lambda f: f.update(stored_states=[]),
-        "V, or what it is made of, holds smoother.f, which has no move",
+        "V depends on smoother.f, which has no rate",
     ),
     "steps from something else than the state": (
         lambda f: redirect(f, "learner.theta: theta", "learner.theta: h0"),
@@ -62,11 +62,11 @@ FALSE: dict[str, tuple[Change, str]] = {
     ),
     "a true value that moves": (
         lambda f: redirect(f, "learner.theta: true", "learner.theta: h0"),
-        "holds .*, which has no move",
+        "V depends on .*, which has no rate",
     ),
     "a gain that moves": (
         lambda f: redirect(f, "learner.theta: gain", "learner.theta: h0"),
-        "holds .*, which has no move",
+        "V depends on .*, which has no rate",
     ),
     "a momentum that a sensor measures": (
         lambda f: next(s for s in f["symbols"] if s["label"] == "carts.v").update(kind="noise"),

@@ -309,8 +309,8 @@ def test_an_estimator_by_least_squares_is_proved_over_samples() -> None:
     assert found.outcome == "proved", found.reason
     assert all(control.refuted for control in found.controls)
     assert {control.fault for control in found.controls} >= {
-        "learner.theta: its move reversed",
-        "learner.G: its move reversed",
+        "learner.theta: increment reversed",
+        "learner.G: increment reversed",
         "learner.retention changed in the equations only",
         "learner.floor changed in the equations only",
         "learner.gain changed in the equations only",
@@ -335,7 +335,7 @@ def test_an_estimator_by_least_squares_is_proved_over_samples() -> None:
 def test_another_law_is_refuted(lie: str, state: str) -> None:
     found = verdict(lie=lie)
     assert found.refutation is not None, found.reason
-    assert found.refutation.says == f"learner: what {state} becomes"
+    assert found.refutation.statement == f"learner: next value of {state}"
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,7 @@ UNDECIDED = {
     "a power, where it is real": (lambda y: -(y**1.5), lambda y: Square(y**1.25, ONE), "property of a function"),
     "tanh, which is odd": (lambda y: ca.tanh(-y), monotone(1), "property of a function"),
     "a root of what is negative": (
-        lambda y: -y * ca.sqrt(-1 - y * y) - y, lambda y: Square(y, 2 + 0 * y), "at none of 100 random points",
+        lambda y: -y * ca.sqrt(-1 - y * y) - y, lambda y: Square(y, 2 + 0 * y), "undefined at all of 100 random",
     ),
 }  # fmt: skip
 

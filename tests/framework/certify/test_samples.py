@@ -170,11 +170,11 @@ def test_an_estimator_that_takes_normalised_steps_is_proved_over_samples() -> No
     ]
     assert all(control.refuted for control in verdict.controls)
     assert {control.fault for control in verdict.controls} >= {
-        "learner.theta: its move reversed",
-        "learner.rows: its move reversed",
-        "learner: what V loses dropped",
-        "learner: what V gains dropped",
-        "learner: the rest of its relation dropped",
+        "learner.theta: increment reversed",
+        "learner.rows: increment reversed",
+        "learner: decrease of V dropped",
+        "learner: increase of V dropped",
+        "learner: remainder of its plant identity dropped",
         "learner.gain changed in the equations only",
         "learner.floor changed in the equations only",
     }
@@ -187,9 +187,9 @@ def test_an_estimator_that_takes_normalised_steps_is_proved_over_samples() -> No
 @pytest.mark.parametrize(
     ("lie", "says"),
     [
-        ("greedy", "learner: what theta becomes"),
-        ("cut", "learner: what theta becomes"),
-        ("other_gain", "learner: what theta becomes"),
+        ("greedy", "learner: next value of theta"),
+        ("cut", "learner: next value of theta"),
+        ("other_gain", "learner: next value of theta"),
         ("forgetful", "learner: what rows keeps"),
         ("backwards", "learner: what the plant's motion obeys"),
         ("unsolved", "learner: the equation that its output solves"),
@@ -199,7 +199,7 @@ def test_a_lie_is_refuted_and_its_point_replays(lie: str, says: str) -> None:
     verdict = verify(diagram(lie=lie))
     assert verdict.outcome == "refuted"
     assert verdict.refutation is not None
-    assert verdict.refutation.says == says
+    assert verdict.refutation.statement == says
     assert verdict.refutation.blame == ("learner",)
     assert verdict.samples is not None
     assert replay(assembled(verdict.samples), verdict.refutation) == verdict.refutation.residue != 0
@@ -225,9 +225,9 @@ def test_a_filter_loses_what_it_says() -> None:
     plain = Diagram.build({"smoother": Smoother(), "learner": Learner(), "carts": Carts()})
     assert verify(plain).outcome == "proved"
     unstable = Diagram.build({"smoother": Smoother(a=1.5), "carts": Carts(), "learner": Learner()})
-    assert "smoother: weight of term 1 of what V loses" in verify(unstable).reason
+    assert "smoother: weight of term 1 of the decrease of V" in verify(unstable).reason
     boastful = Diagram.build({"smoother": Smoother(boasts=True), "carts": Carts(), "learner": Learner()})
-    assert verify(boastful).refutation.says == "smoother: V(next) - V"  # type: ignore[union-attr]
+    assert verify(boastful).refutation.statement == "smoother: V(next) - V"  # type: ignore[union-attr]
 
 
 def test_along_a_run_v_falls_by_what_numpy_says_and_the_true_values_are_found() -> None:
@@ -415,7 +415,7 @@ def filtered(kind: type[AbstractBlock] = Filter, **options: Any) -> Diagram:
         ("time", "the momentum of a relation holds more than what the plant moves"),
         ("jumps", "the momentum of a relation holds more than what the plant moves"),
         ("own_memory", "the momentum of a relation holds more than what the plant moves"),
-        ("no_relation", "identically zero, so that nothing would be proved: f: the rest of a relation"),
+        ("no_relation", "identically zero, so that nothing would be proved: f: remainder of a plant identity"),
     ],
 )
 def test_a_claim_that_is_false_or_empty_is_none(lie: str, says: str) -> None:
@@ -428,7 +428,7 @@ def test_two_relations_are_two_controls() -> None:
     verdict = verify(filtered(lie="two_relations"))
     assert verdict.outcome == "proved", verdict.reason
     dropped = [control for control in verdict.controls if "relation" in control.fault]
-    assert [control.fault for control in dropped] == [f"f: the rest of its relation {k} dropped" for k in (1, 2)]
+    assert [control.fault for control in dropped] == [f"f: remainder of its plant identity {k} dropped" for k in (1, 2)]
     assert all(control.refuted for control in dropped)
 
 
@@ -445,7 +445,7 @@ def test_what_the_framework_does_after_a_sample_is_a_part_of_the_map() -> None:
     verdict = verify(filtered(BoxedFilter))
     assert verdict.outcome == "refuted"
     assert verdict.refutation is not None
-    assert verdict.refutation.says == "f: V(next) - V"
+    assert verdict.refutation.statement == "f: V(next) - V"
 
 
 class Steps(AbstractBlock):

@@ -49,7 +49,7 @@ def test_v_of_zero_is_not_accepted(dmframe: Any, tmp_path: Path) -> None:
     (tmp_path / "claim.json").write_text(json.dumps(found))
     done = checked(tmp_path / "claim.json")
     assert done.returncode == 2
-    assert "a claim: expected a part that stores something" in done.stderr
+    assert "a claim: expected a part with a stored term" in done.stderr
 
 
 @pytest.mark.parametrize(

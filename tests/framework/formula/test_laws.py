@@ -22,7 +22,7 @@ from dmframe.common.errors import BlockError
 from dmframe.common.names import unicode_name
 from dmframe.diagram import Diagram
 from dmframe.formula import laws_of, printed
-from dmframe.formula.alone import law_of_type, options_of, plainest, read_type, variants
+from dmframe.formula.alone import law_of_type, options_of, read_type, simplest, variants
 from dmframe.formula.points import Pair, agree, in_balls
 from dmframe.formula.tree import Applied, Name, Node, Unprinted
 from dmframe.formula.where import where
@@ -40,7 +40,7 @@ def ports_of(kind):
 
 @pytest.mark.parametrize("name", list(KINDS))
 def test_every_block_type_prints_each_symbol_defined_or_says_that_it_needs_a_graph(name):
-    found = plainest(KINDS[name])
+    found = simplest(KINDS[name])
     assert found is not None or name == "waypoints"
     if found is not None:
         assert found[1].matrices
@@ -83,7 +83,7 @@ def check_symbols(law, given):
 
 def test_the_block_that_does_not_stand_with_its_defaults_prints_every_way_in_which_it_does():
     kind = KINDS["filtered_regressor"]
-    label, law = plainest(kind)
+    label, law = simplest(kind)
     assert label == "Gamma_b"
     lines = {line.name: line.right.text for line in (*law.outputs, *law.rates, *law.definitions)}
     assert lines["b_hat"] == "-Gamma_b e_f"

@@ -131,7 +131,7 @@ REFUSED: Final = {
     "fractions": r"f: expected \+ - \* / only, found CasADi's instruction {}; its sign cannot be decided",
     "intervals": r"f: expected \+ - \* / only, found CasADi's instruction {}; its sign cannot be decided",
     "enclosures": r"f: expected \+ - \* /, sin and cos only, found CasADi's instruction {}",
-    "balls": "no enclosure is known of CasADi's instruction {}",
+    "balls": "CasADi's instruction {} has no enclosure rule",
     "polynomials": "f: expected sums and products of symbols, sines and cosines, found CasADi's instruction {}",
     "numpy": "Python source of f: expected plain operations, found CasADi's {}",
 }

@@ -232,7 +232,7 @@ class Differentiating(AbstractBlock):
     ("law", "text"),
     [
         (Wrong, "law: equations state the rate of i, a sampled state; state its next value, or declare it without"),
-        (WrongToo, "law: equations state the next value of i, a state in continuous time; state its rate, or"),
+        (WrongToo, "law: equations state the next value of i, which is a continuous state; state its rate, or"),
         (Drawing, "law: the input n is drawn from norml, unknown; did you mean normal?"),
         (Restless, "law: equations() state another next value of z when evaluated again"),
     ],
@@ -246,7 +246,7 @@ def test_a_blocks_source_of_time_is_checked_against_its_declaration(law: Any, te
 def test_a_jump_has_no_derivative() -> None:
     with pytest.raises(DmframeError) as caught:
         Diagram.build({"law": SampledPi(), "delay": Delay(), "cart": Differentiating(), "sensor": Sensor()})
-    assert "cart.dv_late is a time derivative of what moves with delay.late, which jumps from sample to" in str(
+    assert "cart.dv_late is a time derivative of a signal that depends on delay.late, which is piecewise" in str(
         caught.value
     )
 
