@@ -87,6 +87,8 @@ def variants(block: type[AbstractBlock]) -> Iterator[tuple[ReadBlock, bool]]:
     if read is not None:
         yield read, False
 
+
+def simplest(block: type[AbstractBlock]) -> tuple[str, PrintedLaw] | None:
     """The law with default options or, if the block cannot be created with these, with the first sufficient option."""
     base = base_of(block)
     law = law_of_type(block, **base[1]) if base is not None else None
