@@ -1,4 +1,4 @@
-"""Conditions, assumptions and statements of a claim over samples: what is left once its identity holds."""
+"""Conditions, assumptions and statements of a claim in discrete time, if its identity holds."""
 
 from __future__ import annotations
 
@@ -56,11 +56,11 @@ EACH: Final[Mapping[type, Text]] = {
 
 
 SHOWN: Final = 6
-"""Signals of which so many are named."""
+"""Largest number of signals that are listed by name."""
 
 
 def discrete_conditions(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> Iterator[Finding]:
-    """What the proof needs and numbers can decide; and what is left to assume."""
+    """Conditions of the proof that numbers can decide, and the remaining assumptions."""
     claiming = {part.block for part in claim.parts}
     yield from decide(((name, item) for name, item in conditions_stated(claim) if name in claiming), numbers)
     yield from dict.fromkeys(undefined(claim, numbers))
@@ -101,7 +101,7 @@ def _least_squares(
 
 
 def _boxed(part: Part, item: Steps, numbers: Numbers) -> Iterator[Finding]:
-    """That the true value lies in the box: decided where parameters determine it, else assumed."""
+    """The true value is inside the box: decided if parameters determine it, otherwise assumed."""
     if not item.box:
         return
     lower, upper, true = (ca.vec(ca.densify(ca.SX(end))) for end in (*item.box, item.true))
@@ -114,7 +114,7 @@ def _boxed(part: Part, item: Steps, numbers: Numbers) -> Iterator[Finding]:
         yield numbers.decide(text, "lower <= true value <= upper", lemma, room[known], strict=False)
     loop, free = numbers.claim.loop, [row for row in range(room.shape[0]) if row not in known]
     handed = [row for row in free if symbols_in([loop.on_path(room[row])]) <= symbols_in([loop.time, loop.p])]
-    if handed:  # what a source has decides, as far as it is sampled
+    if handed:  # decided by the sampled values of the source
         yield from outside(text, loop.on_path(room[handed]), loop)
     left = sorted({row % true.shape[0] for row in free})
     if left:
@@ -125,7 +125,7 @@ def _boxed(part: Part, item: Steps, numbers: Numbers) -> Iterator[Finding]:
 
 
 def discrete_assumptions(claim: Claim, symbols: Symbols, seed: int) -> Iterator[Assumption]:
-    """What cannot be decided from the graph."""
+    """Facts that cannot be decided from the graph."""
     yield from _domains(claim, symbols, seed)
     yield from of_the_plant(claim.diagram)
     held = "samples are one period apart, and what is commanded is held from each to the next"
@@ -168,7 +168,7 @@ def discrete_assumptions(claim: Claim, symbols: Symbols, seed: int) -> Iterator[
 
 
 def discrete_statements(claim: Claim) -> Iterator[Statement]:
-    """What follows for the estimates and for V."""
+    """Conclusions for the estimates and for V."""
     for part in claim.parts:
         for item in part.certificate.steps:
             name = Text(name_of(item.estimate), f" ({part.block})")
@@ -187,9 +187,9 @@ def discrete_statements(claim: Claim) -> Iterator[Statement]:
 
 
 def _domains(claim: Claim, symbols: Symbols, seed: int) -> Iterator[Assumption]:
-    """That what V and a block's memories hold is defined at the next sample: assumed where signals decide it.
+    """V and a block's memories are defined at the next sample: assumed if signals decide it.
 
-    What steps divide by is positive, such as their norms, and so is the period; both are left out.
+    Divisors of update steps, such as their norms, and the period are positive, and are left out.
     """
     for part in claim.parts:
         wanted = list(_needed(claim, part, symbols))
@@ -219,7 +219,7 @@ def _domains(claim: Claim, symbols: Symbols, seed: int) -> Iterator[Assumption]:
 
 @final
 class _Dividing:
-    """The ring of a trial; it collects the residues that it divides by."""
+    """Ring of a trial that collects the residues by which it divides."""
 
     def __init__(self, trial: Trial) -> None:
         self._trial, self.residues = trial, set[int]()
@@ -232,7 +232,7 @@ class _Dividing:
 
 
 def _needed(claim: Claim, of: Part, symbols: Symbols) -> Iterator[SX]:
-    """All that what V and the memories hold at the next sample needs, and that moves."""
+    """Expressions that the next values of V and of the memories depend on, and that vary."""
     own = symbols_in([of.storage])
     kept = {f"{of.block}.{item.state}" for item in of.certificate.delay_lines}
     becomes = [

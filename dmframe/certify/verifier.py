@@ -1,4 +1,4 @@
-"""``verify``: prove a diagram's claim, refute it, or say why there is none."""
+"""``verify``: prove a diagram's claim, refute it, or give the reason why it has none."""
 
 from __future__ import annotations
 

@@ -227,11 +227,11 @@ def test_a_batch_takes_matrices_and_priors() -> None:
 @pytest.mark.parametrize(
     ("overrides", "value", "text"),
     [
-        ([], np.eye(22), "values.dynamics.Gamma: expected a diagonal, as in the diagram; a full matrix takes"),
+        ([], np.eye(22), "values.dynamics.Gamma: expected a diagonal, as in the diagram; a full matrix requires"),
         (
             [f"dynamics.Gamma={np.eye(22).tolist()}"],
             np.eye(22) + 0.01,
-            "values.dynamics.Gamma: expected the zeros of the diagram's matrix; with others it takes another",
+            "values.dynamics.Gamma: expected the zeros of the diagram's matrix; other zeros require another",
         ),
         ([], np.eye(3), "dynamics.Gamma: expected [22, 22] numbers, found [3, 3]"),
     ],

@@ -129,7 +129,7 @@ def test_equations_that_read_what_is_not_there_name_the_nearest() -> None:
             "its names b_hat_d and b_d_hat both print as b\u0302_d; rename one",
         ),
         ({"states": (State("alpha"),), "inputs": (Input("α"),)}, "its names α and alpha both print as α; rename one"),
-        ({"states": (State("у"),)}, r"the name '\u0443' holds '\u0443', no Latin and no known Greek letter"),
+        ({"states": (State("у"),)}, r"the name '\u0443' contains '\u0443', not a Latin or known Greek letter"),
         ({"inputs": (Input("x - y"),)}, "expected a name such as K_star, found 'x - y'"),
         ({"states": (State("a", "n"),)}, "the parameter a and the state that it initialises have different shapes"),
     ],

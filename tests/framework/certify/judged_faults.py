@@ -22,7 +22,7 @@ from dmframe.block.port import Side
 from dmframe.block.steady import collected, stated_equations
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.assemble import assembled
-from dmframe.certify.steady import hold_claims
+from dmframe.certify.steady import check_claims
 from dmframe.common.errors import DmframeError
 from dmframe.common.text import Text
 from dmframe.diagram import Diagram
@@ -118,7 +118,7 @@ class _Only(dict[str, AbstractBlock]):
 def reusing(honest: Diagram) -> Iterator[None]:
     """The models of blocks whose classes are those of a diagram without faults are its models.
 
-    That unchanged certificates do not depend on numbers (`hold_claims`) is not checked once more.
+    That unchanged certificates do not depend on numbers (`check_claims`) is not checked once more.
     """
     kinds = [type(block) for block in honest.blocks.values()]
     robots = {id(model.robot): model.robot for model in honest.models.values() if model.robot is not None}
@@ -128,11 +128,11 @@ def reusing(honest: Diagram) -> Iterator[None]:
         return known if type(known.block) is type(block) else model_block(name, block, *rest)
 
     def hold(diagram: Diagram, truths: Any) -> None:
-        hold_claims(replace(diagram, blocks=_Only(diagram.blocks, kinds)), truths)
+        check_claims(replace(diagram, blocks=_Only(diagram.blocks, kinds)), truths)
 
     with (
         mock.patch("dmframe.diagram.diagram.model_block", model),
-        mock.patch("dmframe.certify.claim.hold_claims", hold),
+        mock.patch("dmframe.certify.claim.check_claims", hold),
     ):
         if len(robots) != 1:
             yield

@@ -201,5 +201,5 @@ class Undeclared(AbstractBlock):
 
 def test_a_set_of_bodies_names_its_share_and_its_nominal_bodies() -> None:
     texts = [fault.text for fault in Undeclared.contract("undeclared")]
-    assert any("of bodies of a is flor, which is no Positive parameter; did you mean floor" in t for t in texts)
-    assert any("nominal bodies of a are a_nominal, which is no input;" in t for t in texts)
+    assert any("of bodies of a is flor, which is not a Positive parameter; did you mean floor" in t for t in texts)
+    assert any("nominal bodies of a are a_nominal, which is not an input;" in t for t in texts)

@@ -54,7 +54,7 @@ FALSE: dict[str, tuple[Change, str]] = {
     ),
     "steps from something else than the state": (
         lambda f: redirect(f, "learner.theta: theta", "learner.theta: h0"),
-        "expected learner.theta itself",
+        "expected the state learner.theta",
     ),
     "a delay line from something else than the state": (
         lambda f: redirect(f, "learner.rows: before", "learner.theta: h0"),
@@ -83,7 +83,10 @@ FALSE: dict[str, tuple[Change, str]] = {
         lambda f: part(f, "learner")["lines"][0].update(state="x"),
         "expected a move of learner.x",
     ),
-    "a weight over samples": (lambda f: part(f, "smoother").update(weight="kappa"), "none over samples, found kappa"),
+    "a weight over samples": (
+        lambda f: part(f, "smoother").update(weight="kappa"),
+        "none in discrete time, found kappa",
+    ),
     "a flow of samples": (lambda f: f.update(operator="flow"), ""),
     "a move of time": (lambda f: f["moves"].update(t=f["moves"]["learner.count"]), "found one of t"),
     "a plant's move of a parameter": (

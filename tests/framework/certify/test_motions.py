@@ -34,7 +34,7 @@ def test_a_motion_is_that_of_the_plant_with_its_commands_held() -> None:
     claim = claim_of(built(Learner()))
     (part,) = [part for part in claim.parts if part.certificate.steps]
     moved = Moved(claim, part, part.certificate.steps[0])
-    assert [lesson.stored for lesson in moved.lessons] == [False]
+    assert [row.stored for row in moved.estimator_rows] == [False]
     motion = moved.motion(np.random.default_rng(3))
     left = moved.left(motion, T, 0.6)
     c, m, b = motion.commands(T * np.arange(120)).T, np.array(M), np.array(B)

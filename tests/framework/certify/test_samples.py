@@ -192,7 +192,7 @@ def test_an_estimator_that_takes_normalised_steps_is_proved_over_samples() -> No
         ("other_gain", "learner: next value of theta"),
         ("forgetful", "learner: what rows keeps"),
         ("backwards", "learner: what the plant's motion obeys"),
-        ("unsolved", "learner: the equation that its output solves"),
+        ("unsolved", "learner: equation solved by its output"),
     ],
 )
 def test_a_lie_is_refuted_and_its_point_replays(lie: str, says: str) -> None:
@@ -410,7 +410,7 @@ def filtered(kind: type[AbstractBlock] = Filter, **options: Any) -> Diagram:
         ("named_as_gain", "expected a constant's name to be one of its own, found 'a'"),
         ("no_name", "expected a constant's name to be one of its own"),
         ("MX", "f: certificate(), "),
-        ("never_stores", "identically zero, so that nothing would be proved: f: when rows is stored"),
+        ("never_stores", "identically zero, so that nothing would be proved: f: storage condition of rows"),
         ("empty", "identically zero, so that nothing would be proved: f: V(next) - V; f: term 1 of V"),
         ("time", "the momentum of a relation holds more than what the plant moves"),
         ("jumps", "the momentum of a relation holds more than what the plant moves"),
@@ -427,7 +427,7 @@ def test_a_claim_that_is_false_or_empty_is_none(lie: str, says: str) -> None:
 def test_two_relations_are_two_controls() -> None:
     verdict = verify(filtered(lie="two_relations"))
     assert verdict.outcome == "proved", verdict.reason
-    dropped = [control for control in verdict.controls if "relation" in control.fault]
+    dropped = [control for control in verdict.controls if "plant identity" in control.fault]
     assert [control.fault for control in dropped] == [f"f: remainder of its plant identity {k} dropped" for k in (1, 2)]
     assert all(control.refuted for control in dropped)
 
@@ -494,8 +494,8 @@ class Steps(AbstractBlock):
 @pytest.mark.parametrize(
     ("lie", "says"),
     [
-        ("no_rows", "identically zero, so that nothing would be proved: f: V(next) - V; f: the rows of w"),
-        ("zero_rows", "identically zero, so that nothing would be proved: f: V(next) - V; f: the rows of w"),
+        ("no_rows", "identically zero, so that nothing would be proved: f: V(next) - V; f: regressor rows of w"),
+        ("zero_rows", "identically zero, so that nothing would be proved: f: V(next) - V; f: regressor rows of w"),
         ("own_rows", "the rows of w hold w itself"),
         ("no_box", "the identity holds, but a condition fails: f: box of w holds something"),
     ],
@@ -511,9 +511,7 @@ def test_rows_may_hold_any_function_of_what_is_measured() -> None:
     assert verify(filtered(Steps, lie="root")).outcome == "proved"
 
 
-@pytest.mark.parametrize(
-    ("lie", "says"), [("odd", "but only by a property of a function"), ("folded", "no more than the rounding")]
-)
+@pytest.mark.parametrize(("lie", "says"), [("odd", "property of a function"), ("folded", "no more than the rounding")])
 def test_what_the_field_cannot_decide_is_not_refuted(lie: str, says: str) -> None:
     verdict = verify(filtered(Steps, lie=lie))
     assert verdict.outcome == "not_applicable"

@@ -37,7 +37,7 @@ def test_a_written_claim_is_checked_again_and_a_false_one_is_not_accepted(dmfram
     path.write_text("{}")
     done = checked(path)
     assert done.returncode == 2
-    assert "a claim: expected what `to_json` writes" in done.stderr
+    assert "a claim: expected the format of `to_json`" in done.stderr
 
 
 def test_v_of_zero_is_not_accepted(dmframe: Any, tmp_path: Path) -> None:

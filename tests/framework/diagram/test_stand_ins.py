@@ -130,13 +130,13 @@ def broken(**members: Any) -> type[AbstractBlock]:
 @pytest.mark.parametrize(
     ("members", "text"),
     [
-        ({"outputs": (Output("y_m", instead_of="z"),)}, "the output y_m replaces z, which is no input; choose"),
+        ({"outputs": (Output("y_m", instead_of="z"),)}, "the output y_m replaces z, which is not an input; choose"),
         (
             {"outputs": (Output("y_m", "3", instead_of="y"),)},
             "the output y_m replaces y, and has another shape or",
         ),
         ({"outputs": (Output("y_m", "", "m", instead_of="y"),)}, "replaces y, and has another shape or unit"),
-        ({"side": Side.CONTROLLER}, "the output y_m replaces y, and the block is no plant; make it one"),
+        ({"side": Side.CONTROLLER}, "the output y_m replaces y, but the block is not a plant; declare it as one"),
         ({"inputs": (Output("y"),)}, "expected each of its inputs to be an Input, found Output(name='y'"),
         (
             {"outputs": (Output("y_m", notice=3),)},

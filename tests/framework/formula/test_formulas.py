@@ -133,7 +133,7 @@ def test_accents_take_no_place_of_a_line():
 
 
 def test_what_has_no_sign_is_refused():
-    with pytest.raises(UnreadableError, match="no sign"):
+    with pytest.raises(UnreadableError, match="without a printed symbol"):
         read(ca.det(A))
     with pytest.raises(UnreadableError, match="longer"):
         read(sum((ca.sin(k * e) for k in range(1, 600)), start=e))

@@ -127,7 +127,7 @@ def test_what_is_no_claim_is_refused(change: Any, says: str) -> None:
     change(found)
     with pytest.raises(ValueFault, match=says):
         from_json(json.dumps(found))
-    with pytest.raises(ValueFault, match="a claim: expected what `to_json` writes"):
+    with pytest.raises(ValueFault, match="a claim: expected the format of `to_json`"):
         from_json("no JSON")
 
 

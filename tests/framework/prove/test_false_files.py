@@ -68,7 +68,7 @@ def time_stands_still(found: dict[str, Any]) -> None:
 
 
 FALSE: dict[str, tuple[Change, str]] = {
-    "a state of V without a move": (lambda f: f["moves"].pop(next(iter(f["moves"]))), "read 0 times"),
+    "a state of V without a move": (lambda f: f["moves"].pop(next(iter(f["moves"]))), "used 0 times"),
     "a state of V called a projection": (
         lambda f: symbol(f, "arm.q").update(kind="projection"),
         "expected moves of .*, found one of arm.q",
@@ -78,7 +78,7 @@ FALSE: dict[str, tuple[Change, str]] = {
         "found one of task.alpha",
     ),
     "a move of no symbol": (lambda f: f["moves"].update({"task.nothing": "task.supply"}), "found one of task.nothing"),
-    "time that stands still": (time_stands_still, "expected t to move by 1 a second"),
+    "time that stands still": (time_stands_still, "expected t to have the rate 1"),
     "V that jumps": (jumping_storage, "contains floor, which is discontinuous"),
     "V with a copy of a gain": (copied_gain, "V depends on .*changed, which has no rate|changed only in rates"),
     "a state with a value": (
@@ -93,18 +93,24 @@ FALSE: dict[str, tuple[Change, str]] = {
     ),
     "a gain that is no parameter": (lambda f: f["gains"].append("arm.q"), "expected gains to be parameters"),
     "a gain that is no symbol": (lambda f: f["gains"].append("task.x"), "expected gains to be parameters"),
-    "a weight that is no weight": (lambda f: part(f, "task").update(weight="x"), "expected a weight that is a symbol"),
-    "a weight that is a state": (lambda f: part(f, "task").update(weight="arm.q"), "expected a weight that is a sym"),
+    "a weight that is no weight": (
+        lambda f: part(f, "task").update(weight="x"),
+        "expected a symbol of the kind weight",
+    ),
+    "a weight that is a state": (
+        lambda f: part(f, "task").update(weight="arm.q"),
+        "expected a symbol of the kind weight",
+    ),
     "a rule that is unknown": (lambda f: part(f, "task")["stored"][0].update(rule="x"), "stored: expected terms"),
     "a rule of another role": (lambda f: part(f, "task")["stored"][0].update(rule="clipped"), "stored: expected terms"),
     "a rule of other parts": (
         lambda f: part(f, "task")["stored"][0].update(rule="potential"),
         "stored: expected terms",
     ),
-    "an output that is read twice": (lambda f: part(f, "task").update(lemma=part(f, "task")["supply"]), "read 2 times"),
+    "an output that is read twice": (lambda f: part(f, "task").update(lemma=part(f, "task")["supply"]), "used 2 times"),
     "an output that is unknown": (lambda f: part(f, "task").update(supply="x"), "expected an output of the program"),
     "no parts": (lambda f: f.update(parts=[], composed=[]), "expected a part with a stored term"),
-    "a block twice": (lambda f: f["parts"].append(part(f, "task")), "expected one part per block|read 2"),
+    "a block twice": (lambda f: f["parts"].append(part(f, "task")), "expected one part per block|used 2"),
     "samples of a flow": (lambda f: f.update(operator="sample"), ""),
     "no operator": (lambda f: f.update(operator="flaw"), "expected one of flow, sample, found 'flaw'"),
     "an unknown key": (lambda f: f.update(more=1), "more: missing or unknown key of a Claim"),
@@ -120,8 +126,8 @@ FALSE: dict[str, tuple[Change, str]] = {
         "",
     ),
     "a negative place": (lambda f: f["program"]["outputs"][0][3].__setitem__(0, -1), "at least 0, found -1"),
-    "a place twice": (lambda f: f["program"]["outputs"][0][3].__setitem__(1, 0), "each once"),
-    "a place beyond": (lambda f: f["program"]["outputs"][0][3].__setitem__(0, 10**9), "each once"),
+    "a place twice": (lambda f: f["program"]["outputs"][0][3].__setitem__(1, 0), "element once"),
+    "a place beyond": (lambda f: f["program"]["outputs"][0][3].__setitem__(0, 10**9), "element once"),
     "a negative source": (lambda f: f["program"]["outputs"][0][4].__setitem__(0, -1), "at least 0, found -1"),
     "a negative operand": (lambda f: f["program"]["nodes"].append(["neg", -1]), "at least 0, found -1"),
     "a negative input": (lambda f: f["program"]["nodes"].append(["input", -1, 0]), "at least 0, found -1"),
@@ -129,11 +135,11 @@ FALSE: dict[str, tuple[Change, str]] = {
     "no denominator": (lambda f: f["program"]["nodes"].append(["const", "1/0"]), "ZeroDivisionError"),
     "a number with an exponent": (
         lambda f: f["program"]["nodes"].append(["const", "1e99"]),
-        "an integer or a frac",
+        "a whole number or a frac",
     ),
     "a number that is long": (
         lambda f: f["program"]["nodes"].append(["const", "9" * 5000]),
-        "an integer or a frac",
+        "a whole number or a frac",
     ),
     "a reversed state that does not move": (lambda f: f["reversed"].append("arm.x"), "expected a state that moves"),
 }

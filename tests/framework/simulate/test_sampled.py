@@ -231,7 +231,10 @@ class Differentiating(AbstractBlock):
 @pytest.mark.parametrize(
     ("law", "text"),
     [
-        (Wrong, "law: equations state the rate of i, a sampled state; state its next value, or declare it without"),
+        (
+            Wrong,
+            "law: equations state the rate of i, which is a sampled state; state its next value, or declare it without",
+        ),
         (WrongToo, "law: equations state the next value of i, which is a continuous state; state its rate, or"),
         (Drawing, "law: the input n is drawn from norml, unknown; did you mean normal?"),
         (Restless, "law: equations() state another next value of z when evaluated again"),
