@@ -142,7 +142,7 @@ class Moved:
     estimator_rows
         The distinct rows.
     reads
-        The parameters of rows and plant, a column, that no motion varies since they are zero.
+        Positions in `ClosedLoop.p` of the parameters of rows and plant that no motion varies since they are zero.
     """
 
     def __init__(self, claim: Claim, part: Part, item: Steps) -> None:
@@ -168,8 +168,8 @@ class Moved:
         self._plant = {p.label for p in loop.parameters if ca.depends_on(flow, p.symbol)}
         read = symbols_in([becomes, *rows, flow])
         self._read = {p.label for p in loop.parameters if read & symbols_in([p.symbol]) and not self._rounds(p)}
-        still = (x for p in loop.parameters if p.label in self._read for x in _zeros(p))
-        self.reads = stack(x for x in still if x.element_hash() in read)
+        still = {x.element_hash() for p in loop.parameters if p.label in self._read for x in _zeros(p)} & read
+        self.reads = tuple(k for k, x in enumerate(ca.vertsplit(loop.p)) if x.element_hash() in still)
 
     def _function(self, name: str, seen: Sequence[SX], made: Sequence[SX]) -> Any:
         # a piecewise constant source steps between two motions only
