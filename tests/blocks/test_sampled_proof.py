@@ -164,7 +164,7 @@ def test_a_friction_without_a_column_and_a_box_without_the_truth_are_reported() 
     assert verdict(friction=["viscous"], arm={"coulomb": 0}).outcome == "proved"
 
 
-def test_the_makers_gravity_compensation_needs_columns_of_its_own() -> None:
+def test_the_manufacturers_gravity_compensation_needs_columns_of_its_own() -> None:
     assert _says(verdict(arm={"maker_gravity": 0.5})) == "inverse: what the plant's motion obeys"
 
 

@@ -136,7 +136,7 @@ def test_an_impossible_value_is_reported_and_the_others_are_tried() -> None:
     assert "expected a quantity in 1/s" in found[2][2]
 
 
-def test_a_long_sum_is_broken_between_its_summands_and_says_the_same() -> None:
+def test_a_long_sum_is_broken_between_its_summands_and_states_the_same() -> None:
     found = simplest(KINDS["pid_inverse"])
     assert found is not None
     for line in found[1].lines:
@@ -150,6 +150,6 @@ def test_a_bar_in_a_cell_ends_no_column() -> None:
     assert make_blocks._table(("a",), [("$|x|^2$ and |",)]).splitlines()[-1] == r"| $\vert x\vert ^2$ and \| |"
 
 
-def test_a_parameter_says_its_unit_and_sign() -> None:
+def test_a_parameter_states_its_unit_and_sign() -> None:
     spec = specs(KINDS["dynamic_compensator"])["Gamma"]
     assert f"{spec.unit or '-'} > 0" in make_blocks._parameters(KINDS["dynamic_compensator"])

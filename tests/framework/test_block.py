@@ -85,7 +85,7 @@ class Counted(AbstractBlock):
         ({"filtered": []}, "counted.filtered: expected true or false, found []"),
     ],
 )
-def test_a_truth_a_number_and_a_text_are_reported_apart(values: dict[str, Any], text: str) -> None:
+def test_a_truth_a_number_and_a_text_are_reported_separately(values: dict[str, Any], text: str) -> None:
     assert str(fault(Counted, **values)) == text
 
 

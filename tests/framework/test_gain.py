@@ -30,7 +30,7 @@ def positive(n: int, seed: int) -> np.ndarray:
 
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(st.integers(1, 6), st.integers(0, 10**6), st.booleans())
-def test_it_is_positive_definite_where_its_eigenvalues_say_so(n: int, seed: int, spoil: bool) -> None:
+def test_it_is_positive_definite_where_its_eigenvalues_are_positive(n: int, seed: int, spoil: bool) -> None:
     matrix = positive(n, seed)
     if spoil:
         matrix -= np.eye(n) * np.linalg.eigvalsh(matrix)[0] * 1.01

@@ -263,7 +263,7 @@ def test_a_path_of_ones_own_may_be_taken_instead() -> None:
     assert found.certified <= np.min(sampled("theorem_3", found, count=1000))
 
 
-def test_a_start_off_the_path_is_led_onto_it() -> None:
+def test_a_start_off_the_path_approaches_it() -> None:
     diagram, graph = packaged("theorem_1")
     found = rank_region(diagram, graph.start, duration=20, boxes=200, tube=0.01)
     (first,) = (graph.start["q"],)

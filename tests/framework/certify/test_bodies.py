@@ -51,7 +51,7 @@ def failing(**values: Any) -> list[str]:
     return [item.name for item in checked if not item.holds]
 
 
-def test_it_is_proved_and_said_to_stay_bodies() -> None:
+def test_it_is_proved_and_stated_to_stay_bodies() -> None:
     verdict = verify(changed().diagram, trials=1)
     assert verdict.outcome == "proved", verdict.reason
     assert all(control.refuted for control in verdict.controls)
@@ -71,7 +71,7 @@ def test_a_true_body_or_a_start_below_the_floor_is_no_proof(label: str, value: f
     assert failing(**{label: value}) == [f"dynamics.a_d_hat: {name}" for name in names]
 
 
-def test_a_nominal_body_that_is_none_is_no_proof() -> None:
+def test_a_nominal_body_that_is_invalid_is_no_proof() -> None:
     assert LAW in failing(**{"model.nominal": 0})
 
 

@@ -121,7 +121,7 @@ def test_the_composed_rate_is_the_textbooks() -> None:
     ("learner", "nominal", "start"),
     [(Started(w=0.1), True, 0.1), (Started(), True, 0.3), (Learner(), True, 0.3), (Learner(), False, 0.0)],
 )
-def test_an_estimate_starts_where_its_parameter_says_else_at_its_nominal_else_at_zero(
+def test_an_estimate_starts_where_its_parameter_states_else_at_its_nominal_else_at_zero(
     learner: AbstractBlock, nominal: bool, start: float
 ) -> None:
     built = diagram(learner, **({"nominal": Nominal()} if nominal else {}))
@@ -327,14 +327,14 @@ class Minimal(AbstractBlock):
         return Certificate(**stated[self.says], supply=-ca.dot(u.x, x.w - truth.theta))
 
 
-def test_a_block_of_its_own_law_says_what_it_estimates_in_its_certificate() -> None:
+def test_a_block_of_its_own_law_states_what_it_estimates_in_its_certificate() -> None:
     verdict = proof(Minimal(w_box=(0, 1)))
     assert verdict.outcome == "proved", verdict.reason
     assert "learner.w: true value inside the box" in [item.name for item in verdict.conditions]
     np.testing.assert_allclose(true_values(diagram(Minimal()))["learner.w"], [0.5, 0.8])
 
 
-def test_a_projected_state_has_to_be_said_to_be_an_estimate() -> None:
+def test_a_projected_state_has_to_be_declared_an_estimate() -> None:
     verdict = proof(Minimal(w_box=(0, 1), says="storage"))
     assert verdict.outcome == "not_applicable"
     assert "learner.w is projected, but is not stored as one square of its error" in verdict.reason
@@ -342,7 +342,7 @@ def test_a_projected_state_has_to_be_said_to_be_an_estimate() -> None:
     assert proof(Minimal(says="storage")).outcome == "proved"
 
 
-def test_an_estimate_that_is_no_state_is_refused() -> None:
+def test_an_estimate_that_is_not_a_state_is_refused() -> None:
     verdict = proof(Minimal(says="nothing"))
     assert verdict.outcome == "not_applicable"
     assert "learner: certificate() gives a true value for v, which is none of its states; choose from" in verdict.reason
@@ -359,7 +359,7 @@ def test_a_figure_of_estimates_shows_what_is_declared_and_guesses_nothing_from_n
         assert panel.get_ylabel().startswith("w")
 
 
-def test_every_adapting_block_says_what_its_options_are_on_its_page_and_to_an_editor() -> None:
+def test_every_adapting_block_states_what_its_options_are_on_its_page_and_to_an_editor() -> None:
     adapting = {name: kind for name, kind in block_types().items() if issubclass(kind, AdaptingBlock)}
     assert len(adapting) == 12
     schema = json_schema()["$defs"]
@@ -431,7 +431,7 @@ def test_a_memory_that_starts_below_zero_is_no_storage_however_it_is_started(
         assert verify(spread).outcome == "not_applicable"
 
 
-def test_what_a_method_says_of_no_estimate_is_refused() -> None:
+def test_what_a_method_states_of_no_estimate_is_refused() -> None:
     class Foreign(Fitter):
         def fits(self, u: Signals, x: Signals, p: Signals) -> Mapping[str, Fit]:
             return {"w_hat": Fit(x.w - u.theta_m, ca.SX.eye(2), p.R * ca.SX.ones(2))}

@@ -74,7 +74,7 @@ def positive(rng: random.Random, size: int) -> Matrix:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_step_moves_v_by_what_it_says_for_every_metric(seed: int) -> None:
+def test_a_step_moves_v_by_what_it_states_for_every_metric(seed: int) -> None:
     rng, n = random.Random(seed), 4
     W, nu, h, theta, true = positive(rng, n), Fraction(1, 9), column(rng, n), column(rng, n), column(rng, n)
     eta, error = 1 + abs(number(rng)), [a - b for a, b in zip(theta, true, strict=True)]
@@ -141,7 +141,7 @@ def steps_of(size: int, *, box: bool = True) -> tuple[LeastSquaresSteps, list[An
     return LeastSquaresSteps("theta", "G", *named, *own), [*symbols.values(), h, y, ends]
 
 
-def test_the_term_says_the_same_exactly_at_random_symmetric_memories() -> None:
+def test_the_term_states_the_same_exactly_at_random_symmetric_memories() -> None:
     steps, symbols = steps_of(3, box=False)
     claim = ca.Function("claim", symbols, [steps.change + steps.decrease - steps.residual, steps.change])
     rng = random.Random(2)

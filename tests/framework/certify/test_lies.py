@@ -59,7 +59,7 @@ class Eater(AbstractBlock):
         return Certificate((Square(x.z),), spent, supply=-1.5 * v * x.z, consumes=eaten)
 
 
-def test_one_square_does_not_pay_for_four_elements() -> None:
+def test_one_square_does_not_dominate_four_elements() -> None:
     """[[-1, 1.5], [1.5, -1.25]] has the eigenvalue 0.38."""
     verdict = verify(Diagram.build({"a": Dominating(), "b": Eater()}))
     assert verdict.outcome == "not_applicable"

@@ -64,13 +64,13 @@ def test_what_is_true_but_for_the_rounding_of_literals_is_proved(name: str) -> N
 
 
 @pytest.mark.parametrize("name", REFUTED)
-def test_a_small_lie_is_refuted_and_not_taken_for_rounding(name: str) -> None:
+def test_a_small_false_claim_is_refuted_and_not_taken_for_rounding(name: str) -> None:
     verdict = decide(*REFUTED[name])
     assert verdict.outcome == "refuted", verdict.reason
 
 
 @pytest.mark.parametrize("name", UNDECIDED)
-def test_what_no_real_point_contradicts_is_not_decided_and_says_why(name: str) -> None:
+def test_what_no_real_point_contradicts_is_not_decided_and_gives_the_reason(name: str) -> None:
     rate, spent, why = UNDECIDED[name]
     verdict = decide(rate, spent)
     assert verdict.outcome == "not_applicable"

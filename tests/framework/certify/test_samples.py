@@ -195,7 +195,7 @@ def test_an_estimator_that_takes_normalised_steps_is_proved_over_samples() -> No
         ("unsolved", "learner: equation solved by its output"),
     ],
 )
-def test_a_lie_is_refuted_and_its_point_replays(lie: str, says: str) -> None:
+def test_a_false_claim_is_refuted_and_its_point_replays(lie: str, says: str) -> None:
     verdict = verify(diagram(lie=lie))
     assert verdict.outcome == "refuted"
     assert verdict.refutation is not None
@@ -221,7 +221,7 @@ def test_conditions_are_decided_at_the_graphs_numbers(options: dict[str, float],
     assert verdict.reason == f"the identity holds, but a condition fails: learner: {failing}"
 
 
-def test_a_filter_loses_what_it_says() -> None:
+def test_a_filter_loses_what_it_states() -> None:
     plain = Diagram.build({"smoother": Smoother(), "learner": Learner(), "carts": Carts()})
     assert verify(plain).outcome == "proved"
     unstable = Diagram.build({"smoother": Smoother(a=1.5), "carts": Carts(), "learner": Learner()})
@@ -230,7 +230,7 @@ def test_a_filter_loses_what_it_says() -> None:
     assert verify(boastful).refutation.statement == "smoother: V(next) - V"  # type: ignore[union-attr]
 
 
-def test_along_a_run_v_falls_by_what_numpy_says_and_the_true_values_are_found() -> None:
+def test_along_a_run_v_falls_by_what_numpy_states_and_the_true_values_are_found() -> None:
     run = simulate(diagram(), 20.0, clock=T, start={"y": [0.1, -0.2]})
     theta, true = run.states["learner.theta"].reshape(-1, 2, 2), np.array([M, B]).T
     V = np.sum((theta - true) ** 2, axis=(1, 2)) / (2 * 2.0)
@@ -500,7 +500,7 @@ class Steps(AbstractBlock):
         ("no_box", "the identity holds, but a condition fails: f: box of w holds something"),
     ],
 )
-def test_steps_that_learn_nothing_are_no_claim(lie: str, says: str) -> None:
+def test_steps_without_information_are_no_claim(lie: str, says: str) -> None:
     assert verify(filtered(Steps)).outcome == "proved"
     verdict = verify(filtered(Steps, lie=lie))
     assert verdict.outcome == "not_applicable"
@@ -728,7 +728,7 @@ def test_a_field_of_continuous_time_is_refused_over_samples(name: str) -> None:
     assert f"expected no {name} of a block whose stored states are sampled" in verdict.reason
 
 
-def test_what_holds_in_continuous_time_alone_is_not_said_of_a_claim_over_samples() -> None:
+def test_what_holds_in_continuous_time_alone_is_not_stated_of_a_claim_over_samples() -> None:
     verdict = verify(filtered())
     assert verdict.outcome == "proved"
     assert verdict.samples is not None

@@ -60,7 +60,7 @@ def test_v_of_zero_is_not_accepted(dmframe: Any, tmp_path: Path) -> None:
         (("pendulum", "--claim", "none/c.json"), "none"),
     ],
 )
-def test_where_there_is_no_one_claim_to_write_it_says_so(
+def test_without_a_single_claim_to_write_this_is_reported(
     dmframe: Any, tmp_path: Path, words: tuple[str, ...], says: str
 ) -> None:
     said = dmframe("verify", *words)

@@ -108,7 +108,7 @@ def test_the_controller_alone_looks_ahead_too() -> None:
     assert controller.commanded["law.v"][0] == pytest.approx((np.sin(2 * (1.3 + T)) - 0.1) / T)
 
 
-def test_a_trajectory_that_stands_still_stands_still_ahead() -> None:
+def test_a_constant_trajectory_is_constant_ahead() -> None:
     still = loop().loop.standing(0.5)
     (seen,) = still.acting([next(s.expression for s in still.outputs if s.label == "law.seen")])
     value = ca.Function("seen", [still.p], [still.on_path(seen)])

@@ -116,7 +116,7 @@ def test_each_replaces_the_signal_that_drives_it_not_all_of_that_name() -> None:
     assert (found["law.y"], found["other.y"]) == ("cart.y", "sensor.y_m")
 
 
-def test_a_diagram_says_which_ways_signals_go() -> None:
+def test_a_diagram_states_the_direction_of_signals() -> None:
     diagram = Diagram.build({"law": Law(), "cart": Cart(), "b": Sensor(), "a": Sensor(), "line": Line()})
     said = {f"{way.origin.block}.{way.origin.port}": [wire.block for wire in way.through] for way in diagram.ways}
     assert said == {"cart.y": ["b", "a"], "law.v": ["line"]}

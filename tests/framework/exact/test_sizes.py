@@ -133,7 +133,7 @@ TWO: Final[Sequence[Callable[[Any, Any], Any]]] = (
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_programs_and_their_derivatives_are_no_larger_than_it_says(seed: int) -> None:
+def test_programs_and_their_derivatives_are_no_larger_than_it_states(seed: int) -> None:
     import sympy
 
     rng, x, compared = random.Random(seed), ca.SX.sym("x", 3), 0
@@ -160,7 +160,7 @@ def test_programs_and_their_derivatives_are_no_larger_than_it_says(seed: int) ->
 @pytest.mark.parametrize(
     ("rule", "sizes", "rows"), [("normalised", (2, 1), 1), ("normalised", (1,), 2), ("least_squares", (1,), 1)]
 )
-def test_steps_are_no_larger_than_it_says(rule: Any, sizes: tuple[int, ...], rows: int, box: bool) -> None:
+def test_steps_are_no_larger_than_it_states(rule: Any, sizes: tuple[int, ...], rows: int, box: bool) -> None:
     import sympy
 
     n, triangles = sum(sizes), sum(size * (size + 1) // 2 for size in sizes)

@@ -91,7 +91,7 @@ print(identity(found, trials=2, seed=0).zero, len(faults), all(fault.refuted for
     assert (done.stdout, done.stderr) == (f"True {len(inject_faults(claim('arm2_joint'), seed=0))} True\n", "")
 
 
-def test_a_corrupted_file_is_refused_or_refuted_or_says_the_same() -> None:
+def test_a_corrupted_file_is_refused_or_refuted_or_states_the_same() -> None:
     text, rng = to_json(claim("arm2_joint")), random.Random(4)
     outcomes = {"refused": 0, "refuted": 0, "zero": 0}
     for _ in range(60):
@@ -122,7 +122,7 @@ def test_a_corrupted_file_is_refused_or_refuted_or_says_the_same() -> None:
         (lambda found: found["program"].update(nodes=[]), "ValueError"),
     ],
 )
-def test_what_is_no_claim_is_refused(change: Any, says: str) -> None:
+def test_what_is_not_a_claim_is_refused(change: Any, says: str) -> None:
     found = json.loads(to_json(claim("arm2_joint")))
     change(found)
     with pytest.raises(ValueFault, match=says):

@@ -160,7 +160,7 @@ def test_a_false_file_is_refused(fault: str, tmp_path: Path, capsys: pytest.Capt
     "content",
     [b"", b"null", b"[]", b"{}", b"\xff", b'"x"', b"[" * 10**5, b'{"version": 1, "version": 1}', b'{"version": 1e999}'],
 )
-def test_a_file_that_is_no_claim_is_refused_without_a_traceback(
+def test_a_file_that_is_not_a_claim_is_refused_without_a_traceback(
     content: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "claim.json"
