@@ -77,7 +77,7 @@ def discrete_conditions(claim: Claim, numbers: Numbers, start: Mapping[str, Any]
 def _weights(part: Part, numbers: Numbers) -> Iterator[Checked]:
     for role, terms in (
         (sentence("{V}"), part.certificate.storage),
-        (sentence("what {V} loses"), part.certificate.dissipation),
+        (sentence("the decrease of {V}"), part.certificate.dissipation),
         (Text("the residual"), part.certificate.residual),
     ):
         for place, term in enumerate((term for term in terms if isinstance(term, Square)), start=1):

@@ -98,7 +98,7 @@ def _wrong_domination(certificate: Certificate) -> Iterator[str]:
     factors = {ca.SX(factor).numel() for factor in certificate.dominates}
     if len(lengths) > 1 or not factors <= lengths | {1}:
         found = ", ".join(map(str, sorted(lengths | factors)))
-        yield f"expected the squares that pay, and their factors, to be of one length, found {found}"
+        yield f"expected the dominating squares and their factors to be of one length, found {found}"
 
 
 def _wrong_subsystems(subsystem: Sequence[StableLinear]) -> Iterator[str]:

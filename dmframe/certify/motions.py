@@ -36,8 +36,8 @@ from dmframe.simulate.stiffness import fastest
 ROUNDED: Final = 1e-12
 """Step of a quantiser whose rounding is removed."""
 
-AMPLITUDE: Final = 0.25
-"""Largest command of a motion, in its own unit."""
+AMPLITUDE: Final = 1.0
+"""Largest command of a motion, in its own unit: kinetic terms then exceed the error of the means."""
 
 SINUSOIDS: Final = 3
 RATES: Final = (1.0, 6.0)

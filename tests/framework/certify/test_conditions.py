@@ -262,7 +262,7 @@ def test_a_condition_that_depends_on_a_signal_or_on_a_function_is_undecided() ->
 def test_a_condition_on_nothing_is_not_taken_for_one_that_holds() -> None:
     empty = mine(lambda p, truth: truth.K_D[2:])
     assert (empty.name, empty.holds, empty.how) == ("inverse: mine [nothing > 0]", False, "undecided")
-    assert "found an empty one, of which nothing is decided" in empty.expression
+    assert "expected an expression with elements, found an empty one" in empty.expression
 
 
 @pytest.mark.parametrize(

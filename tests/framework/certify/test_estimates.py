@@ -184,7 +184,7 @@ def test_a_true_value_or_a_weight_that_is_not_that_of_the_law_is_refuted(estimat
     [
         (
             lambda x, truth: {"w": TrueValue(truth.theta), "v": TrueValue(0)},
-            "learner: certificate() gives the true value of v, which is none of its estimates; choose from w",
+            "learner: certificate() gives the true value of v, which is not one of its estimates; choose from w",
         ),
         (
             lambda x, truth: {},
@@ -232,7 +232,7 @@ def moves(law: Callable[[Signals, SX], dict[str, SX]], **stated: Any) -> type[Ad
     [
         (
             lambda u, error: {"w": -error, "v": error},
-            "learner: direction() moves v, which is none of its estimates; choose from w",
+            "learner: direction() moves v, which is not one of its estimates; choose from w",
         ),
         (lambda u, error: {}, "learner: direction() moves nothing, and omits the estimate w"),
     ],
@@ -263,17 +263,17 @@ def test_a_dead_zone_of_a_law_that_is_not_linear_in_its_error_is_refused() -> No
     [
         (
             {"estimates": (Adapted("w", "n", "m/s^2", gain="Gama"),)},
-            "the gain of the estimate w is Gama, which is no parameter; did you mean Gamma?",
+            "the gain of the estimate w is Gama, which is not a parameter; did you mean Gamma?",
         ),
         (
             {"estimates": (Adapted("w", "n", "m/s^2"),)},
-            "the gain of the estimate w is none, which is no parameter; choose from",
+            "the gain of the estimate w is none, which is not a parameter; choose from",
         ),
         (
             {"estimates": (Adapted("w", "n", "m/s^2", gain="Gamma", nominal="w_nom"),)},
-            "the estimate w starts at w_nom, which is no input; did you mean w_nominal?",
+            "the estimate w starts at w_nom, which is not an input; did you mean w_nominal?",
         ),
-        ({"driven_by": "y"}, "is driven by y, which is no input and no output; choose from"),
+        ({"driven_by": "y"}, "is driven by y, which is neither an input nor an output; choose from"),
         ({"states": (State("w", "n", "m/s^2"),)}, "declares the state w twice"),
     ],
 )
@@ -290,7 +290,7 @@ def test_a_declaration_of_another_type_is_refused_when_the_class_is_made() -> No
 
 
 def test_a_parameter_that_every_adapting_block_is_given_is_not_declared_again() -> None:
-    with pytest.raises(BlockError, match="Again: declares the parameter leak, which it is given; leave it out"):
+    with pytest.raises(BlockError, match="Again: declares the parameter leak, which the framework adds; remove it"):
 
         class Again(Learner):
             leak: Scalar = Positive("", "1/s", default=1.0)
@@ -345,7 +345,9 @@ def test_a_projected_state_has_to_be_declared_an_estimate() -> None:
 def test_an_estimate_that_is_not_a_state_is_refused() -> None:
     verdict = proof(Minimal(says="nothing"))
     assert verdict.outcome == "not_applicable"
-    assert "learner: certificate() gives a true value for v, which is none of its states; choose from" in verdict.reason
+    assert (
+        "learner: certificate() gives a true value for v, which is not one of its states; choose from" in verdict.reason
+    )
 
 
 def test_a_figure_of_estimates_shows_what_is_declared_and_guesses_nothing_from_names() -> None:
@@ -449,8 +451,8 @@ def test_what_a_method_states_of_no_estimate_is_refused() -> None:
             return {"w": ca.SX.ones(2)}
 
     texts = {
-        Foreign: "fits() returns w_hat, which is none of its estimates",
-        Stranger: "nominal() returns ww, which is none of its estimates; did you mean w?",
+        Foreign: "fits() returns w_hat, which is not one of its estimates",
+        Stranger: "nominal() returns ww, which is not one of its estimates; did you mean w?",
         Nothing: "expected nominal() to return values by estimate, found NoneType",
     }
     for kind, text in texts.items():
