@@ -59,17 +59,17 @@ class Late:
 def delay_conditions(claim: Claim, part: Part) -> Iterator[Checked]:
     """For each command in rows, whether it is the applied one; no condition if this is not decided."""
     for item in part.certificate.acted:
-        taken, command, measured = _taken(claim, item), _of_command(claim, item), _of_position(claim, item)
-        if taken is None or command is None or measured is None:
+        used, command, measured = _used_delay(claim, item), _of_command(claim, item), _of_position(claim, item)
+        if used is None or command is None or measured is None:
             continue
         text = Text(
-            f"{part.block}: its rows take a delay of {taken} samples, and the plant delays commands by "
+            f"{part.block}: its rows use a delay of {used} samples, and the plant delays commands by "
             f"{command.text} and measurements by {measured.text}"
         )
-        wrong = max(abs(taken - there - back) for there in command.by for back in measured.by)
+        wrong = max(abs(used - there - back) for there in command.by for back in measured.by)
         if not (wrong or (command.copied and measured.copied)):
             continue  # another signal with the same delay: the applied command is assumed
-        expression = "what rows take = from the command to the robot + from the robot back"
+        expression = "delay in the rows = delay of commands + delay of measurements"
         yield Checked(text, expression, 0.0 - wrong, not wrong, SOURCE, strict=False, margin=ca.SX(0, 1))
 
 
@@ -78,7 +78,7 @@ def decided_delays(claim: Claim, part: Part) -> bool:
     return bool(part.certificate.acted) and len(list(delay_conditions(claim, part))) == len(part.certificate.acted)
 
 
-def _taken(claim: Claim, item: Acted) -> int | None:
+def _used_delay(claim: Claim, item: Acted) -> int | None:
     """Age in samples of the command that the block uses, relative to the previous sample."""
     loop = claim.loop
     own, column = _memories(loop, loop.controller), ca.vertsplit(item.held)

@@ -126,7 +126,7 @@ def outside(text: Text, room: SX, loop: ClosedLoop) -> Iterator[Checked]:
     least = int(np.argmin(found))
     if not found[least] >= -ROUNDING:
         where = Text(text, f" at t = {times[least]:.6g} s")
-        yield Checked(where, "as a source has it then", float(found[least]), False, SOURCE, "sampled", strict=False)
+        yield Checked(where, "for the values of a source", float(found[least]), False, SOURCE, "sampled", strict=False)
 
 
 def _decidable(room: SX, numbers: Numbers) -> tuple[SX, list[int]]:

@@ -88,7 +88,7 @@ def _domains(claim: Claim) -> Iterator[Checked]:
     moving = symbols_in([claim.loop.state, claim.loop.time, *(leaf.symbol for leaf in claim.loop.trajectories)])
     for part in claim.parts:
         terms = [ca.SX(term.value) for term in part.certificate.residual]
-        yield from domains(f"{part.block}, what bounds its residual", list(domains_of(terms)), moving)
+        yield from domains(f"{part.block}, bounds of its residual", list(domains_of(terms)), moving)
 
 
 def _widths(claim: Claim) -> Iterator[Checked]:
@@ -130,7 +130,7 @@ def _follows(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
             used = symbols_in(symbol for expression in own.read for symbol in ca.symvar(expression))
             given = [p.symbol for p in claim.loop.parameters if (p.label in zeros if labels else _fixed(numbers, p))]
             known = [symbol for symbol in ca.vertsplit(stack(given)) if symbol.element_hash() in used]
-            name = sentence("what {V} bounds follows at {text} too", text=text)
+            name = sentence("the bounds from {V} follow at {text} too", text=text)
             yield _held(name, reads=ca.vertcat(ca.SX(0, 1), *known))
 
 
@@ -159,7 +159,7 @@ def _left(closure: Closure) -> list[list[str]]:
 def _sets(claim: Claim) -> Iterator[Checked]:
     """Interior of projection sets: a projection's law does not depend on the location of its set."""
     for projection in claim.loop.projections:
-        name = Text(Label(projection.name), f": the {projection.kind} has an inside")
+        name = Text(Label(projection.name), f": the {projection.kind} has an interior")
         yield _held(name, _inside(projection.set), strict=not isinstance(projection.set, Box), sufficient=True)
 
 
@@ -186,7 +186,7 @@ def _absent(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
     """Parameters of the plant that are zero in the identity test: `symbols_of`."""
     for group in symbols_of(claim, numbers.uncertain).groups:
         if group.kind == "parameter" and group.values is not None and not any(group.values):
-            name = Text(Label(group.label), " is zero, as the proof takes it")
+            name = Text(Label(group.label), " is zero, as in the proof")
             yield _held(name, reads=ca.vec(group.symbol))
 
 
@@ -203,7 +203,7 @@ def _loads(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
         if pieces:
             name = Text(Label(label), " is the inertia of a rigid body")
             yield _held(name, ca.vertcat(*_pivots(ca.vertcat(*pieces), floor=True)), sufficient=True)
-        yield _held(Text(Label(label), " changes when it does in the graph"), reads=rest)
+        yield _held(Text(Label(label), " changes at the same times as in the graph"), reads=rest)
 
 
 def _rooms(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
@@ -211,8 +211,8 @@ def _rooms(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
     for name, room in rooms_on_path(claim, numbers):
         pieces, rest = pieces_of(claim, numbers, room)
         if pieces:
-            yield _held(Text(name, ", as a source has it"), ca.vertcat(*pieces) + ROUNDED, strict=False)
-        yield _held(Text(name, " changes when it does in the graph"), reads=rest)
+            yield _held(Text(name, ", for the values of a source"), ca.vertcat(*pieces) + ROUNDED, strict=False)
+        yield _held(Text(name, " changes at the same times as in the graph"), reads=rest)
 
 
 def pieces_of(claim: Claim, numbers: Numbers, expression: SX) -> tuple[list[SX], SX]:

@@ -170,7 +170,7 @@ def test_a_delay_that_is_not_the_plants_fails(delay: int, line: int) -> None:
     graph["blocks"] |= {"line": {"type": "transport_delay", "samples": line}} if line else {}
     found = verify(dm.load(graph).diagram)
     assert found.outcome == "not_applicable"
-    assert f"its rows take a delay of {delay} samples, and the plant delays commands by {line}" in found.reason
+    assert f"its rows use a delay of {delay} samples, and the plant delays commands by {line}" in found.reason
     graph["blocks"]["inverse"]["delay"] = line  # as the plant's
     (condition,) = [item for item in verify(dm.load(graph).diagram).conditions if "take a delay" in item.name]
     assert condition.holds

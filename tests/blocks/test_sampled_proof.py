@@ -48,7 +48,7 @@ def test_it_is_proved_over_samples(servo: dict[str, Any], options: dict[str, Any
     assert all(control.refuted for control in found.controls)
     assert found.samples is not None
     assert found.samples.silent[0] == "task"
-    (delay,) = [item for item in found.conditions if "its rows take a delay of" in item.name]
+    (delay,) = [item for item in found.conditions if "its rows use a delay of" in item.name]
     assert delay.holds
 
 

@@ -255,7 +255,7 @@ def test_rows_without_coupling_contain_the_plants_delay_and_take_its_rotors() ->
     graph["blocks"]["line"] = {"type": "transport_delay", "samples": 1}
     found = dm.load(graph).verify()
     assert found.outcome == "not_applicable"
-    assert "its rows take a delay of 0 samples, and the plant delays commands by 1" in found.reason
+    assert "its rows use a delay of 0 samples, and the plant delays commands by 1" in found.reason
 
 
 def test_rows_of_a_pid_servo_do_not_fit_a_cascade() -> None:
