@@ -159,7 +159,7 @@ def _weights(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
         elif isinstance(term, InformationSquare):
             square = Text(square_of(term.of, "G"), " in ", role)
             yield _least(part, Text("weight of ", square), numbers, weight, strict=False)
-            gathered = sentence("weight of what {G} gathers for {square}", square=square)
+            gathered = sentence("weight of the rate of {G} for {square}", square=square)
             yield _least(part, gathered, numbers, term.by, strict=False)
         elif isinstance(term, LogDet):
             yield _least(part, Text("weight of the divergence of ", term.of, " in ", role), numbers, weight)

@@ -25,13 +25,12 @@ from dmframe.common.text import Label, Text, Written, joined, listed_text, name_
 from dmframe.diagram.closed_loop import stack
 from dmframe.exact import Tape, Trial
 
-SIGNS = sentence("{V} is positive, what it loses and gains not negative")
+SIGNS = sentence("{V} is positive, its decrease and its residual are not negative")
 LEMMAS: Final[Mapping[type, Text]] = {
-    NormalisedSteps: sentence("a box is convex, and {V} weighs each element by itself"),
+    NormalisedSteps: sentence("a box is convex, and {V} weights each element separately"),
     LeastSquaresSteps: sentence(
-        "a box is convex: the nearest point of a face in the norm that {V} weighs with, or a cut where that is "
-        "diagonal, is no farther from what it holds; and {G}, a sum of {share} of which a share is forgotten, is not "
-        "negative",
+        "a box is convex: the nearest point of a face in the norm of {V}, or clipping where that norm is diagonal, is no "
+        "farther from the points of the box; and {G}, a weighted sum of {share} with forgetting, is positive semidefinite",
         share=Written("h h'/floor", "h hᵀ/floor", r"h h^\top/\text{floor}"),
     ),
 }
@@ -39,15 +38,15 @@ _ERROR: Final = Written("|theta - theta_true|^2", "|θ − θ_true|²", r"|\thet
 _ETA: Final = Written("eta^2", "η²", r"\eta^2")
 EACH: Final[Mapping[type, Text]] = {
     NormalisedSteps: sentence(
-        "each normalised step on a row {h}, {y} moves {error}, weighed with {weight}, by minus the squares of what the "
-        "row sees of the error and of what it misses, plus {eta}, each over its norm",
+        "each normalised step with a row {h}, {y} changes {error}, weighted with {weight}, by minus the squares of the "
+        "error in the direction of the row and of the prediction error, plus {eta}, each over its norm",
         error=_ERROR,
         weight=Written("1/Gamma", "1/Γ", r"1/\Gamma"),
         eta=_ETA,
     ),
     LeastSquaresSteps: sentence(
-        "each step of least squares on a row {h}, {y} moves {error}, weighed with {weight}, by minus the square of "
-        "what the row misses over its norm, plus {eta} over the floor; what is forgotten takes away more",
+        "each step of least squares with a row {h}, {y} changes {error}, weighted with {weight}, by minus the square of "
+        "the prediction error over its norm, plus {eta} over the floor; forgetting decreases it further",
         error=_ERROR,
         weight=Written("1/Gamma + G", "1/Γ + G", r"1/\Gamma + G"),
         eta=_ETA,
@@ -118,9 +117,9 @@ def _boxed(part: Part, item: Steps, numbers: Numbers) -> Iterator[Finding]:
         yield from outside(text, loop.on_path(room[handed]), loop)
     left = sorted({row % true.shape[0] for row in free})
     if left:
-        width, name = (upper - lower)[left], Text(f"{part.block}: box of ", estimate, " holds something")
+        width, name = (upper - lower)[left], Text(f"{part.block}: box of ", estimate, " is not empty")
         yield numbers.decide(name, "lower <= upper", lemma, width, strict=False)
-        whose = "which a source or unknown constants decide" if handed else "which are unknown constants"
+        whose = "which depend on a source or unknown constants" if handed else "which are unknown constants"
         yield Assumption(Text(text, f", in {len(left)} of {true.shape[0]} elements, {whose}"), lemma)
 
 
@@ -128,42 +127,45 @@ def discrete_assumptions(claim: Claim, symbols: Symbols, seed: int) -> Iterator[
     """Facts that cannot be decided from the graph."""
     yield from _domains(claim, symbols, seed)
     yield from of_the_plant(claim.diagram)
-    held = "samples are one period apart, and what is commanded is held from each to the next"
+    held = "samples are one period apart, and commands are held constant between samples"
     yield Assumption(held, "the means over a sample")
     for part in claim.parts:
         for item in part.certificate.steps:
             unexplained = sentence(
-                "{block}: {eta}, what the rows of {of} leave unexplained of the means over a sample, is small: it is "
-                "not bounded here, and can be looked at along a run",
+                "{block}: {eta}, the error of the rows of {of} in the means over a sample, is small: it is "
+                "not bounded here, and can be evaluated along a run",
                 block=part.block,
                 of=name_of(item.estimate),
             )
             yield Assumption(unexplained, EACH[type(item)])
         if part.certificate.plant and not decided_delays(claim, part):
-            acted = "the command that a row holds is what acted in its sample: a delay is as configured, or echoed"
+            acted = "the command in a row is the one applied during its sample: a delay is as configured, or reported by the robot"
             text = f"{part.block}: {acted}"
             yield Assumption(text, "the means over a sample")
         if part.certificate.steps and not part.certificate.plant:
-            text = f"{part.block}: the plant's motion obeys what its rows say; the block states no relation that does"
+            text = f"{part.block}: the plant's motion satisfies the equation of its rows; the block states no relation that implies it"
             yield Assumption(text, "the means over a sample")
         if part.certificate.residual:
             within = symbols_in(map(ca.SX, (piece for term in part.certificate.residual for piece in term.pieces)))
             made = [g.label for g in symbols.groups if within & symbols_in([g.symbol]) and g.kind != "parameter"]
             of = listed_text(list(map(Label, made))) or "parameters"
-            text = Text(f"{part.block}: the residual besides the steps, made of ", of, ", is small: nothing bounds it")
+            text = Text(
+                f"{part.block}: the residual other than that of the steps, a function of ",
+                of,
+                ", is small: no bound of it is proved",
+            )
             yield Assumption(text, "the identity above")
     for leaf in stepping(claim):
         if any(symbols_in(map(ca.SX, term.pieces)) & leaf.identities for p in claim.parts for term in p.stored):
-            yield Assumption(Text(Label(leaf.name), " ", sentence(BETWEEN)), sentence("{V} holds it"))
+            yield Assumption(Text(Label(leaf.name), " ", sentence(BETWEEN)), sentence("{V} contains it"))
     if claim.silent:
         yield Assumption(
-            f"nothing is claimed of {', '.join(claim.silent)}: the proof holds for all commands",
+            f"no claim is made about {', '.join(claim.silent)}: the proof holds for all commands",
             "the claim's own symbols",
         )
     yield Assumption(
-        "joint velocities, and with them the rows, stay bounded; that the robot follows its path is not a part of this "
-        "proof",
-        "what a proof of tracking would need",
+        "joint velocities, and thus the rows, stay bounded; tracking of the path is not a part of this proof",
+        "a proof of tracking would need it",
     )
 
 
@@ -173,16 +175,16 @@ def discrete_statements(claim: Claim) -> Iterator[Statement]:
         for item in part.certificate.steps:
             name = Text(name_of(item.estimate), f" ({part.block})")
             if item.box:
-                yield Statement(name, "is bounded", Text("it is put back into its box at each sample"))
+                yield Statement(name, "is bounded", Text("it is projected onto its box at each sample"))
             yield Statement(sentence("{V} of {name}", name=name), "does not rise where eta is zero", EACH[type(item)])
             many = f", over {len(item.rows)} steps a sample" if len(item.rows) > 1 else ""
             yield Statement(
-                Text("what the rows see of the error of ", name),
+                Text("the error in the direction of the rows, of ", name),
                 f"is square-summable where eta is{many}",
                 sentence("summed over the samples, with {V} >= 0: {each}", each=EACH[type(item)]),
             )
         if part.certificate.storage:
-            says = "does not rise but by its residual" if part.certificate.residual else "does not rise"
+            says = "rises by its residual at most" if part.certificate.residual else "does not rise"
             yield Statement(sentence("{V} of {block}", block=part.block), says, Text("the identity above"))
 
 
@@ -210,9 +212,9 @@ def _domains(claim: Claim, symbols: Symbols, seed: int) -> Iterator[Assumption]:
         if moving:
             more = "" if len(moving) <= SHOWN else " and others"
             text = (
-                "{block}: what its samples divide by stays away from zero, and what they take roots or logarithms of "
+                "{block}: the divisors in its samples stay away from zero, and the arguments of roots and logarithms "
             )
-            text += "stays where these are defined, whatever {moving}{more} do"
+            text += "stay where these are defined, for any values of {moving}{more}"
             named = joined(list(map(Label, moving[:SHOWN])))
             yield Assumption(sentence(text, block=part.block, moving=named, more=more), "its equations need it")
 

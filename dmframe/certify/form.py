@@ -153,33 +153,33 @@ def unfit(claim: Claim, part: Part) -> Iterator[str]:
     loop = claim.loop
     constant = loop.constants
     constant |= symbols_in(part.certificate.unknown.values())
-    constant |= symbols_in(leaf.symbol for leaf in stepping(claim))  # constant between steps, at which V starts anew
+    constant |= symbols_in(leaf.symbol for leaf in stepping(claim))  # constant between steps, at which V starts again
     allowed = constant | symbols_in(own.values())
     moving = {s.element_hash(): v.label for v in loop.variables for s in ca.symvar(ca.vec(v.symbol))}
     for term in part.stored:
         for piece in term.pieces:
             for symbol in symbols_in([piece]) - allowed:
-                what = moving.get(symbol, "what is no parameter")
-                yield f"V holds {what}, of which nothing says what it is one sample later; expected its sampled states"
+                what = moving.get(symbol, "a symbol that is not a parameter")
+                yield f"V contains {what}, whose value one sample later is not stated; expected its sampled states"
     if symbols_in([ca.SX(term.weight) for term in part.certificate.storage]) - constant:
-        yield "V weighs with what moves; expected weights made of parameters"
+        yield "the weights of V vary; expected functions of parameters"
     weighed = symbols_in([part.storage]) - constant
     for gained in part.certificate.residual:
         for symbol in symbols_in(map(ca.SX, gained.pieces)) & weighed:
             yield (
-                f"what V gains holds {moving[symbol]}, which V holds too, so that V could do anything; expected a "
-                "residual made of what is not in V"
+                f"the residual contains {moving[symbol]}, which V also contains, so that it could cancel any change of V; "
+                "expected a residual without the states of V"
             )
     for item in part.certificate.steps:
         for role, value in item.constant.items():
             if symbols_in([value]) - constant:
-                yield f"the {role} of the steps of {item.estimate} moves; expected one made of parameters"
+                yield f"the {role} of the steps of {item.estimate} varies; expected a function of parameters"
         if any(symbols_in([end]) - constant for end in item.box):
-            yield f"the box of {item.estimate} moves; expected one made of parameters"
+            yield f"the box of {item.estimate} varies; expected a function of parameters"
         rows = symbols_in(map(ca.SX, (piece for row in item.rows for piece in row)))
         for name, state in item.states.items():
             if rows & symbols_in([state]):
-                yield f"the rows of {item.estimate} hold {name} itself; expected what is measured or stored"
+                yield f"the rows of {item.estimate} contain {name} itself; expected measured or stored values"
     for relation in part.certificate.plant:
         momentum = ca.Function("momentum", ca.symvar(relation.momentum), [relation.momentum])
         if codes(momentum) & (JUMPS | KINKS | EDGES):
@@ -187,8 +187,8 @@ def unfit(claim: Claim, part: Part) -> Iterator[str]:
         flowing = symbols_in(variable.symbol for variable in loop.flowing)
         if symbols_in([relation.momentum]) - flowing - constant:
             yield (
-                "the momentum of a relation holds more than what the plant moves between samples and constants: the "
-                "time, or what jumps at a sample; expected states of the plant"
+                "the momentum of a relation depends on more than continuous states of the plant and constants: on the "
+                "time, or on a sampled state; expected continuous states of the plant"
             )
 
 
@@ -215,7 +215,7 @@ def _misshapen(part: Part, own: Mapping[str, SX]) -> Iterator[str]:
     spoken = (name for item in part.certificate.steps for name in item.names)
     for name in (*spoken, *(item.state for item in part.certificate.delay_lines)):
         if name not in own:
-            yield f"certificate() speaks of {name}, which is none of its sampled states; {nearest(name, own)}"
+            yield f"certificate() names {name}, which is not one of its sampled states; {nearest(name, own)}"
             return
     for item in part.certificate.steps:
         size = ca.SX(item.theta).numel()
@@ -238,13 +238,13 @@ def _misshapen(part: Part, own: Mapping[str, SX]) -> Iterator[str]:
         for name, symbol in item.states.items():
             if own[name].shape != symbol.shape or not ca.is_equal(symbol, own[name], 2):
                 start = "" if name == item.estimate else f" for {name}"
-                yield f"the steps of {item.estimate} start{start} from something else than that state"
+                yield f"the steps of {item.estimate} start{start} from another value than that state"
     for memory in part.certificate.delay_lines:
         if not ca.SX(memory.when).is_scalar():
-            yield f"{memory.state} is stored when {_size(memory.when.shape)} numbers say so; expected one"
+            yield f"{memory.state} is stored when {_size(memory.when.shape)} numbers are set; expected one"
         if not memory.fits(own[memory.state]):
             shape, one = own[memory.state].shape, memory.newest.shape
-            yield f"{memory.state} is {_size(shape)}, which is no whole number of {_size(one)}"
+            yield f"{memory.state} is {_size(shape)}, which is not an integer multiple of {_size(one)}"
     for term in (*part.certificate.storage, *part.certificate.dissipation, *part.certificate.residual):
         vector, weight = map(ca.SX, term.pieces)
         if not vector.is_column() or weight.shape not in (vector.shape, (1, 1)):

@@ -49,14 +49,16 @@ def of_the_plant(diagram: Diagram) -> Iterator[Assumption]:
     """The model of the servo and of the robot."""
     plant = [name for name, block in diagram.blocks.items() if block.side is Side.PLANT]
     if plant:
-        text = f"the robot and its servo are what the graph says, rigid, with constant parameters: {', '.join(plant)}"
+        text = f"the robot and its servo are as in the graph, rigid, with constant parameters: {', '.join(plant)}"
         yield Assumption(text, "eqs. (3), (6), (7)")
 
 
 def _known(diagram: Diagram) -> Iterator[Assumption]:
     """True numbers of the robot that a controller uses."""
     for known in known_truths(diagram):
-        yield Assumption(f"{known.block} ({known.kind}) knows exactly {known.words}", "its equations hold them")
+        yield Assumption(
+            f"{known.block} ({known.kind}) uses exact values of {known.words}", "its equations contain them"
+        )
 
 
 def _ranks(claim: Claim) -> Iterator[Assumption]:
@@ -143,7 +145,7 @@ def _open(closure: Closure) -> Iterator[Assumption]:
     left = [Text(Label(variable.label)) for variable in closure.open_states()] or [sentence("the time {t}")]
     if closure.isolated():
         return
-    text = "a solution exists for all time: {V} does not weigh all of {names}, and the rates of {felt} depend on them"
+    text = "a solution exists for all time: {V} does not contain all of {names}, and the rates of {felt} depend on them"
     felt = listed_text([Label(v.label) for v in closure.affected()])
     yield Assumption(sentence(text, names=listed_text(left), felt=felt), "not shown")
 
@@ -158,7 +160,7 @@ def _trajectories(claim: Claim) -> Iterator[Assumption]:
             if Wire(block, port) not in claim.diagram.sources.values():
                 continue  # unused
             text = "{name} is bounded, and " + BETWEEN.removeprefix("is ") + _stepping(claim, block, port)
-            yield Assumption(sentence(text, name=name), sentence("{V} holds it"))
+            yield Assumption(sentence(text, name=name), sentence("{V} contains it"))
             continue
         if order == 0 and resolver.trajectory_rate(block, port, 0).is_zero():
             yield Assumption(Text(name, " is constant"), "it does not read the time")

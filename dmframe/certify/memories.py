@@ -44,7 +44,7 @@ def memory_starts(claim: Claim, numbers: Numbers, given: Mapping[str, Any]) -> l
 
 def memory_start_name(part: Part, term: InformationSquare) -> Text:
     """Name of the condition on the start of an information matrix."""
-    text = "{block}: start of what {G} gathers for {square} >= 0"
+    text = "{block}: initial value of {G} for {square} >= 0"
     return sentence(text, block=part.block, square=square_of(term.of, "G"))
 
 

@@ -91,13 +91,11 @@ def _memory(term: InformationSquare) -> StableLinear:
     )
 
 
-IN_V = sentence("{V} holds it with a positive weight and does not grow")
-INSIDE = sentence(
-    "{V} holds its divergence, which grows beyond all bounds at the edge of the positive definite matrices"
-)
+IN_V = sentence("{V} contains it with a positive weight and does not grow")
+INSIDE = sentence("{V} contains its divergence, which is unbounded at the boundary of the positive definite matrices")
 SPENT = sentence("{dV/dt} dissipates it, and the total dissipation is at most {V(0)}")
 DRIVEN = Text("a stable linear equation with the servo's true gains drives it, and its input is bounded")
-CLOSED = Text("it is made of bounded signals, sines and cosines")
+CLOSED = Text("it is a function of bounded signals, sines and cosines")
 BARBALAT = Text("a square-integrable signal with a bounded derivative goes to zero [Barbalat's lemma]")
 BEYOND = sentence("{dV/dt} dissipates at least the square of its part beyond the dead zone [Barbalat's lemma]")
 AGAIN = Text("a signal that converges, with a bounded second derivative, comes to rest [Barbalat's lemma]")
@@ -323,7 +321,7 @@ def _bodies(claim: Claim) -> Iterator[Statement]:
         if isinstance(projection.set, Bodies):
             yield Statement(
                 Text(name_of(projection.of)),
-                "is made of bodies, each at its share of the nominal one or above",
+                "consists of bodies, each not less than its fraction of the nominal one",
                 PROJECTED,
             )
 

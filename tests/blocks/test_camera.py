@@ -134,7 +134,7 @@ def test_it_is_proved_up_to_the_depth_and_the_error_in_the_image_goes_to_zero(gr
         for text in texts
     )
     assert any(text.startswith("J_chi (image) keeps full row rank") for text in texts)
-    assert not any("knows exactly" in text and "camera" in text for text in texts), "the camera is not known"
+    assert not any("uses exact values of" in text and "camera" in text for text in texts), "the camera is not known"
     concluded = {item.signal for item in verdict.statements if item.concludes}
     assert {"chi - chi_d", "d(chi - chi_d)/dt"} <= concluded
 

@@ -151,7 +151,7 @@ def test_negative_weights_of_what_is_gathered_fail_their_conditions(monkeypatch:
     monkeypatch.setattr(AdaptiveKinematics, "fits", unlearning)
     verdict = proof(TOOL)
     assert verdict.outcome == "not_applicable"
-    assert "weight of what G gathers for |a_k_hat - tool(a_k)|_G^2 in V >= 0" in verdict.reason
+    assert "weight of the rate of G for |a_k_hat - tool(a_k)|_G^2 in V >= 0" in verdict.reason
 
 
 def test_v_falls_along_a_run_in_continuous_time() -> None:

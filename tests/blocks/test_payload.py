@@ -184,7 +184,7 @@ def test_it_is_proved_between_the_steps_of_the_load() -> None:
     assumed = " / ".join(item.text for item in verdict.assumptions)
     assert "the proof holds between two steps, each of which starts a new V" in assumed
     assert "load.a_load is the inertia of a rigid body: its pseudo-inertia is not negative" in assumed
-    assert "model (payload_regressor) knows exactly" in assumed
+    assert "model (payload_regressor) uses exact values of" in assumed
 
 
 def test_a_load_outside_the_box_of_its_estimate_is_reported() -> None:

@@ -49,7 +49,7 @@ def steps(**changed: Callable[[Any], Any]) -> Change:
 def test_a_delay_line_of_another_length_is_refused(length: Callable[[Any], Any]) -> None:
     verdict = claiming(line(length))
     assert verdict.outcome == "not_applicable"
-    assert "learner: rows is 6 x 3, which is no whole number of" in verdict.reason
+    assert "learner: rows is 6 x 3, which is not an integer multiple of" in verdict.reason
 
 
 @pytest.mark.parametrize(

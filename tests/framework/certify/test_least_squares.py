@@ -342,9 +342,9 @@ def test_another_law_is_refuted(lie: str, state: str) -> None:
     ("lie", "says"),
     [
         ("one_state", "expected their memory to be a state of its own, found theta"),
-        ("unknown_state", "speaks of H, which is none of its sampled states"),
+        ("unknown_state", "names H, which is not one of its sampled states"),
         ("short", "expected lower triangles of 3 x 1, found 2 x 1"),
-        ("elsewhere", "start for G from something else than that state"),
+        ("elsewhere", "start for G from another value than that state"),
         ("moving", "the retention of the steps of theta moves"),
         ("own_rows", "the rows of theta hold G itself"),
         ("two_factors", "expected one retention, found 2 x 1"),

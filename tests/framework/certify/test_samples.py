@@ -206,7 +206,10 @@ def test_a_false_claim_is_refuted_and_its_point_replays(lie: str, says: str) -> 
 
 
 def test_v_of_what_moves_between_samples_is_no_claim() -> None:
-    assert "learner: V holds carts.y, of which nothing says what it is" in verify(diagram(lie="stores_y")).reason
+    assert (
+        "learner: V contains carts.y, whose value one sample later is not stated"
+        in verify(diagram(lie="stores_y")).reason
+    )
     assert "V holds learner.c_old" not in verify(diagram(lie="moving")).reason
     assert "learner: the true of the steps of theta moves" in verify(diagram(lie="moving")).reason
 
@@ -297,7 +300,7 @@ class MisshapenLearner(Learner):
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [
-        ("name", "speaks of thetta, which is none of its sampled states"),
+        ("name", "names thetta, which is not one of its sampled states"),
         ("shape", "the steps of theta: expected a gain of 4 x 1, found 1 x 1"),
         ("box", "the steps of theta: expected a box of two ends, found 1"),
     ],
@@ -398,7 +401,7 @@ def filtered(kind: type[AbstractBlock] = Filter, **options: Any) -> Diagram:
 @pytest.mark.parametrize(
     ("lie", "says"),
     [
-        ("all_is_residual", "what V gains holds f.f, which V holds too"),
+        ("all_is_residual", "the residual contains f.f, which V also contains"),
         (
             "subclass",
             "expected storage[0] to be a Square, an InformationSquare, a Potential or a LogDet, found a Nothing",
@@ -412,9 +415,9 @@ def filtered(kind: type[AbstractBlock] = Filter, **options: Any) -> Diagram:
         ("MX", "f: certificate(), "),
         ("never_stores", "identically zero, so that nothing would be proved: f: storage condition of rows"),
         ("empty", "identically zero, so that nothing would be proved: f: V(next) - V; f: term 1 of V"),
-        ("time", "the momentum of a relation holds more than what the plant moves"),
-        ("jumps", "the momentum of a relation holds more than what the plant moves"),
-        ("own_memory", "the momentum of a relation holds more than what the plant moves"),
+        ("time", "the momentum of a relation depends on more than continuous states"),
+        ("jumps", "the momentum of a relation depends on more than continuous states"),
+        ("own_memory", "the momentum of a relation depends on more than continuous states"),
         ("no_relation", "identically zero, so that nothing would be proved: f: remainder of a plant identity"),
     ],
 )
@@ -497,7 +500,7 @@ class Steps(AbstractBlock):
         ("no_rows", "identically zero, so that nothing would be proved: f: V(next) - V; f: regressor rows of w"),
         ("zero_rows", "identically zero, so that nothing would be proved: f: V(next) - V; f: regressor rows of w"),
         ("own_rows", "the rows of w hold w itself"),
-        ("no_box", "the identity holds, but a condition fails: f: box of w holds something"),
+        ("no_box", "the identity holds, but a condition fails: f: box of w is not empty"),
     ],
 )
 def test_steps_without_information_are_no_claim(lie: str, says: str) -> None:
@@ -528,7 +531,7 @@ def assumed(diagram: Diagram) -> str:
 def test_what_a_sample_divides_by_is_assumed_not_to_vanish() -> None:
     assert "divide" not in assumed(filtered(Steps))
     assert "divide" not in assumed(diagram())
-    assert "f: what its samples divide by stays away from zero" in assumed(filtered(Steps, lie="pole"))
+    assert "f: the divisors in its samples stay away from zero" in assumed(filtered(Steps, lie="pole"))
     verdict = verify(filtered(Steps, lie="no_sample"))
     assert verdict.outcome == "not_applicable"
     assert "f.gain-2) is not zero" in verdict.reason.replace("(-2+f.gain)", "(f.gain-2)")
@@ -536,8 +539,13 @@ def test_what_a_sample_divides_by_is_assumed_not_to_vanish() -> None:
 
 def test_a_residual_without_a_bound_and_rows_without_a_relation_are_listed() -> None:
     said = assumed(filtered(Steps))
-    assert "f: the plant's motion obeys what its rows say; the block states no relation that does" in said
-    assert "other: the residual besides the steps, made of carts.y, is small: nothing bounds it" in said
+    assert (
+        "f: the plant's motion satisfies the equation of its rows; the block states no relation that implies it" in said
+    )
+    assert (
+        "other: the residual other than that of the steps, a function of carts.y, is small: no bound of it is proved"
+        in said
+    )
     assert "no relation" not in assumed(diagram())
     left = "what its data leave unexplained and a residual that nothing bounds"
     verdict = verify(filtered(Steps))

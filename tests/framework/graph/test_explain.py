@@ -236,7 +236,7 @@ def test_the_verdict_is_that_of_verify_and_so_are_the_failing_conditions() -> No
     text = " ".join(item.text for item in weak.sections[-1].sentences)
     assert "Verdict: not applicable (dmframe verify pendulum --set inverse.K_c=0.1)." in text
     assert "Conditions that fail: inverse: M̄ ≥ 0" in text
-    assert "- geometry (kinematics) knows exactly the link lengths" in said("ur10_fast")
+    assert "- geometry (kinematics) uses exact values of the link lengths" in said("ur10_fast")
 
 
 def test_a_graph_without_a_certificate_has_no_energy() -> None:
