@@ -29,8 +29,8 @@ SIGNS = sentence("{V} is positive, its decrease and its residual are not negativ
 LEMMAS: Final[Mapping[type, Text]] = {
     NormalisedSteps: sentence("a box is convex, and {V} weights each element separately"),
     LeastSquaresSteps: sentence(
-        "a box is convex: the nearest point of a face in the norm of {V}, or clipping where that norm is diagonal, is no "
-        "farther from the points of the box; and {G}, a weighted sum of {share} with forgetting, is positive semidefinite",
+        "a box is convex: the nearest point of a face in the norm of {V}, or clipping where that norm is diagonal, is "
+        "no farther from the points of the box; and {G}, a sum of {share} with forgetting, is positive semidefinite",
         share=Written("h h'/floor", "h hᵀ/floor", r"h h^\top/\text{floor}"),
     ),
 }
@@ -45,8 +45,8 @@ EACH: Final[Mapping[type, Text]] = {
         eta=_ETA,
     ),
     LeastSquaresSteps: sentence(
-        "each step of least squares with a row {h}, {y} changes {error}, weighted with {weight}, by minus the square of "
-        "the prediction error over its norm, plus {eta} over the floor; forgetting decreases it further",
+        "each step of least squares with a row {h}, {y} changes {error}, weighted with {weight}, by minus the square "
+        "of the prediction error over its norm, plus {eta} over the floor; forgetting decreases it further",
         error=_ERROR,
         weight=Written("1/Gamma + G", "1/Γ + G", r"1/\Gamma + G"),
         eta=_ETA,
@@ -139,12 +139,14 @@ def discrete_assumptions(claim: Claim, symbols: Symbols, seed: int) -> Iterator[
             )
             yield Assumption(unexplained, EACH[type(item)])
         if part.certificate.plant and not decided_delays(claim, part):
-            acted = "the command in a row is the one applied during its sample: a delay is as configured, or reported by the robot"
+            acted = "the command in a row was applied in its sample: a delay is as configured, or reported by the robot"
             text = f"{part.block}: {acted}"
             yield Assumption(text, "the means over a sample")
         if part.certificate.steps and not part.certificate.plant:
-            text = f"{part.block}: the plant's motion satisfies the equation of its rows; the block states no relation that implies it"
-            yield Assumption(text, "the means over a sample")
+            implied = (
+                "the plant's motion satisfies the equation of its rows; the block states no relation that implies it"
+            )
+            yield Assumption(f"{part.block}: {implied}", "the means over a sample")
         if part.certificate.residual:
             within = symbols_in(map(ca.SX, (piece for term in part.certificate.residual for piece in term.pieces)))
             made = [g.label for g in symbols.groups if within & symbols_in([g.symbol]) and g.kind != "parameter"]

@@ -160,15 +160,15 @@ def unfit(claim: Claim, part: Part) -> Iterator[str]:
         for piece in term.pieces:
             for symbol in symbols_in([piece]) - allowed:
                 what = moving.get(symbol, "a symbol that is not a parameter")
-                yield f"V contains {what}, whose value one sample later is not stated; expected its sampled states"
+                yield f"V contains {what}, without its value one sample later; expected its sampled states"
     if symbols_in([ca.SX(term.weight) for term in part.certificate.storage]) - constant:
         yield "the weights of V vary; expected functions of parameters"
     weighed = symbols_in([part.storage]) - constant
     for gained in part.certificate.residual:
         for symbol in symbols_in(map(ca.SX, gained.pieces)) & weighed:
             yield (
-                f"the residual contains {moving[symbol]}, which V also contains, so that it could cancel any change of V; "
-                "expected a residual without the states of V"
+                f"the residual contains {moving[symbol]}, which V also contains, so that it could cancel any change "
+                "of V; expected a residual without the states of V"
             )
     for item in part.certificate.steps:
         for role, value in item.constant.items():

@@ -206,10 +206,7 @@ def test_a_false_claim_is_refuted_and_its_point_replays(lie: str, says: str) -> 
 
 
 def test_v_of_what_moves_between_samples_is_no_claim() -> None:
-    assert (
-        "learner: V contains carts.y, whose value one sample later is not stated"
-        in verify(diagram(lie="stores_y")).reason
-    )
+    assert "learner: V contains carts.y, without its value one sample later" in verify(diagram(lie="stores_y")).reason
     assert "V holds learner.c_old" not in verify(diagram(lie="moving")).reason
     assert "learner: the true of the steps of theta moves" in verify(diagram(lie="moving")).reason
 
@@ -529,8 +526,8 @@ def assumed(diagram: Diagram) -> str:
 
 
 def test_what_a_sample_divides_by_is_assumed_not_to_vanish() -> None:
-    assert "divide" not in assumed(filtered(Steps))
-    assert "divide" not in assumed(diagram())
+    assert "divisors in its samples" not in assumed(filtered(Steps))
+    assert "divisors in its samples" not in assumed(diagram())
     assert "f: the divisors in its samples stay away from zero" in assumed(filtered(Steps, lie="pole"))
     verdict = verify(filtered(Steps, lie="no_sample"))
     assert verdict.outcome == "not_applicable"
