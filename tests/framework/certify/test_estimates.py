@@ -300,7 +300,7 @@ def test_estimates_of_a_block_that_does_not_adapt_are_refused() -> None:
     class Plain(Drift):
         estimates: Estimates = (Adapted("x", "n", gain="theta"),)
 
-    assert any("declares estimates, and is no AdaptingBlock" in str(fault) for fault in Plain.contract("plain"))
+    assert any("declares estimates, but is not an AdaptingBlock" in str(fault) for fault in Plain.contract("plain"))
 
 
 class Minimal(AbstractBlock):

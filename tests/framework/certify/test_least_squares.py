@@ -345,8 +345,8 @@ def test_another_law_is_refuted(lie: str, state: str) -> None:
         ("unknown_state", "names H, which is not one of its sampled states"),
         ("short", "expected lower triangles of 3 x 1, found 2 x 1"),
         ("elsewhere", "start for G from another value than that state"),
-        ("moving", "the retention of the steps of theta moves"),
-        ("own_rows", "the rows of theta hold G itself"),
+        ("moving", "the retention of the steps of theta varies"),
+        ("own_rows", "the rows of theta contain G itself"),
         ("two_factors", "expected one retention, found 2 x 1"),
     ],
 )

@@ -207,8 +207,8 @@ def test_a_false_claim_is_refuted_and_its_point_replays(lie: str, says: str) -> 
 
 def test_v_of_what_moves_between_samples_is_no_claim() -> None:
     assert "learner: V contains carts.y, without its value one sample later" in verify(diagram(lie="stores_y")).reason
-    assert "V holds learner.c_old" not in verify(diagram(lie="moving")).reason
-    assert "learner: the true of the steps of theta moves" in verify(diagram(lie="moving")).reason
+    assert "V contains learner.c_old" not in verify(diagram(lie="moving")).reason
+    assert "learner: the true of the steps of theta varies" in verify(diagram(lie="moving")).reason
 
 
 @pytest.mark.parametrize(
@@ -496,7 +496,7 @@ class Steps(AbstractBlock):
     [
         ("no_rows", "identically zero, so that nothing would be proved: f: V(next) - V; f: regressor rows of w"),
         ("zero_rows", "identically zero, so that nothing would be proved: f: V(next) - V; f: regressor rows of w"),
-        ("own_rows", "the rows of w hold w itself"),
+        ("own_rows", "the rows of w contain w itself"),
         ("no_box", "the identity holds, but a condition fails: f: box of w is not empty"),
     ],
 )
