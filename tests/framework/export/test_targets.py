@@ -85,7 +85,7 @@ def test_a_row_of_the_table_is_enough_for_the_command_line(target: ModuleType, t
     assert target.files
     script = (
         "from dmframe.export import TARGETS, Target\n"
-        'TARGETS["python"] = Target("The controller as a module of plain Python.", "plain_python:files")\n'
+        'TARGETS["plain"] = Target("The controller as a module of plain Python.", "plain_python:files")\n'
         "from dmframe.cli import main\n"
         "main()\n"
     )
@@ -102,14 +102,16 @@ def test_a_row_of_the_table_is_enough_for_the_command_line(target: ModuleType, t
         )
 
     help_text = " ".join(ran("-h").stdout.split())
-    for name, about in [*((name, target.about) for name, target in TARGETS.items()), ("python", "of plain Python.")]:
+    for name, about in [*((name, target.about) for name, target in TARGETS.items()), ("plain", "of plain Python.")]:
         assert f"--{name} " in help_text
         assert about in help_text
-    done = ran("arm2_joint", "out", "--python")
+    done = ran("arm2_joint", "out", "--plain")
     assert (done.returncode, done.stdout) == (0, "wrote out: arm2_joint.py\n"), done.stderr
     assert (tmp_path / "out" / "arm2_joint.py").is_file()
-    neither = "expected one of --c, --fmi2, --fmi3, --ros2 and --python, found none"
-    assert neither in ran("arm2_joint", "new").stderr
+    assert (
+        f"expected one of {', '.join(f'--{name}' for name in TARGETS)} and --plain, found none"
+        in ran("arm2_joint", "new").stderr
+    )
 
 
 def test_each_packaged_target_has_its_option_and_its_function() -> None:
@@ -140,7 +142,7 @@ def test_what_is_not_a_set_of_files_is_refused_and_nothing_is_written(
 
 @pytest.mark.parametrize("kind", ["rust", 3, [], None])
 def test_an_unknown_target_is_refused_with_the_known_ones(graph: Any, kind: Any, tmp_path: Path) -> None:
-    with pytest.raises(DmframeError, match="kind: expected c, fmi2, fmi3, ros2, or a function of the graph; found"):
+    with pytest.raises(DmframeError, match=f"kind: expected {', '.join(TARGETS)}, or a function of the graph; found"):
         graph.export(tmp_path / "new", kind)
 
 
