@@ -143,7 +143,7 @@ def breaches(block: type[AbstractBlock]) -> Iterator[str]:
     for output in block.outputs:
         for word, declared, side in (("steps", output.steps, Side.SOURCE), ("is shown", output.shown, Side.CONTROLLER)):
             if declared and block.side is not side:
-                yield f"declares that {output.name} {word}, but it is no {side.value} output; remove the declaration"
+                yield f"declares that {output.name} {word}, but is no {side.value} output; remove the declaration"
     yield from _ahead_breaches(block)
     yield from _replacing_breaches(block)
     yield from _print_breaches(block)

@@ -276,12 +276,12 @@ def test_a_load_that_moves_between_its_steps_is_reported() -> None:
 
 def test_only_a_source_steps_and_only_a_controller_shows() -> None:
     for side, output, says in (
-        (Side.PLANT, Output("c", "", "m", shown="a place"), "c is shown, but it is no output of a controller"),
-        (Side.CONTROLLER, Output("m", "", "kg", steps=True), "m steps, but it is no output of a source"),
+        (Side.PLANT, Output("c", "", "m", shown="a place"), "c is shown, but is no controller output"),
+        (Side.CONTROLLER, Output("m", "", "kg", steps=True), "m steps, but is no source output"),
     ):
         members = {"side": side, "outputs": (output,), "equations": Ramp.equations, "__module__": __name__}
         found = type(Ramp)("Wrong", (AbstractBlock,), members).contract("w")
-        assert [fault.text for fault in found] == [f"w: declares that {says}; remove that"]
+        assert [fault.text for fault in found] == [f"w: declares that {says}; remove the declaration"]
 
 
 @pytest.mark.parametrize(

@@ -172,7 +172,7 @@ def test_a_delay_that_is_not_the_plants_fails(delay: int, line: int) -> None:
     assert found.outcome == "not_applicable"
     assert f"its rows use a delay of {delay} samples, and the plant delays commands by {line}" in found.reason
     graph["blocks"]["inverse"]["delay"] = line  # as the plant's
-    (condition,) = [item for item in verify(dm.load(graph).diagram).conditions if "take a delay" in item.name]
+    (condition,) = [item for item in verify(dm.load(graph).diagram).conditions if "use a delay" in item.name]
     assert condition.holds
     assert str(condition.value) == "0.0"  # not -0.0
 

@@ -261,4 +261,4 @@ def test_rows_without_coupling_contain_the_plants_delay_and_take_its_rotors() ->
 def test_rows_of_a_pid_servo_do_not_fit_a_cascade() -> None:
     graph = copy.deepcopy(sampled_arm2())
     graph["blocks"]["servo"] = {"type": "p_pi_servo", "k_p": 20, "K_v": [60, 30], "K_i": [240, 120]}
-    assert "inverse: its equations read K_I" in dm.load(graph).verify().reason
+    assert "inverse: its certificate reads K_I" in dm.load(graph).verify().reason
