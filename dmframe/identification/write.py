@@ -12,7 +12,7 @@ import numpy as np
 
 from dmframe.catalogue import find_twin
 from dmframe.common.files import write_text, writing
-from dmframe.identification.drawn import Plant, periods, plain, thetas, whole
+from dmframe.identification.drawn import Plant, periods, plain, rubbing_of, thetas, whole
 from dmframe.identification.found import Identified
 from dmframe.identification.model import Array
 from dmframe.identification.page import as_html
@@ -90,7 +90,7 @@ def graph_text(found: Identified) -> str:
     data = _template(found, found.kind)
     unknowns = found.fit.unknowns
     plant, log, count = Plant.of(unknowns, found.fit.theta), unknowns.log, periods(found)
-    blocks, stribeck = data["blocks"], bool(np.any(found.friction["sticking"][1][:, 0] > 0))
+    blocks, rubbing = data["blocks"], rubbing_of(found)
     data["title"] = f"Identified {unknowns.model.chain.name}, which follows a joint path"
     data["clock"] = float(round(count * log.period, 9))
     samples, share = divmod(whole(plant.delay / count), 1)
@@ -99,8 +99,8 @@ def graph_text(found: Identified) -> str:
         del blocks["delay"]["share"]
         if not samples:
             del blocks["delay"]
-    if stribeck:
-        blocks["rubbing"] |= {"sticking": plain(plant.sticking), "velocity": plant.velocity}
+    if rubbing:
+        blocks["rubbing"] = {"type": blocks["rubbing"]["type"], **plant.rubbing(rubbing)}
     else:
         del blocks["rubbing"]
     return _yaml(_with_numbers(data, found))
