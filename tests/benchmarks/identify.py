@@ -179,10 +179,11 @@ def line(own: dict[str, Any]) -> str:
 
 def totals(all_: list[dict[str, Any]]) -> Iterator[str]:
     """The figures of all robots."""
-    right, unknown = [own for own in all_ if "gains" in own], sum(own["class"] not in CLASSES for own in all_)
+    right, none = [own for own in all_ if "gains" in own], sum(own["class"] not in CLASSES for own in all_)
     exact = sum(round(own["delay"][1]) == own["delay"][0] for own in right)
     inside = sum(own["delay"][2] <= own["delay"][0] <= own["delay"][3] for own in right)
-    yield f"class right {len(right)}, unknown or refused {unknown}, wrong {len(all_) - len(right) - unknown}, of {len(all_)}"
+    wrong = len(all_) - len(right) - none
+    yield f"class right {len(right)}, unknown or refused {none}, wrong {wrong}, of {len(all_)}"
     yield f"delay, rounded, right in {exact}, inside its interval in {inside}, of {len(right)}"
     for kind in sorted({own["right"] for own in right}):
         some = [own for own in right if own["right"] == kind]
@@ -207,9 +208,9 @@ def of_verdicts(robots: list[list[dict[str, Any]]]) -> Iterator[str]:
         near = sum(abs(law["error"] - law["true"]) < law["resolution"] for law in laws)
         inside = sum(law["interval"][0] <= law["true"] <= law["interval"][1] for law in laws)
         yield (
-            f"{'aggregation' if adaptive else 'rivals'}: predicted error, median deviation "
-            f"{100 * np.median(far):.2g} %, within 5 % in {sum(x < 0.05 for x in far)}, within the position noise in {near}, inside the interval in "
-            f"{inside}, of {len(far)}"
+            f"{'aggregation' if adaptive else 'rivals'}: predicted error, median deviation {100 * np.median(far):.2g} "
+            f"%, within 5 % in {sum(x < 0.05 for x in far)}, within the position noise in {near}, inside the interval "
+            f"in {inside}, of {len(far)}"
         )
     same = reversed_ = count = 0
     for own in robots:
