@@ -11,8 +11,10 @@ Of a UR10 with six joints it costs about 1 s of CPU time, most of it for the mot
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from dataclasses import dataclass
+from typing import Final, final
 
+import casadi as ca
 import numpy as np
 
 from dmframe.block.certificate import Assumption, Steps
@@ -47,7 +49,22 @@ SOURCE: Final = "the means over a sample"
 UNCHECKED: Final = "its rows are means over a sample of the relations that it states, and its true values theirs"
 
 
-def explained(claim: Claim, part: Part, item: Steps, seed: int = 0) -> Finding:
+@final
+@dataclass(frozen=True)
+class Compared:
+    """Rows compared with motions of the plant, without expressions: a copy of the process can return it.
+
+    `reads` are the places in `ClosedLoop.p` of the parameters that no motion varies, as they are zero.
+    """
+
+    name: Text
+    text: str
+    room: float
+    holds: bool
+    reads: tuple[int, ...]
+
+
+def compared(claim: Claim, part: Part, item: Steps, seed: int = 0) -> Compared | Assumption:
     """The rows of steps compared with motions of the plant; an assumption where there can be none."""
     try:
         moved = Moved(claim, part, item)
@@ -56,6 +73,15 @@ def explained(claim: Claim, part: Part, item: Steps, seed: int = 0) -> Finding:
         text = f"{part.block}: {UNCHECKED}; not checked: {error.text}"
         return Assumption(text, SOURCE)
     return _decided(claim, part, item, moved, shares)
+
+
+def explained(claim: Claim, found: Compared | Assumption) -> Finding:
+    """A comparison as a condition."""
+    if isinstance(found, Assumption):
+        return found
+    parameters = ca.vertsplit(claim.loop.p)
+    reads = ca.vertcat(ca.SX(0, 1), *(parameters[place] for place in found.reads))
+    return Checked(found.name, found.text, found.room, found.holds, SOURCE, "sampled", reads=reads)
 
 
 def _shares(moved: Moved, rng: np.random.Generator) -> np.ndarray:
@@ -94,7 +120,7 @@ def _falls(shares: np.ndarray) -> np.ndarray:
     return np.asarray((shares[-1] <= EXACT) | (small & (shares[-1] <= FALLS * shares[-2])))
 
 
-def _decided(claim: Claim, part: Part, item: Steps, moved: Moved, shares: np.ndarray) -> Checked:
+def _decided(claim: Claim, part: Part, item: Steps, moved: Moved, shares: np.ndarray) -> Compared:
     """With the rows that do not follow from the plant; of those that do, with the one of which most is left."""
     falls, periods = _falls(shares), ", ".join(f"{1e3 * T:.3g}" for T in (*PERIODS, *MORE)[: len(shares)])
     name = Text(f"{part.block}: what the rows of ", name_of(item.estimate), " leave unexplained of the plant's motion")
@@ -108,7 +134,7 @@ def _decided(claim: Claim, part: Part, item: Steps, moved: Moved, shares: np.nda
         )
         name = Text(name, f" does not fall with the period: {wrong} of the data at T = {periods} ms")
     room = 1 - float(np.max(shares[-1] / np.maximum(shares[-2], EXACT)))
-    return Checked(name, text, room, bool(falls.all()), SOURCE, "sampled", reads=moved.reads)
+    return Compared(name, text, room, bool(falls.all()), moved.reads)
 
 
 def _numbers(shares: np.ndarray) -> str:
@@ -123,4 +149,4 @@ def _row(claim: Claim, item: Steps, moved: Moved, k: int) -> str:
     return f"{stored}row of {robot.joints[k % outputs].name}" if named else f"{stored}row {k % outputs + 1}"
 
 
-__all__ = ["UNCHECKED", "explained"]
+__all__ = ["UNCHECKED", "Compared", "compared", "explained"]

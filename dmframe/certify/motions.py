@@ -36,8 +36,8 @@ from dmframe.simulate.stiffness import fastest
 ROUNDED: Final = 1e-12
 """The step of a quantiser whose rounding is taken away."""
 
-AMPLITUDE: Final = 0.25
-"""The largest command of a motion, in its own unit."""
+AMPLITUDE: Final = 1.0
+"""The largest command of a motion, in its own unit: large enough for kinetic terms to exceed the error of the means."""
 
 SINUSOIDS: Final = 3
 RATES: Final = (1.0, 6.0)
@@ -142,7 +142,7 @@ class Moved:
     lessons
         The different rows.
     reads
-        The parameters, a column, of rows and plant that no motion varies, as they are zero.
+        The places in `ClosedLoop.p` of the parameters of rows and plant that no motion varies, as they are zero.
     """
 
     def __init__(self, claim: Claim, part: Part, item: Steps) -> None:
@@ -168,8 +168,8 @@ class Moved:
         self._plant = {p.label for p in loop.parameters if ca.depends_on(flow, p.symbol)}
         read = symbols_in([becomes, *rows, flow])
         self._read = {p.label for p in loop.parameters if read & symbols_in([p.symbol]) and not self._rounds(p)}
-        still = (x for p in loop.parameters if p.label in self._read for x in _zeros(p))
-        self.reads = stack(x for x in still if x.element_hash() in read)
+        still = {x.element_hash() for p in loop.parameters if p.label in self._read for x in _zeros(p)} & read
+        self.reads = tuple(k for k, x in enumerate(ca.vertsplit(loop.p)) if x.element_hash() in still)
 
     def _function(self, name: str, seen: Sequence[SX], made: Sequence[SX]) -> Any:
         still, drawn = self._loop.standing(0.0), self._loop.drawn  # a source that steps does so between two motions

@@ -36,6 +36,7 @@ from dmframe.cli.races import race
 from dmframe.cli.robots import drive, export, rehearse, replay, robot
 from dmframe.cli.streams import tell
 from dmframe.cli.studies import study, tune
+from dmframe.cli.which import which
 from dmframe.common.errors import DmframeError
 from dmframe.common.files import check_place
 
@@ -73,7 +74,7 @@ def common(
 
 
 command: Callable[..., Any]
-for command in (study, tune, race, graphs, robots, new):
+for command in (study, tune, race, which, graphs, robots, new):
     app.command()(command)
 
 

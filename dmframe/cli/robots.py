@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from dmframe.cli.arguments import NOTHING, AsJson, FigureFormats, LimitsFile, OneGraph, Overrides, Trust, home
 from dmframe.cli.streams import tell
-from dmframe.common.errors import MissingError
+from dmframe.common.errors import MissingError, listed
+from dmframe.export import TARGETS
 
 Ramp = Annotated[
     str | None, typer.Option(metavar="S", help="Acceleration time of the first motion; 0 for sim, else 1 s.")
@@ -123,23 +126,40 @@ def export(
     graph: OneGraph,
     out: Annotated[Path, typer.Argument(metavar="OUT", help="A new folder.", callback=home)],
     overrides: Overrides = NOTHING,
-    c: Annotated[bool, typer.Option("--c", help="The controller as C99, with an example and a test.")] = False,
-    fmi2: Annotated[bool, typer.Option("--fmi2", help="Controller and robot as units of FMI 2.0.")] = False,
-    fmi3: Annotated[bool, typer.Option("--fmi3", help="Controller and robot as units of FMI 3.0.")] = False,
-    ros2: Annotated[
-        bool, typer.Option("--ros2", help="A package with a controller of ros2_control; never run in ROS 2.")
-    ] = False,
     trust: Trust = False,
+    **targets: bool,
 ) -> None:
     """Export the controller of a graph for other programs."""
     from dmframe.cli.graphs import one_graph
 
-    kinds: dict[Literal["c", "fmi2", "fmi3", "ros2"], bool] = {"c": c, "fmi2": fmi2, "fmi3": fmi3, "ros2": ros2}
-    chosen = [kind for kind, wanted in kinds.items() if wanted]
+    chosen = [name for name, wanted in targets.items() if wanted]
     if len(chosen) != 1:
-        raise MissingError(f"expected one of --c, --fmi2, --fmi3 and --ros2, found {len(chosen) or 'none'}")
+        raise MissingError(f"expected one of {_options()}, found {len(chosen) or 'none'}")
     files = one_graph(graph, overrides, trust=trust).export(out, chosen[0])
     tell(f"wrote {out}: {', '.join(file.name for file in files)}")
+
+
+def _options() -> str:
+    return listed([f"--{name}" for name in TARGETS])
+
+
+def _with_targets(function: Callable[..., None]) -> Signature:
+    """The signature of a function with an option for each target, which typer reads."""
+    *named, _ = signature(function, eval_str=True).parameters.values()
+    own = [
+        Parameter(
+            name,
+            Parameter.KEYWORD_ONLY,
+            default=False,
+            annotation=Annotated[bool, typer.Option(f"--{name}", help=target.about)],
+        )
+        for name, target in TARGETS.items()
+    ]
+    *first, trust = [each.replace(kind=Parameter.KEYWORD_ONLY) for each in named]
+    return Signature([*first, *own, trust])
+
+
+export.__signature__ = _with_targets(export)  # type: ignore[attr-defined]  # functions of Python have no such field
 
 
 def robot(
