@@ -299,7 +299,7 @@ def table(rows: list[dict[str, str]], texts: Mapping[str, Any]) -> Iterator[str]
 def answer_table(found: Guide, texts: Mapping[str, Any]) -> Iterator[str]:
     """The table of answers, in their order; a condition that is not stated holds for any answer."""
     heads = ["servo", "period", "path", "load", "known"]
-    yield f"| {' | '.join([*heads, 'take', 'error: ideal, `ur`', 'reason'])} |"
+    yield f"| {' | '.join([*heads, 'take', 'error, mm: ideal / `ur`', 'reason'])} |"
     yield "|" + "---|" * (len(heads) + 3)
     for rule in found.rules:
         given = [", ".join(rule.when[key]) if key in rule.when else "any" for key in found.questions]
@@ -322,7 +322,7 @@ def _by_kind(cells: Mapping[str, str]) -> str:
 
 def _errors(found: Guide, name: str, servo: str, kind: str) -> str:
     take = found.taken(name, servo, kind)
-    return "-" if take.ideal is None or take.ur is None else f"{shown(take.ideal, 'm')}, {shown(take.ur, 'm')}"
+    return "-" if take.ideal is None or take.ur is None else f"{digits(1e3 * take.ideal)} / {digits(1e3 * take.ur)}"
 
 
 def law_table(rows: list[dict[str, str]], texts: Mapping[str, Any]) -> Iterator[str]:

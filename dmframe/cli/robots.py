@@ -25,7 +25,10 @@ Patience = Annotated[
 def rehearse(
     graph: OneGraph,
     seconds: Annotated[
-        str | None, typer.Option(metavar="S", help="Duration of each run; default: that of the graph, 40 s at most.")
+        str | None,
+        typer.Option(
+            "--until", "--seconds", metavar="S", help="Duration of each run; default: that of the graph, 40 s at most."
+        ),
     ] = None,
     payload: Annotated[
         str | None,
@@ -61,7 +64,8 @@ def drive(
         ),
     ],
     seconds: Annotated[
-        str | None, typer.Option(metavar="S", help="Reference time; default: the duration of the graph.")
+        str | None,
+        typer.Option("--until", "--seconds", metavar="S", help="Reference time; default: the duration of the graph."),
     ] = None,
     limits: LimitsFile = None,
     ramp: Ramp = None,
@@ -75,7 +79,8 @@ def drive(
     ] = False,
     overrides: Overrides = NOTHING,
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", callback=home, help="Folder of the results; new or empty.")
+        Path | None,
+        typer.Option("-o", "--out", metavar="DIR", callback=home, help="Folder of the results; new or empty."),
     ] = None,
     figures: FigureFormats = "svg",
     no_plots: Annotated[bool, typer.Option("--no-plots", help="Draw no figures.")] = False,
@@ -124,19 +129,27 @@ def replay(
 
 def export(
     graph: OneGraph,
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="A new folder.", callback=home)],
+    folder: Annotated[Path | None, typer.Argument(metavar="OUT", help="A new folder.", callback=home)] = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", metavar="DIR", callback=home, help="The new folder, as an option.")
+    ] = None,
     overrides: Overrides = NOTHING,
     trust: Trust = False,
     **targets: bool,
 ) -> None:
     """Export the controller of a graph for other programs."""
     from dmframe.cli.graphs import one_graph
+    from dmframe.cli.options import refuse
 
+    refuse({"--out": out if folder is not None else None}, "the new folder is given twice; leave one out")
+    place = folder or out
+    if place is None:
+        raise MissingError("expected a new folder: dmframe export GRAPH OUT, or --out OUT")
     chosen = [name for name, wanted in targets.items() if wanted]
     if len(chosen) != 1:
         raise MissingError(f"expected one of {_options()}, found {len(chosen) or 'none'}")
-    files = one_graph(graph, overrides, trust=trust).export(out, chosen[0])
-    tell(f"wrote {out}: {', '.join(file.name for file in files)}")
+    files = one_graph(graph, overrides, trust=trust).export(place, chosen[0])
+    tell(f"wrote {place}: {', '.join(file.name for file in files)}")
 
 
 def _options() -> str:

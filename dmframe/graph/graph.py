@@ -332,11 +332,13 @@ class Graph(BaseGraph):
         from dmframe.page.periods import stable_periods
 
         verdict, found = self.verify().verdict, None
-        if periods:
-            with progress_line(self.name) as tell, SYMBOLIC:
-                found = stable_periods(self.diagram, self.clock, verdict, self.start, tell)
-        page = Page(self, verdict, found)
-        _ = page.html
+        with progress_line(self.name) as tell:
+            if periods:
+                with SYMBOLIC:
+                    found = stable_periods(self.diagram, self.clock, verdict, self.start, tell)
+            tell("compiling the loop for a browser")
+            page = Page(self, verdict, found)
+            _ = page.html
         return page
 
     def export(self, folder: str | Path, kind: str | TargetFunction = "c") -> list[Path]:

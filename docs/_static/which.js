@@ -19,6 +19,7 @@
   };
   const labelled = (label, field) => made("label", {}, `${label} `, field);
   const options = (values) => values.map((value) => made("option", { value }, value));
+  const inner = (cell) => (cell.querySelector("p") ?? cell).innerHTML;
   const heads = (table) => [...table.tHead.rows[0].cells].map(text);
   const bodyRows = (table) => [...table.tBodies[0].rows];
 
@@ -36,24 +37,32 @@
       rows.forEach((row, k) => row.classList.toggle("which-answer", k === chosen));
       const kind = fields[1].value > 12 ? "long" : "short";
       const line = (cell) => {
-        const lines = cell.innerHTML.split(/<br\s*\/?>/);
+        const lines = inner(cell).split(/<br\s*\/?>/);
         return lines.find((part) => part.includes(`${kind}: `))?.replace(`${kind}: `, "") ?? lines[0];
       };
       const [take, error, why] = [...rows[chosen].cells].slice(5);
-      answer.innerHTML = `<strong>Take ${line(take)}</strong>; error, ideal and with <code>ur</code>: ${line(error)}. ${why.innerHTML}.`;
+      answer.innerHTML = `<strong>Take ${line(take)}</strong>: ${inner(why)}. Error in mm, ideal / with <code>ur</code>: ${line(error)}.`;
     };
     const labels = ["servo", "period, ms", "path", "load", "known"];
     const form = made("form", { className: "which-questions" }, ...fields.map((field, k) => labelled(labels[k], field)), answer);
     form.addEventListener("input", show);
     form.addEventListener("submit", (event) => event.preventDefault());
-    table.closest(".table-wrapper").before(form);
+    const wrapper = table.closest(".table-wrapper"), whole = made("details", {}, made("summary", {}, "All answers"));
+    wrapper.before(form, whole);
+    whole.append(wrapper);
     show();
   }
 
   function cards(table) {
     const names = heads(table), rows = bodyRows(table);
     table.classList.add("which-cards");
-    for (const row of rows) [...row.cells].forEach((cell, k) => cell.setAttribute("data-head", names[k]));
+    let last = "";
+    for (const row of rows) {
+      [...row.cells].forEach((cell, k) => cell.setAttribute("data-head", names[k]));
+      const use = text(row.cells[0]).replace(/ \S+$/, ""); // without the graph's name
+      if (!/^(baseline: )?the same/.test(use)) last = use;
+      else row.cells[0].prepend(made("small", { textContent: `${last}; ` }));
+    }
     const short = { proved: (cell) => cell.replace(/ over samples.*|, but.*/, (part) => (part[0] === "," ? ", in part" : " over samples")) };
     const facets = [["controlled", (cell) => cell.split(";")[0]], ["robot", (cell) => cell.split(",")[0]],
       ["servo, command, clock", (cell) => cell.split(",")[0]], ["servo, command, clock", (cell) => cell.split(", ").at(-1), "clock"],

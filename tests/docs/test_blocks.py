@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import io
 import re
 import sys
 from pathlib import Path
@@ -153,3 +154,18 @@ def test_a_bar_in_a_cell_ends_no_column() -> None:
 def test_a_parameter_says_its_unit_and_sign() -> None:
     spec = specs(KINDS["dynamic_compensator"])["Gamma"]
     assert f"{spec.unit or '-'} > 0" in make_blocks._parameters(KINDS["dynamic_compensator"])
+
+
+def test_writing_the_pages_counts_them_in_a_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    monkeypatch.setattr(make_blocks, "page", lambda name, _: name)  # what takes seconds
+    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+    written = make_blocks.write(tmp_path, names=("circle", "sinusoid"))
+    assert [path.name for path in written] == ["index.md", "circle.md", "sinusoid.md"]
+    assert "2 / 2 pages" in terminal.getvalue()
+    monkeypatch.setattr(sys, "stderr", quiet := io.StringIO())
+    make_blocks.write(tmp_path, names=())
+    assert quiet.getvalue() == ""
