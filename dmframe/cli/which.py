@@ -41,10 +41,9 @@ def which(
     answers = {key: found.questions[key].checked(text) for key, text in given.items() if text is not None}
     missing = [key for key in found.questions if key not in answers]
     if missing and not (sys.stdin.isatty() and sys.stderr.isatty()):
-        raise MissingError(
-            f"no terminal to ask; give {', '.join(f'--{key}' for key in missing)}, for example:"
-            f" dmframe which {' '.join(_words(key, answers.get(key, item.default)) for key, item in found.questions.items())}"
-        )
+        example = " ".join(_words(key, answers.get(key, item.default)) for key, item in found.questions.items())
+        options = ", ".join(f"--{key}" for key in missing)
+        raise MissingError(f"no terminal to ask; give {options}, for example: dmframe which {example}")
     answers |= {key: _answer(found.questions[key]) for key in missing}
     selection = found.select(answers)
     tell(json.dumps(selection.summary, indent=2) if as_json else str(selection))
