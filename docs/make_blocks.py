@@ -28,7 +28,7 @@ from dmframe.common.names import latex_name
 from dmframe.common.text import text_of
 from dmframe.diagram.view import view
 from dmframe.formula import Formula, Line, PrintedLaw, printed
-from dmframe.formula.alone import in_yaml, options_of, plainest
+from dmframe.formula.alone import in_yaml, options_of, simplest
 from dmframe.formula.tree import Sum
 from dmframe.formula.where import sizes_show, where
 from dmframe.graph.progress import counting
@@ -139,7 +139,7 @@ def _side(kind: type[AbstractBlock]) -> str:
 
 def _law(kind: type[AbstractBlock], shown: Example | None) -> Iterator[str]:
     """The equations from the code, those of each option, and the meaning of their signs."""
-    found = plainest(kind)
+    found = simplest(kind)
     options = dict[str, Sequence[Line]]()
     if found is not None:
         label, law = found

@@ -210,7 +210,7 @@ class Graph(BaseGraph):
             ``sim``, the graph's own robot; ``sim:2``, the same with a delay of two samples; ``ur:HOST``, or
             ``ur_rtde:HOST``.
         until
-            Time of the reference; by default the graph's duration.
+            Limits of the drive: a file; by default the limits of the robot's model.
         limits
             A file; by default the limits of the robot's model.
         ramp
@@ -269,7 +269,7 @@ class Graph(BaseGraph):
         until
             Time of each run.
         payload
-            Mass at the tool that the controller does not know [kg]; by default a twentieth of the moving mass.
+            Mass at the tool that is unknown to the controller [kg]; by default a twentieth of the moving mass.
         limits, ramp, patience
             As of `drive`, which requires the same.
         """
