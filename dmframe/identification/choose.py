@@ -173,11 +173,12 @@ class Candidates:
             found.fits[found.best] = solved(self.twins, best.unknowns, best.theta, step=step)
 
     def settle(self) -> None:
-        """Of two cascades with the same motion take the one whose viscous friction is not negative."""
+        """Of two cascades with the same motion take the other one if the viscous friction is clearly negative."""
         fit = self.choice.fits[self.choice.best]
         if fit.unknowns.kind != "p_pi" or not self.explained:
             return
-        start = with_friction(fit.unknowns, fit.theta)
+        deviation = np.sqrt(np.diag(fit.covariance)[fit.unknowns.places["B"]])
+        start = with_friction(fit.unknowns, fit.theta, deviation)
         if np.any(start != fit.theta):
             other = solved(self.twins, fit.unknowns, start, step=fine_step(self.twins, fit, self.choice.floor))
             if np.sum(np.log(other.rms / fit.rms)) < SAME:

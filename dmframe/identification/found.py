@@ -122,12 +122,12 @@ class Identified:
 
     @cached_property
     def _second(self) -> dict[str, Array]:
-        """Gains of the cascade with the same motion, (n,), NaN where its viscous friction would be negative."""
+        """Gains of the cascade with the same motion, (n,), NaN where its viscous friction is clearly negative."""
         fit = self.fit
         if self.choice.best != "p_pi":
             return {}
         other, at = second(fit.unknowns, fit.theta), fit.unknowns.places
-        possible = other[at["B"]] >= 0
+        possible = other[at["B"]] >= -2 * self.wider * np.sqrt(np.diag(fit.covariance)[at["B"]])
         own = {name: np.exp(other[at[name]]) for name in ("w", "k_p", "k_i")} | {"f": other[at["f"]]}
         own["viscous"] = other[at["B"]] / own["w"]
         return {name: np.where(possible, values, np.nan) for name, values in own.items()}

@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from dmframe.identification.model import Array
-from dmframe.identification.unknowns import Unknowns
+from dmframe.identification.unknowns import VISCOUS, Unknowns
 
 LEAST: Final = 0.02
 """Least feed-forward of a cascade that has a second one."""
@@ -42,10 +42,15 @@ def second(unknowns: Unknowns, theta: Array) -> Array:
     return found
 
 
-def with_friction(unknowns: Unknowns, theta: Array) -> Array:
-    """The unknowns with the second cascade where the first one has a negative viscous friction, and it a larger one."""
+def with_friction(unknowns: Unknowns, theta: Array, deviation: Array) -> Array:
+    """The unknowns with the second cascade where the first one has a negative viscous friction and is less likely.
+
+    `deviation` is the standard deviation of w B of each joint, with which a negative value is an error of the fit; that
+    of a value before the log is seen is `VISCOUS`.
+    """
     at, other, found = unknowns.places, second(unknowns, theta), theta.copy()
-    better = (theta[at["B"]] < 0) & (other[at["B"]] > theta[at["B"]])
+    own, its = theta[at["B"]], other[at["B"]]
+    better = (own < 0) & (its > own) & (np.abs(own) / deviation > np.abs(its) / VISCOUS)
     for name in ("k_p", "k_i", "f", "w", "B", *SCALED):
         found[at[name]] = np.where(better, other[at[name]], theta[at[name]])
     return found
