@@ -36,8 +36,8 @@ from dmframe.simulate.stiffness import fastest
 ROUNDED: Final = 1e-12
 """The step of a quantiser whose rounding is taken away."""
 
-AMPLITUDE: Final = 0.25
-"""The largest command of a motion, in its own unit."""
+AMPLITUDE: Final = 1.0
+"""The largest command of a motion, in its own unit: large enough for kinetic terms to exceed the error of the means."""
 
 SINUSOIDS: Final = 3
 RATES: Final = (1.0, 6.0)

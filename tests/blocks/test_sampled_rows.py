@@ -15,7 +15,7 @@ import dmframe as dm
 from dmframe.certify import Verdict, verify
 from dmframe.certify.checked import Checked
 from dmframe.certify.claim import claim_of
-from dmframe.certify.explained import explained
+from dmframe.certify.explained import compared, explained
 from dmframe.robot.library import load as load_robot
 from dmframe_blocks._averaged_servo import averaged_servo
 from dmframe_blocks._last_sample import LastSample
@@ -212,7 +212,7 @@ def test_rows_that_are_not_the_plants_are_not_explained(lie: str, monkeypatch: p
     lying(monkeypatch, lie)
     claim = claim_of(dm.load(sampled_arm2(servo="pid", replay=2)).diagram)
     (part,) = [part for part in claim.parts if part.certificate.steps]
-    item = explained(claim, part, part.certificate.steps[0])
+    item = explained(claim, compared(claim, part, part.certificate.steps[0]))
     assert isinstance(item, Checked)
     assert not item.holds
     assert "does not fall with the period" in item.name
