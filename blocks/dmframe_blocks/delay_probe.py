@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, final
+from typing import Any, Literal, final
 
 import casadi as ca
 from pydantic import Field, model_validator
 
 from dmframe.block import (
+    ANY,
     PERIOD,
     SX,
     AbstractBlock,
@@ -52,8 +53,8 @@ class DelayProbe(AbstractBlock):
 
     Blocks with `delay_up_to` use the outputs delay_hat and identified.
 
-    *Trip.* With `tripping` the probe watches the error of the tool, as the task law predicts it for the next command.
-    Its mean square over about `dwell` at the end of the excitation, when nothing that needs the delay acts, is the
+    *Trip.* With `tripping` the probe watches the error, as the task law predicts it for the next command: x_err of the
+    tool, or q_err of the joints with watched: joints. Its mean square over about `dwell` at the end of the excitation, when nothing that needs the delay acts, is the
     scale. After that
 
         mean = mean + T/dwell (|x_err|^2 - mean),    tripped if mean > trip^2 scale
@@ -86,8 +87,10 @@ class DelayProbe(AbstractBlock):
         Whole number that determines the signs of the excitation.
     tripping : true or false
         With the trip.
+    watched : tool or joints
+        Whose error the trip watches.
     trip : scalar, > 0
-        Largest error of the tool, relative to that at the end of the excitation.
+        Largest error, relative to that at the end of the excitation.
     dwell : scalar, s, > 0
         Time over which the error is averaged, with the trip.
 
@@ -106,6 +109,7 @@ class DelayProbe(AbstractBlock):
         Input("dq_r", "n", "rad/s"),
         Input("dq_sent", "n", "rad/s"),
         Input("x_err", "m", "m", optional=True),
+        Input("q_err", "n", "rad", optional=True),
         PERIOD,
     )
     outputs = (
@@ -127,8 +131,8 @@ class DelayProbe(AbstractBlock):
         State(DELAY_HAT.name, sampled=True),
         State(IDENTIFIED.name, sampled=True),
         State("delay_least", sampled=True, optional=True),
-        State("error_mean", "", "m^2", sampled=True, optional=True),
-        State("error_scale", "", "m^2", sampled=True, optional=True),
+        State("error_mean", "", ANY, sampled=True, optional=True),
+        State("error_scale", "", ANY, sampled=True, optional=True),
     )
 
     delay_up_to: int = Field(3, ge=1, le=MOST_DELAY)
@@ -141,6 +145,7 @@ class DelayProbe(AbstractBlock):
     nu: Scalar = Positive("", "rad^2/s^2", default=1e-9)
     seed: Scalar = Positive(default=1.0)
     tripping: bool = False
+    watched: Literal["tool", "joints"] = "tool"
     trip: Scalar = Positive(default=3.0)
     dwell: Scalar = Positive("", "s", default=1.0)
 
@@ -154,8 +159,8 @@ class DelayProbe(AbstractBlock):
         return {**super().sizes(robot), "r": self.taps}
 
     def needs(self, port: str) -> bool:
-        """The error of the tool, with the trip."""
-        return port == "x_err" and self.tripping
+        """The watched error, with the trip."""
+        return self.tripping and port == {"tool": "x_err", "joints": "q_err"}[self.watched]
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """At rest, and the first values of the generators."""
@@ -207,7 +212,8 @@ class DelayProbe(AbstractBlock):
         if not self.tripping:
             return 0, {}
         share = ca.fmax(counts, x.identified) * ca.fmin(1, u.T / p.dwell)
-        mean = named("mean_new", x.error_mean + share * (ca.sumsqr(u.x_err) - x.error_mean))
+        error = u.x_err if self.watched == "tool" else u.q_err
+        mean = named("mean_new", x.error_mean + share * (ca.sumsqr(error) - x.error_mean))
         tripped = named("tripped", x.identified * (mean > p.trip * p.trip * x.error_scale))
         return tripped, {
             "delay_least": ca.if_else(tripped, x.delay_hat + 1, x.delay_least),

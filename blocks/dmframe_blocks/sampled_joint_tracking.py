@@ -35,7 +35,7 @@ class SampledJointTracking(AbstractBlock):
     r"""Average joint velocity over a sample that moves the joints to the next point of their path.
 
     The commanded sample starts at the pose :math:`q_{start}`, at which the path is at :math:`q_d`, and at
-    :math:`q_{d,1}` when it ends. With the error :math:`\Delta q = q_{start} - q_d`
+    :math:`q_{d,1}` when it ends. With the error :math:`\Delta q = q_{start} - q_d`, the output q_err,
 
     .. math::
 
@@ -87,7 +87,7 @@ class SampledJointTracking(AbstractBlock):
         IDENTIFIED,
         PERIOD,
     )
-    outputs = (Output("dq_r", "n", "rad/s"),)
+    outputs = (Output("dq_r", "n", "rad/s"), Output("q_err", "n", "rad", optional=True))
 
     Lambda: Scalar | None = Positive("", "1/s", default=None)
     gain_margin: Scalar | None = Positive(default=None)
@@ -118,4 +118,5 @@ class SampledJointTracking(AbstractBlock):
         if self.delay_up_to is not None:
             now, goal = named("q_at", chosen(path[:-1], u.delay_hat)), named("q_to", chosen(path[1:], u.delay_hat))
         step = u.T * p.Lambda if "Lambda" in p else gain_at_limit(self, u) / p.gain_margin
-        return Equations(outputs={"dq_r": (goal - now - step * named("dq", u.q_start - now)) / u.T})
+        q_err = named("q_err", u.q_start - now)
+        return Equations(outputs={"dq_r": (goal - now - step * q_err) / u.T, "q_err": q_err})
