@@ -54,8 +54,8 @@ class DelayProbe(AbstractBlock):
     Blocks with `delay_up_to` use the outputs delay_hat and identified.
 
     *Trip.* With `tripping` the probe watches the error, as the task law predicts it for the next command: x_err of the
-    tool, or q_err of the joints with watched: joints. Its mean square over about `dwell` at the end of the excitation, when nothing that needs the delay acts, is the
-    scale. After that
+    tool, or q_err of the joints with watched: joints. Its mean square over about `dwell` at the end of the excitation,
+    when nothing that needs the delay acts, is the scale. After that
 
         mean = mean + T/dwell (|x_err|^2 - mean),    tripped if mean > trip^2 scale
 

@@ -8,7 +8,6 @@ from pydantic import Field, model_validator
 
 from dmframe.block import (
     PERIOD,
-    SX,
     AbstractBlock,
     Equations,
     Input,

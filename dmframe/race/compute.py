@@ -82,7 +82,9 @@ class Heat:
             elif figures is None or figures.unit != self.race.file.base_unit:
                 unit = "no path" if figures is None else f"a path in {figures.unit}"
                 file = self.race.file
-                text = f"the error of this race is that of the {file.error} in {file.unit}, and the graph follows {unit}"
+                text = (
+                    f"the error of this race is that of the {file.error} in {file.unit}, and the graph follows {unit}"
+                )
                 found.append((math.nan, f"{text}; see the key error"))
             else:
                 found.append((self._final(1000 * float(figures.rms_by_eighth[0, 0, -1])), ""))

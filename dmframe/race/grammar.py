@@ -260,7 +260,6 @@ class RaceFile(Section):
     margins: MarginsSection = MarginsSection()
     quick: QuickSection = QuickSection()
 
-
     @property
     def base_unit(self) -> str:
         """Unit of the path: m or rad."""

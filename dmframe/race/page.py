@@ -77,7 +77,10 @@ def _laws(found: Finished) -> Table:
         quantiles = [_number(of.quantiles[p]) for p in QUANTILES]
         rows.append((of.median, [Word(law, "code"), *quantiles, _range(of, _number), str(wins), str(lost)]))
     heads: list[Cell] = ["law", *(f"{100 * p:g} %" for p in QUANTILES), "interval of the median", "best in", "diverged"]
-    caption = f"Error in {found.race.file.unit} over the held-out cells: quantiles, cells in which the law is the best, and divergences."
+    unit = found.race.file.unit
+    caption = (
+        f"Error in {unit} over the held-out cells: quantiles, cells in which the law is the best, and divergences."
+    )
     ordered = [cells for _, cells in sorted(rows, key=lambda row: row[0])]
     return Table(ordered, heads, caption, kind="study", keys=True, numbers=range(1, len(heads)))
 
@@ -125,7 +128,9 @@ def _cells(found: Finished) -> Table:
         if row.ratio > NEAR:
             failing.append(place)
     heads: list[Cell] = ["cell", *laws, "best rival", "ratio"]
-    caption = f"Errors in {found.race.file.unit}, the least of a cell in bold; cells with a ratio above {NEAR} are marked."
+    caption = (
+        f"Errors in {found.race.file.unit}, the least of a cell in bold; cells with a ratio above {NEAR} are marked."
+    )
     return Table(
         rows, heads, caption, kind="study wide", numbers=[*range(1, len(laws) + 1), len(heads) - 1], failing=failing
     )

@@ -1,0 +1,264 @@
+"""Design of a controller: a race of laws on the robot, then proof and rehearsal of the best one, in one folder."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Final
+
+from dmframe.build.compiler import find_compiler
+from dmframe.common.errors import DmframeError, OutputError, RobotError
+from dmframe.common.files import write_text, writing
+from dmframe.common.units import plain
+from dmframe.design.decide import Candidate, Ranking, ranking, worth
+from dmframe.design.designed import GRAPH, REPORT, SUMMARY, Check, Designed, finite
+from dmframe.design.family import Family, makers
+from dmframe.design.motion import NEVER, motion_of
+from dmframe.design.race_text import ADAPTIVE, FIRST, duration_of, race_text
+from dmframe.design.request import CLOCK, Request
+from dmframe.graph.first import FirstGraph, first_graph
+from dmframe.graph.graph import Graph
+from dmframe.race.plan import Cell, Race, Run
+from dmframe.race.read import load_race
+from dmframe.race.run import Finished, run_race
+from dmframe.study.execute import State
+from dmframe.study.packing import write_graph
+
+RACE: Final = "race.yaml"
+RESULTS: Final = "race"
+RIVAL: Final = "rival.yaml"
+PAGE: Final = "page.html"
+CONTROLLER: Final = "controller"
+COMMANDS: Final = "commands.txt"
+LATE: Final = 2.0
+"""Longest delay of a plant and the channel [samples]."""
+REHEARSED: Final = 40.0
+"""Duration of the rehearsal's runs [s]."""
+
+Say = Callable[[str], None]
+
+
+def design(request: Request, out: str | Path, *, workers: int | None = None, say: Say = lambda text: None) -> Designed:
+    """Design a controller for a robot in a folder; an interrupted design continues there.
+
+    Laws without a model and adaptive laws are tuned by one protocol on two servos, and compared on other servos,
+    friction, delays, loads and paths, behind the channel of a UR. The best adaptive law is handed over if it is clearly
+    better than the best simple one, proved, and passes a rehearsal with delay, jitter, lost samples and the payload.
+    Else the best simple law is, if it does not diverge in a rehearsal.
+
+    Raises
+    ------
+    DmframeError
+        There is no such robot, or the folder cannot be written.
+    """
+    folder = Path(out)
+    with writing(folder, "folder"):
+        folder.mkdir(parents=True, exist_ok=True)
+    clock, payload = request.clock or CLOCK, request.payload or 0.0
+    found = Designed("blocked", "", folder, Path(request.robot).name, clock, payload, command=command_of(request, out))
+    try:
+        found = _designed(request, found, workers, say)
+    except RobotError as error:
+        found = replace(found, reason=error.text)
+    say("writing the report")
+    _write(found)
+    return found
+
+
+def _designed(request: Request, found: Designed, workers: int | None, say: Say) -> Designed:
+    if request.task != "joints":
+        reason = f"a path of the tool for any arm is missing: `--task {request.task}` is not available; take joints"
+        return replace(found, reason=reason)
+    if find_compiler() is None:
+        return replace(found, reason="there is no C compiler, without which the comparison takes hours; install gcc")
+    say("reading the robot")
+    first = first_graph(request.robot, found.folder, request.tool, dict(request.hold))
+    for name, text in first.robot.items():
+        write_text(found.folder / name, text)
+    write_text(found.folder / FIRST, first.text)
+    if request.payload is None:
+        found = replace(found, payload=_moving_mass(Graph.read(found.folder / FIRST)) / 20)
+    family = makers(first, found.payload, duration_of())
+    finished = _raced(first, family, found, workers, say)
+    laws = ranking(finished, (finished.race.file.entrant, ADAPTIVE))
+    found = replace(found, ranking=laws)
+    for candidate in laws.ordered(adaptive=True):
+        simple = laws.best(adaptive=False)
+        if why := worth(candidate, simple):
+            break
+        graph = _graph_of(finished.race, candidate, family)
+        checks = list(_checks(graph, candidate, found, say))
+        failed = [check for check in checks if not check.passed]
+        if not failed:
+            reason = f"{_against(candidate, simple, found.unit)}; {checks[0].text}"
+            return _handed_over(
+                graph, replace(found, outcome="adaptive", reason=reason), candidate, simple, checks, say
+            )
+        why = f"{candidate.law}: {failed[0].text}"
+    else:
+        why = why_of(laws)
+    return _simple(finished.race, family, found, why, say)
+
+
+def why_of(laws: Ranking) -> str:
+    """Why no adaptive law is a candidate."""
+    return "" if laws.best(adaptive=True) else "each adaptive law diverged on one of the plants"
+
+
+def _simple(race: Race, family: Family, found: Designed, why: str, say: Say) -> Designed:
+    """The best simple law that passes; none is handed over that diverges."""
+    assert found.ranking is not None
+    adaptive, reasons = found.ranking.best(adaptive=True), list[str]()
+    for candidate in found.ranking.ordered(adaptive=False):
+        graph = _graph_of(race, candidate, family)
+        checks = list(_checks(graph, candidate, found, say))
+        if failed := [check for check in checks if not check.passed]:
+            reasons.append(f"{candidate.law}: {failed[0].text}")
+            continue
+        reason = f"take {candidate.law}, with {_error(candidate, found.unit)}: {why}"
+        return _handed_over(graph, replace(found, outcome="simple", reason=reason), candidate, adaptive, checks, say)
+    left = "; ".join(reasons) or "each law without a model diverged on one of the plants"
+    return replace(found, reason=f"{why}; {left}" if why else left, other=adaptive)
+
+
+def _raced(first: FirstGraph, family: Family, found: Designed, workers: int | None, say: Say) -> Finished:
+    text = race_text(first, family, motion_of(first), found.clock, LATE)
+    write_text(found.folder / RACE, text)
+
+    def report(stage: str, state: State) -> None:
+        done = state.kept / max(state.runs, 1)
+        rest = f", about {state.seconds * (1 - done) / done:.0f} s left" if 0.1 < done < 1 else ""
+        say(f"comparing laws, {stage}: {state.kept} of {state.runs} runs after {state.seconds:.0f} s{rest}")
+
+    say("reading laws, plants and paths")
+    return run_race(load_race(found.folder / RACE), found.folder / RESULTS, workers=workers, report=report)
+
+
+def _graph_of(race: Race, candidate: Candidate, family: Family) -> Graph:
+    """The tuned law on the nominal servo, along a path that never repeats, without the channel."""
+    run = race.held_out[0]
+    cell = Cell(run.clock, NEVER, family.nominal, run.reality)
+    graph = race.graph(Run(candidate.law, cell, tuple(candidate.values.items()), race.file.seed + 1))
+    ideal = {"reality": None, "title": f"{candidate.law}, designed for {graph.robot.name}", "arm.payload": None}
+    return graph.set({**ideal, "arm.payload_at": None, "blocks.arm.type": "manipulator"})
+
+
+def _checks(graph: Graph, candidate: Candidate, found: Designed, say: Say) -> Iterator[Check]:
+    """Proof of an adaptive law, and rehearsal; the second only if the first passed."""
+    if candidate.adaptive:
+        say(f"proving {candidate.law}")
+        verification = graph.verify()
+        yield Check("proof", verification.headline, verification.proved)
+        if not verification.proved:
+            return
+    say(f"rehearsing {candidate.law}")
+    yield _rehearsed(graph, candidate, found)
+
+
+def _rehearsed(graph: Graph, candidate: Candidate, found: Designed) -> Check:
+    """A rehearsal, which is kept in the folder; a simple law passes if it is not stopped under any condition."""
+    file = found.folder / f"rehearsal_{candidate.law}.json"
+    key = sha256(f"{graph.text}{found.payload}".encode()).hexdigest()
+    kept = _kept(file, key)
+    if kept is None:
+        try:
+            kept = graph.rehearse(REHEARSED, payload=found.payload).summary
+        except DmframeError as error:
+            return Check("rehearsal", f"it cannot be rehearsed: {error.text}", passed=False)
+        write_text(file, json.dumps({**kept, "key": key}, indent=1) + "\n")
+    if candidate.adaptive or kept["passed"]:
+        return Check("rehearsal", kept["sentence"], bool(kept["passed"]))
+    stopped = [row for row in kept["conditions"] if row["needed"] and row["error"] is None]
+    text = f"stopped with {stopped[0]['condition']}" if stopped else "not stopped under any of its conditions"
+    return Check("rehearsal", f"{candidate.law} is {text}", not stopped)
+
+
+def _kept(file: Path, key: str) -> dict[str, Any] | None:
+    try:
+        found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) and found.get("key") == key else None
+
+
+def _handed_over(
+    graph: Graph, found: Designed, chosen: Candidate, other: Candidate | None, checks: list[Check], say: Say
+) -> Designed:
+    """Write the graph, its page and its C code."""
+    folder = found.folder
+    write_graph(graph, folder / GRAPH)
+    files = [(GRAPH, "the controller on the nominal servo: run, verify, analyse, rehearse, drive")]
+    saved = Graph.read(folder / GRAPH)
+    if not (folder / CONTROLLER).exists():
+        say("writing C")
+        saved.export(folder / CONTROLLER)
+    files.append((f"{CONTROLLER}/", "the controller as C99, with an example and a test"))
+    say("writing the live page")
+    try:
+        saved.page(periods=False).save(folder / PAGE)
+        files.append((PAGE, "the closed loop in a browser"))
+    except OutputError:
+        raise
+    except DmframeError as error:
+        checks.append(Check("live page", f"none: {error.text}", passed=True))
+    write_text(folder / COMMANDS, commands(found))
+    files.append((COMMANDS, "the commands that repeat all of it"))
+    files.append((f"{RESULTS}/report.html", "the comparison of the laws, cell by cell"))
+    return replace(found, chosen=chosen, other=other, checks=tuple(checks), files=tuple(files))
+
+
+def commands(found: Designed) -> str:
+    """The commands that repeat a design."""
+    folder = shlex.quote(str(found.folder))
+    lines = [
+        found.command,
+        f"dmframe race {folder}/{RACE} --out {folder}/{RESULTS}",
+        f"dmframe verify {folder}/{GRAPH}",
+        f"dmframe analyse {folder}/{GRAPH}",
+        f"dmframe rehearse {folder}/{GRAPH} --seconds {REHEARSED:g} --payload '{found.payload:.6g} kg'",
+        f"dmframe run {folder}/{GRAPH}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def command_of(request: Request, out: str | Path) -> str:
+    """The command of a request."""
+    words = ["dmframe", "design", request.robot, "--out", str(out), "--task", request.task]
+    words += ["--clock", plain(request.clock, "s")] if request.clock is not None else []
+    words += ["--payload", f"0..{request.payload:g}"] if request.payload is not None else []
+    words += ["--tool", request.tool] if request.tool else []
+    words += [word for joint, value in request.hold for word in ("--hold", f"{joint}={value:g}")]
+    return shlex.join(words)
+
+
+def _moving_mass(graph: Graph) -> float:
+    """Mass of the moving links [kg]."""
+    return float(sum(body[0] for body in graph.robot.inertia))
+
+
+def _against(chosen: Candidate, simple: Candidate | None, unit: str) -> str:
+    own = f"{chosen.law} has {_error(chosen, unit)}"
+    if simple is None:
+        return f"{own}, where each law without a model diverged"
+    return f"{own}, the best law without a model, {simple.law}, {_error(simple, unit)}"
+
+
+def _error(candidate: Candidate, unit: str) -> str:
+    if not math.isfinite(candidate.error):
+        return "a divergence"
+    return f"an error of {candidate.error:.2g} {unit} in the median and {candidate.worst:.2g} {unit} at worst"
+
+
+def _write(found: Designed) -> None:
+    from dmframe.design.page import as_html
+
+    write_text(found.report, as_html(found))
+    write_text(found.folder / SUMMARY, json.dumps(found.summary, indent=1) + "\n")
+
+
+__all__ = ["REPORT", "command_of", "commands", "design", "finite"]
