@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, final
+from typing import TYPE_CHECKING, Any, ClassVar, Final, final
 
 import casadi as ca
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
@@ -29,6 +29,10 @@ from dmframe.common.names import Element
 
 if TYPE_CHECKING:
     from dmframe.block.evaluate import Values
+
+
+TRUE_VALUES: Final = "true values that `truth` declares and this diagram has"
+"""Kind of the signals that the analysis alone may read."""
 
 
 @final
@@ -52,7 +56,9 @@ class Signals:
                     f'number annotate it as {name}: Scalar = Real(unit="..."), for one per joint as {name}: Diagonal = '
                     f'Positive("n", "..."); read an option as self.{name}'
                 ) from None
-            text = f"{self._owner}: its equations read {name}, which is none of its {self._kind}"
+            true = self._kind == TRUE_VALUES
+            read, whose = ("certificate reads", "the") if true else ("equations read", "its")
+            text = f"{self._owner}: its {read} {name}, which is none of {whose} {self._kind}"
             raise BlockError(f"{text}; {nearest(name, self._values)}") from None
 
     def __contains__(self, name: str) -> bool:

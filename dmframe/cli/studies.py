@@ -27,7 +27,7 @@ def study(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", callback=home, help="Folder of the results; default: studies/NAME."),
+        typer.Option("-o", "--out", metavar="DIR", callback=home, help="Folder of the results; default: studies/NAME."),
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the planned runs and their time.")] = False,
     rerun: Annotated[
@@ -76,7 +76,9 @@ def tune(
     study: Annotated[str, typer.Argument(metavar="STUDY", help="A study file with a section tune.")],
     out: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", callback=home, help="Folder of the search; an existing search continues."),
+        typer.Option(
+            "-o", "--out", metavar="DIR", callback=home, help="Folder of the search; an existing search continues."
+        ),
     ] = None,
     trials: Annotated[
         str | None, typer.Option(metavar="N", help="Total number of trials; default: that of the file.")

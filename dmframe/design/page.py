@@ -89,7 +89,7 @@ def _kind(kind: Kind) -> list[Cell]:
 def _assumed() -> str:
     return (
         "The servo of this robot is not known: these are assumptions, scaled to the robot's inertia. A log of the robot "
-        "determines its servo: see the command identify."
+        "determines its servo: see the command `identify`."
     )
 
 

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.base import TRUE_VALUES
 from dmframe.block.certificate import Certificate, Consumed
 from dmframe.block.model import BlockModel
 from dmframe.block.naming import Expression, Naming, NamingError, as_mx, expression_of, reading
@@ -54,7 +55,7 @@ class Signs:
             Signals(owner, "inputs", self.columns["inputs"]),
             Signals(owner, "states", self.columns["states"]),
             Signals(owner, "parameters", parameters),
-            Signals(owner, "truths that this diagram has", truth),
+            Signals(owner, TRUE_VALUES, truth),
         )
 
     def as_kind(self, value: Expression) -> Expression:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from dmframe.block.certificate import Assumption
     from dmframe.certify.checked import Checked
     from dmframe.certify.statements import Statement
+    from dmframe.report.content import Content
+    from dmframe.report.parts import Section
 
 
 @final
@@ -90,18 +92,23 @@ class Verification(AboutGraph):
         """Data that ``dmframe verify --json`` prints."""
         return summary(self.name, self.verdict)
 
-    def report(self, path: str | Path) -> Path:
+    def report(self, path: str | Path, *, sections: Sequence[Callable[[Content], Section]] = ()) -> Path:
         """Simulate the graph and write the report: web page, Markdown or JSON by the ending of `path`.
+
+        Parameters
+        ----------
+        sections
+            Functions that make further sections of a page from its content.
 
         Raises
         ------
-        OutputError
-            If the ending is unknown or the file cannot be written.
+        DmframeError
+            If the ending is unknown, the file cannot be written, or a function returns no section.
         """
         from dmframe.report.write import write_report
 
         path = expanded(path)
-        write_report(path, [self])
+        write_report(path, [self], sections=sections)
         return path
 
     def __repr__(self) -> str:

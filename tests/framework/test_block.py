@@ -8,6 +8,7 @@ import pytest
 from pydantic import Field
 
 from dmframe.block import AbstractBlock, Equations, Signals, type_name
+from dmframe.block.base import TRUE_VALUES
 from dmframe.block.parameter import Box, Diagonal, Interval, Positive, Real, Scalar
 from dmframe.block.port import Input, Output, State
 from dmframe.common.errors import BlockError, DmframeError, Faults, MissingError, UnknownNameError, ValueFault
@@ -108,6 +109,11 @@ def test_equations_that_read_what_is_not_there_name_the_nearest() -> None:
     with pytest.raises(BlockError) as caught:
         _ = signals.dq_reff
     assert str(caught.value) == "task: its equations read dq_reff, which is none of its inputs; did you mean dq_ref?"
+    true = Signals("task", TRUE_VALUES, {"a_d": 1})
+    with pytest.raises(BlockError) as caught:
+        _ = true.a_k
+    text = "its certificate reads a_k, which is none of the true values that `truth` declares and this diagram has"
+    assert str(caught.value) == f"task: {text}; did you mean a_d?"
 
 
 @pytest.mark.parametrize(

@@ -102,7 +102,7 @@ def test_wrong_arguments_are_refused(dmframe: Any) -> None:
         (["--robot", "abb"], "--robot abb: unknown kind of robot; "),
         (["--robot", "sim:-1"], "--robot sim:-1: expected a delay of commands in samples"),
         (["--robot", "sim", "--ramp", "-1"], "--ramp -1: expected a number in s of 0 or above"),
-        (["--robot", "sim", "--seconds", "0"], "--seconds 0: expected a time above zero"),
+        (["--robot", "sim", "--seconds", "0"], "--until 0: expected a time above zero"),
         (["--robot", "ur:x", "--patience", "0"], "--patience 0: expected a time above zero"),
         (["--robot", "ur_rtde", "--limits", "arm.yaml"], "--robot ur_rtde: expected the address of an arm"),
         (["--robot", "sim", "--limits", "none.yaml"], "expected a limits file, found none"),

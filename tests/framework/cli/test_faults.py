@@ -96,11 +96,11 @@ FAULTS = {
     ),
     "a horizon with rank": (
         ("analyse", "theorem_3", "--rank", "--horizon", "nan"),
-        "dmframe: --horizon: it has no effect with --rank; leave one out\n",
+        "dmframe: --until: it has no effect with --rank; leave one out\n",
     ),
     "a horizon that is no number": (
         ("analyse", "pendulum", "--horizon", "nan"),
-        "dmframe: --horizon nan: expected a quantity in s, found 'nan': the number must be finite\n",
+        "dmframe: --until nan: expected a quantity in s, found 'nan': the number must be finite\n",
     ),
     "a tube that is no number": (
         ("analyse", "theorem_3", "--rank", "--tube", "nan"),

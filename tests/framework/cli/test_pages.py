@@ -22,10 +22,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import typer
+from typer.testing import CliRunner
 
 from dmframe.catalogue import block_types, graphs
 from dmframe.cli import main
 from dmframe.cli.app import app, app_for
+from dmframe.cli.groups import GROUPS, GroupedCommands
 from dmframe.config.document import read_document, read_file
 from dmframe.report.linear import LinearView
 from dmframe.robot.library import find_robot, robots
@@ -53,6 +55,56 @@ def test_help_lists_every_command_of_the_contract(dmframe: Any) -> None:
     assert said.status == 0
     assert said.err == ""
     assert all(f"\n  {command} " in said.out for command in COMMANDS)
+
+
+def test_help_has_groups_and_whole_summaries(dmframe: Any) -> None:
+    text = dmframe("--help").out
+    groups = [line.rstrip(":") for line in text.splitlines() if line.endswith(":") and not line.startswith(" ")]
+    assert groups == ["Options", *GROUPS]
+    assert "..." not in text.partition("Start:")[2]
+    for rows in GROUPS.values():
+        assert all(f"\n  {name:10}  {summary}\n" in f"{text}\n" for name, summary in rows.items())
+
+
+def test_a_command_of_no_group_is_listed_with_its_first_paragraph() -> None:
+    more = typer.Typer(cls=GroupedCommands, rich_markup_mode=None)
+    more.command("run")(lambda: None)
+
+    @more.command()
+    def mine() -> None:
+        """Does something that takes a whole line to say and is not cut off at the width of the terminal.
+
+        More.
+        """
+
+    text = CliRunner().invoke(more, ["--help"]).output
+    assert "One graph:\n  run " in text
+    assert "Other:\n  mine  Does something" in text
+    assert "width of the terminal." in " ".join(text.split())
+    assert "More." not in text
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("new", "pendulum", "a.yaml", "-o", "b.yaml"), ("export", "pendulum", "a", "-o", "b", "--c")],
+)
+def test_a_place_that_is_given_twice_is_refused(words: tuple[str, ...], dmframe: Any) -> None:
+    said = dmframe(*words)
+    assert said.status == 2
+    assert "given twice; leave one out" in said.err
+
+
+def test_a_place_is_an_argument_or_an_option(dmframe: Any, tmp_path: Path) -> None:
+    assert dmframe("new", "pendulum", "-o", "mine.yaml").status == 0
+    assert tmp_path.joinpath("mine.yaml").is_file()
+    assert "expected a new folder: dmframe export GRAPH OUT" in dmframe("export", "pendulum", "--c").err
+
+
+def test_older_names_of_options_still_work(dmframe: Any) -> None:
+    words = ("analyse", "pendulum", "--json")
+    assert dmframe(*words, "--horizon", "1").out == dmframe(*words, "--until", "1").out
+    for older in ("--seconds", "--until"):
+        assert "--until 0: expected a time above zero" in dmframe("rehearse", "arm2_joint", older, "0").err
 
 
 def test_each_command_alone_has_the_parameters_that_it_has_among_all() -> None:

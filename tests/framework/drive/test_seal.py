@@ -18,7 +18,7 @@ import dmframe as dm
 from dmframe.common.errors import MissingError, OutputError
 from dmframe.common.files import hidden_name
 from dmframe.common.seal import BrokenSeal, FolderSeal, faults, opened, seal_of, sealed
-from dmframe.export.c import write_all
+from dmframe.export.folder import write_all
 from dmframe.results.place import built, complete, reserved
 from dmframe.results.run import Run
 

@@ -151,6 +151,9 @@ NAMES = {
     "a_d_err": (r"\tilde{a}_{d}", "ã_d"),
     "maker_gravity": (r"\mathrm{maker\_gravity}", "maker_gravity"),
     "x_1": ("x_{1}", "x_1"),
+    "lambda_": (r"\lambda", "λ"),
+    "λ": (r"\lambda", "λ"),
+    "λ_f": (r"\lambda_{f}", "λ_f"),
 }
 
 
@@ -161,6 +164,7 @@ def test_a_name_prints_as_its_symbol(name):
 
 def test_two_names_that_print_alike_are_found():
     assert distinct(["x_1", "x1", "q"]) == [("x_1", "x1")]
+    assert distinct(["lambda_", "λ", "k"]) == [("lambda_", "λ")]
     assert distinct(["alpha", "α", "a_d_hat", "a_hat_d"]) == [("alpha", "α"), ("a_d_hat", "a_hat_d")]
 
 

@@ -21,7 +21,7 @@ EVIL = (
     "`</code><script>` [Evil2020] & <b>",
     r"$\href{javascript:alert(1)}{x}$",
 )
-OURS = {"picture", "mermaid", "figure", "bode", "nyquist", "outcome", "side", "kind", "factor", "how"}
+OURS = {"picture", "mermaid", "run", "figure", "bode", "nyquist", "outcome", "side", "kind", "factor", "how"}
 """What is made by the framework, and read by it; everything else may hold a name that somebody chose."""
 
 
