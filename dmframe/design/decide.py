@@ -63,13 +63,17 @@ class Ranking:
         """The best law of a kind; None if each diverged somewhere."""
         return next(iter(self.ordered(adaptive=adaptive)), None)
 
+    def including(self, candidate: Candidate) -> Ranking:
+        """With another candidate of a law in place of the present one."""
+        return Ranking([candidate if item.law == candidate.law else item for item in self.candidates], self.unit)
+
     def ordered(self, *, adaptive: bool) -> Iterator[Candidate]:
         """Laws of a kind that diverged in no cell, the best first."""
         able = (item for item in self.candidates if item.adaptive is adaptive and math.isfinite(item.score))
         yield from sorted(able, key=lambda item: item.score)
 
 
-def ranking(finished: Finished, adaptive: Sequence[str]) -> Ranking:
+def ranked(finished: Finished, adaptive: Sequence[str]) -> Ranking:
     """The laws of a finished race; `adaptive` are the names of the adaptive ones."""
     values = {choice.law: dict(choice.best.values) for choice in finished.choices if choice.best is not None}
     file, rows = finished.race.file, finished.rows

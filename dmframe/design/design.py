@@ -15,7 +15,8 @@ from dmframe.build.compiler import find_compiler
 from dmframe.common.errors import DmframeError, OutputError, RobotError
 from dmframe.common.files import write_text, writing
 from dmframe.common.units import plain
-from dmframe.design.decide import Candidate, Ranking, ranking, worth
+from dmframe.design.contest import Contest
+from dmframe.design.decide import Candidate, worth
 from dmframe.design.designed import GRAPH, REPORT, SUMMARY, Check, Designed, finite
 from dmframe.design.family import Family, makers
 from dmframe.design.motion import NEVER, motion_of
@@ -34,9 +35,12 @@ RESULTS: Final = "race"
 RIVAL: Final = "rival.yaml"
 PAGE: Final = "page.html"
 CONTROLLER: Final = "controller"
+REHEARSALS: Final = "rehearsals"
 COMMANDS: Final = "commands.txt"
 LATE: Final = 2.0
 """Longest delay of a plant and the channel [samples]."""
+LOAD: Final = ("payload", "payload_at")
+"""Parameters of the arm that the handed-over graph does not have."""
 REHEARSED: Final = 40.0
 """Duration of the rehearsal's runs [s]."""
 
@@ -85,10 +89,12 @@ def _designed(request: Request, found: Designed, workers: int | None, say: Say) 
         found = replace(found, payload=_moving_mass(Graph.read(found.folder / FIRST)) / 20)
     family = makers(first, found.payload, duration_of())
     finished = _raced(first, family, found, workers, say)
-    laws = ranking(finished, (finished.race.file.entrant, ADAPTIVE))
-    found = replace(found, ranking=laws)
-    for candidate in laws.ordered(adaptive=True):
-        simple = laws.best(adaptive=False)
+    contest = Contest(finished, (finished.race.file.entrant, ADAPTIVE), workers)
+    found = replace(found, ranking=contest.ranking)
+    simple = contest.ranking.best(adaptive=False)
+    why = "each adaptive law diverged on one of the plants"
+    for candidate in contest.adaptive():
+        found = replace(found, ranking=contest.ranking.including(candidate))
         if why := worth(candidate, simple):
             break
         graph = _graph_of(finished.race, candidate, family)
@@ -96,18 +102,10 @@ def _designed(request: Request, found: Designed, workers: int | None, say: Say) 
         failed = [check for check in checks if not check.passed]
         if not failed:
             reason = f"{_against(candidate, simple, found.unit)}; {checks[0].text}"
-            return _handed_over(
-                graph, replace(found, outcome="adaptive", reason=reason), candidate, simple, checks, say
-            )
-        why = f"{candidate.law}: {failed[0].text}"
-    else:
-        why = why_of(laws)
+            designed = replace(found, outcome="adaptive", reason=reason)
+            return _handed_over(graph, designed, candidate, simple, checks, say)
+        why = f"{candidate.law} has a smaller error, but {failed[0].text}"
     return _simple(finished.race, family, found, why, say)
-
-
-def why_of(laws: Ranking) -> str:
-    """Why no adaptive law is a candidate."""
-    return "" if laws.best(adaptive=True) else "each adaptive law diverged on one of the plants"
 
 
 def _simple(race: Race, family: Family, found: Designed, why: str, say: Say) -> Designed:
@@ -123,7 +121,7 @@ def _simple(race: Race, family: Family, found: Designed, why: str, say: Say) -> 
         reason = f"take {candidate.law}, with {_error(candidate, found.unit)}: {why}"
         return _handed_over(graph, replace(found, outcome="simple", reason=reason), candidate, adaptive, checks, say)
     left = "; ".join(reasons) or "each law without a model diverged on one of the plants"
-    return replace(found, reason=f"{why}; {left}" if why else left, other=adaptive)
+    return replace(found, reason=f"{why}; {left}", other=adaptive)
 
 
 def _raced(first: FirstGraph, family: Family, found: Designed, workers: int | None, say: Say) -> Finished:
@@ -144,8 +142,9 @@ def _graph_of(race: Race, candidate: Candidate, family: Family) -> Graph:
     run = race.held_out[0]
     cell = Cell(run.clock, NEVER, family.nominal, run.reality)
     graph = race.graph(Run(candidate.law, cell, tuple(candidate.values.items()), race.file.seed + 1))
-    ideal = {"reality": None, "title": f"{candidate.law}, designed for {graph.robot.name}", "arm.payload": None}
-    return graph.set({**ideal, "arm.payload_at": None, "blocks.arm.type": "manipulator"})
+    arm = {key: value for key, value in race.file.plants[family.nominal].blocks["arm"].items() if key not in LOAD}
+    title = f"{candidate.law} for a path of the joints of {graph.robot.name}"
+    return graph.set({"reality": None, "title": title, "blocks.arm": {**arm, "type": "manipulator"}})
 
 
 def _checks(graph: Graph, candidate: Candidate, found: Designed, say: Say) -> Iterator[Check]:
@@ -162,20 +161,29 @@ def _checks(graph: Graph, candidate: Candidate, found: Designed, say: Say) -> It
 
 def _rehearsed(graph: Graph, candidate: Candidate, found: Designed) -> Check:
     """A rehearsal, which is kept in the folder; a simple law passes if it is not stopped under any condition."""
-    file = found.folder / f"rehearsal_{candidate.law}.json"
     key = sha256(f"{graph.text}{found.payload}".encode()).hexdigest()
+    file = found.folder / REHEARSALS / f"{candidate.law}_{key[:8]}.json"
     kept = _kept(file, key)
     if kept is None:
         try:
             kept = graph.rehearse(REHEARSED, payload=found.payload).summary
         except DmframeError as error:
             return Check("rehearsal", f"it cannot be rehearsed: {error.text}", passed=False)
+        file.parent.mkdir(exist_ok=True)
         write_text(file, json.dumps({**kept, "key": key}, indent=1) + "\n")
     if candidate.adaptive or kept["passed"]:
-        return Check("rehearsal", kept["sentence"], bool(kept["passed"]))
-    stopped = [row for row in kept["conditions"] if row["needed"] and row["error"] is None]
+        passed = bool(kept["passed"])
+        return Check("rehearsal", "passed under all conditions" if passed else _failure(kept), passed)
+    stopped = [row for row in kept["conditions"] if row["needed"] and row["rms"] is None]
     text = f"stopped with {stopped[0]['condition']}" if stopped else "not stopped under any of its conditions"
     return Check("rehearsal", f"{candidate.law} is {text}", not stopped)
+
+
+def _failure(kept: dict[str, Any]) -> str:
+    """The first condition of a rehearsal that was not passed."""
+    row = next(row for row in kept["conditions"] if row["needed"] and row["why"])
+    error = "" if row["rms"] is None else f"its error is {plain(row['rms'], kept['unit'])}, "
+    return f"it fails the rehearsal with {row['condition']}: {error}{row['why']}"
 
 
 def _kept(file: Path, key: str) -> dict[str, Any] | None:

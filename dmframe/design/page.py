@@ -88,7 +88,7 @@ def _kind(kind: Kind) -> list[Cell]:
 
 def _assumed() -> str:
     return (
-        "The servo of this robot is not known: these are assumptions, scaled to the robot's inertia. A log of the robot "
+        "The servo of this robot is not known: these are assumptions, scaled to the robot's inertia. A log of it "
         "determines its servo: see the command `identify`."
     )
 
