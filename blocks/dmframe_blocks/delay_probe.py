@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal, final
+from typing import Any, Final, Literal, final
 
 import casadi as ca
 from pydantic import Field, model_validator
@@ -28,6 +28,11 @@ from dmframe.block import (
 )
 from dmframe_blocks._excitation import check_seed, following, seeded, sign
 from dmframe_blocks._identified_delay import DELAY_HAT, IDENTIFIED, MOST_DELAY
+
+PERIODS: Final = 25
+"""Number of samples over which the period is averaged."""
+UNLIKE: Final = 2.5
+"""Factor between two periods at which models of a sample no longer apply."""
 
 
 @final
@@ -63,6 +68,10 @@ class DelayProbe(AbstractBlock):
     `lasting`. The new delay is longer by at least one sample, and the scale does not become smaller. With a delay that
     would be longer than `delay_up_to`, or a last sum that does not reach the threshold, it remains unknown; in the
     first case the excitation ends too. So a loop that diverges with the delay is left, at most delay_up_to + 1 times.
+
+    It trips as well if the mean of the period over about 25 samples becomes more than 2.5 times as long or as short as
+    when the delay was identified, for example since the operator slows the robot down: the servo then responds in other
+    numbers of samples, and models of it are wrong. The delay need not be longer after that.
 
     Parameters
     ----------
@@ -133,6 +142,8 @@ class DelayProbe(AbstractBlock):
         State("delay_least", sampled=True, optional=True),
         State("error_mean", "", ANY, sampled=True, optional=True),
         State("error_scale", "", ANY, sampled=True, optional=True),
+        State("period_mean", "", "s", sampled=True, optional=True),
+        State("period_scale", "", "s", sampled=True, optional=True),
     )
 
     delay_up_to: int = Field(3, ge=1, le=MOST_DELAY)
@@ -164,7 +175,8 @@ class DelayProbe(AbstractBlock):
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """At rest, and the first values of the generators."""
-        return {"q_before": u.q, "draw": seeded(p.seed, u.q.shape[0])}
+        begins = {"q_before": u.q, "draw": seeded(p.seed, u.q.shape[0])}
+        return begins | ({"period_mean": u.T} if self.tripping else {})
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """The excitation, the regression, and the delay when the excitation ends."""
@@ -214,11 +226,18 @@ class DelayProbe(AbstractBlock):
         share = ca.fmax(counts, x.identified) * ca.fmin(1, u.T / p.dwell)
         error = u.x_err if self.watched == "tool" else u.q_err
         mean = named("mean_new", x.error_mean + share * (ca.sumsqr(error) - x.error_mean))
-        tripped = named("tripped", x.identified * (mean > p.trip * p.trip * x.error_scale))
+        period = named("period_new", x.period_mean + (u.T - x.period_mean) / PERIODS)
+        ratio = named("ratio", period / ca.fmax(x.period_scale, u.T / UNLIKE**2))
+        unlike = named("unlike", ca.fmax(ratio > UNLIKE, ratio < 1 / UNLIKE))
+        astray = named("astray", mean > p.trip * p.trip * x.error_scale)
+        tripped = named("tripped", x.identified * ca.fmax(astray, unlike))
+        known = x.identified > 0.5
         return tripped, {
-            "delay_least": ca.if_else(tripped, x.delay_hat + 1, x.delay_least),
+            "delay_least": ca.if_else(x.identified * astray, x.delay_hat + 1, x.delay_least),
             "error_mean": (1 - tripped) * mean,
-            "error_scale": ca.if_else(x.identified > 0.5, x.error_scale, ca.fmax(x.error_scale, ends * mean)),
+            "error_scale": ca.if_else(known, x.error_scale, ca.fmax(x.error_scale, ends * mean)),
+            "period_mean": period,
+            "period_scale": ca.if_else(known, x.period_scale, ends * period),
         }
 
 
