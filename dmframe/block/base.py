@@ -105,7 +105,7 @@ def with_estimates(stated: Certificate, x: Signals) -> Certificate:
     """A certificate with the squares of its estimates' errors in its storage."""
     for name, true in stated.estimates.items():
         if name not in x:
-            text = f"{owner_of(x)}: certificate() gives a true value for {name}, which is none of its states"
+            text = f"{owner_of(x)}: certificate() gives a true value for {name}, which is not one of its states"
             raise BlockError(f"{text}; {nearest(name, x)}")
         if isinstance(true.value, ca.SX | ca.MX) and ca.depends_on(true.value, getattr(x, name)):
             raise BlockError(f"{owner_of(x)}: certificate() gives a true value for {name} that depends on {name}")
@@ -168,7 +168,7 @@ class AbstractBlock(BaseModel):
         except ValidationError as error:
             raise_all(parameter_faults(type(self), error, type_name(type(self))))
 
-    if not TYPE_CHECKING:  # to a type checker a block has what it declares
+    if not TYPE_CHECKING:  # for a type checker, a block has only its declared attributes
 
         def __getattr__(self, name: str) -> Any:
             """Raise for a missing attribute; reading a number of a copy without numbers is an error in the block."""

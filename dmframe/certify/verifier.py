@@ -1,4 +1,4 @@
-"""``verify``: prove a diagram's claim, refute it, or say why there is none."""
+"""``verify``: prove a diagram's claim, refute it, or give the reason why it has none."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ from dmframe.exact import ZeroTest
 from dmframe.exact.rational import Interval
 from dmframe.prove import claim as data
 from dmframe.prove.export import digest
-from dmframe.prove.faults import Control, inject_faults
-from dmframe.prove.identity import Points, empty, together
-from dmframe.prove.reals import doubt
+from dmframe.prove.faults import InjectedFault, inject_faults
+from dmframe.prove.identity import Points, combined, empty
+from dmframe.prove.reals import why_not_refuted
 from dmframe.prove.refute import Refutation, refute
-from dmframe.prove.sound import hold_sound
+from dmframe.prove.sound import require_sound
 
 LONG: Final = 2000
 """Operations of a diagram from which on a proof takes longer than a copy of the process."""
@@ -165,7 +165,7 @@ def _verified(
     def refuted(test: ZeroTest) -> Verdict:
         test = replace(test, seed=own)
         of = "what a sample does" if claim.over_samples else DV
-        if reason := doubt(exact, seed, of):
+        if reason := why_not_refuted(exact, seed, of):
             return ends("not_applicable", reason, test=test)
         refutation = refute(exact, seed=seed)
         blame = _blame(claim, refutation, [] if claim.over_samples else remedies(claim, numbers))
@@ -173,7 +173,7 @@ def _verified(
 
     rows = [(part, item) for part in claim.parts for item in part.certificate.steps] if examiner is None else []
     try:
-        hold_sound(exact)
+        require_sound(exact)
         points = Points.of(exact, seed=seed)
         first = points.at(0)
         if not first.zero:
@@ -190,7 +190,7 @@ def _verified(
             controls, nothing, *others = done()[len(rows) :]
     except ValueFault as error:
         return undefined(error)
-    test = replace(together([first, *others]), seed=own)
+    test = replace(combined([first, *others]), seed=own)
     if not test.zero:
         return refuted(test)
     if found.fault:
@@ -283,7 +283,7 @@ def drawn(claim: data.Claim, fingerprint: str, seed: int) -> int:
 
 
 def _blame(claim: Claim, refutation: Refutation, lacking: Sequence[Text]) -> Text:
-    says, where = refutation.says, ", ".join(refutation.blame)
+    says, where = refutation.statement, ", ".join(refutation.blame)
     if lacking:
         return Text(DV if says == DV.text else says, " is not what the blocks claim; ", joined(lacking, "; "))
     if claim.over_samples:
@@ -305,7 +305,7 @@ def _blame(claim: Claim, refutation: Refutation, lacking: Sequence[Text]) -> Tex
 def _judge(
     claim: Claim,
     conditions: Sequence[Checked],
-    controls: Sequence[Control],
+    controls: Sequence[InjectedFault],
     empty: Sequence[str],
     bounds: Sequence[Bound],
 ) -> tuple[Outcome, Text]:

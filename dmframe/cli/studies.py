@@ -16,7 +16,8 @@ def study(
         list[str],
         typer.Argument(
             metavar="[report] FILE",
-            help="A study file, or the folder of a study's results; report DIR rewrites the report of that folder.",
+            help="A study file, a graph with uncertain intervals, or the folder of a study's results; report DIR "
+            "rewrites the report of that folder.",
         ),
     ],
     workers: Annotated[

@@ -52,7 +52,7 @@ def view(diagram: Diagram, name: str, stated: Stated | None = None) -> View:
 
 
 def recalling(diagram: Diagram, name: str, seen: View) -> View:
-    """The view with a robot that keeps its answers: its functions take most of the time of a second evaluation."""
+    """The view with a robot that caches its results, which take most of the time of a second evaluation."""
     model = diagram.models[name]
     if model.robot is None:
         return seen

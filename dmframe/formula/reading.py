@@ -176,7 +176,7 @@ class Reading:
         return Evaluated(symbols, equations.expressions, self.zero, gains)
 
     def exactly(self, first: Evaluated, second: Evaluated) -> tuple[Evaluated, Evaluated] | None:
-        """Both in the same SX symbols; None for a block on a robot, whose dynamics hold for true rotations alone."""
+        """Both in the same SX symbols; None for a block with a robot, whose dynamics require true rotations."""
         if self.functions is not None and self.model.robot is not None:
             return None
         gains = full_gains(self.model.block, self.model.parameters)
@@ -188,7 +188,7 @@ class Reading:
                     shared[name] = self.model.parameters[name] if own else ca.SX.sym(name, *symbol.shape)
         try:
             both = first.of(shared), second.of(shared)
-        except RuntimeError:  # a function that has no scalars
+        except RuntimeError:  # a function without scalar expressions
             return None
         one, other = (Evaluated(shared, side, self.zero, [name for name in gains if name in shared]) for side in both)
         return one, other
@@ -225,7 +225,9 @@ class Evaluated:
         free = ca.Function("free", inputs, list(expressions), options | {"allow_free": True})
         if free.has_free():
             names = ", ".join(str(symbol) for symbol in free.get_free())
-            raise BlockError(f"a certificate holds {names}, which is no signal and no parameter of this diagram")
+            raise BlockError(
+                f"a certificate contains {names}, which is neither a signal nor a parameter of this diagram"
+            )
         self._function = free
 
     def at(self, values: Mapping[str, Any]) -> list[np.ndarray]:
@@ -253,7 +255,7 @@ class Evaluated:
         return list(self._function.call(given))
 
     def only(self, done: Sequence[bool]) -> Evaluated:
-        """The expressions that are not done."""
+        """The expressions that are not done yet."""
         left = [item for item, shown in zip(self.expressions, done, strict=True) if not shown]
         return self if len(left) == len(self.expressions) else Evaluated(self.symbols, left, self.zero, self.gains)
 
@@ -276,7 +278,7 @@ START: Final = "(0)"
 GIVEN: Final = "_given"
 """Suffix of a parameter with the name of a different output: the points of a path, and the path."""
 _CONSTANTS: Final = "constants of the robot"
-_KINDS: Final = {"inputs": "an input", "states": "a state", "parameters": "a parameter", "truths": "a truth"}
+_KINDS: Final = {"inputs": "an input", "states": "a state", "parameters": "a parameter", "truths": "a true value"}
 
 
 def _as_kind(stated: Certificate, convert: Callable[[Expression], Expression]) -> Certificate:

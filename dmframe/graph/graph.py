@@ -210,7 +210,7 @@ class Graph(BaseGraph):
             ``sim``, the graph's own robot; ``sim:2``, the same with a delay of two samples; ``ur:HOST``, or
             ``ur_rtde:HOST``.
         until
-            Time of the reference; by default the graph's duration.
+            Limits of the drive: a file; by default the limits of the robot's model.
         limits
             A file; by default the limits of the robot's model.
         ramp
@@ -269,7 +269,7 @@ class Graph(BaseGraph):
         until
             Time of each run.
         payload
-            Mass at the tool that the controller does not know [kg]; by default a twentieth of the moving mass.
+            Mass at the tool that is unknown to the controller [kg]; by default a twentieth of the moving mass.
         limits, ramp, patience
             As of `drive`, which requires the same.
         """
@@ -332,11 +332,13 @@ class Graph(BaseGraph):
         from dmframe.page.periods import stable_periods
 
         verdict, found = self.verify().verdict, None
-        if periods:
-            with progress_line(self.name) as tell, SYMBOLIC:
-                found = stable_periods(self.diagram, self.clock, verdict, self.start, tell)
-        page = Page(self, verdict, found)
-        _ = page.html
+        with progress_line(self.name) as tell:
+            if periods:
+                with SYMBOLIC:
+                    found = stable_periods(self.diagram, self.clock, verdict, self.start, tell)
+            tell("compiling the loop for a browser")
+            page = Page(self, verdict, found)
+            _ = page.html
         return page
 
     def export(self, folder: str | Path, kind: str | TargetFunction = "c") -> list[Path]:

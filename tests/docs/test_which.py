@@ -165,7 +165,7 @@ def _controllers(graph: dm.Graph) -> list[str]:
 @pytest.mark.parametrize(
     "name", ["computed_torque", "pd_torque", "observed_regulation_pi", "torque_consistent_pi", "ur10_fast_eso"]
 )
-def test_a_row_is_what_graph_verdict_and_run_say(name: str, which: ModuleType, rows: Rows) -> None:
+def test_a_row_is_what_graph_verdict_and_run_state(name: str, which: ModuleType, rows: Rows) -> None:
     found, kept = dict(which.row_of(name)), dict(rows[name])
     assert number(found.pop("error")) == pytest.approx(number(kept.pop("error")), rel=0.02, abs=1e-4)
     assert found == kept
@@ -211,7 +211,7 @@ def test_an_estimate_without_a_word_is_reported(which: ModuleType, monkeypatch: 
 
 
 @pytest.mark.parametrize(("law", "circle"), [(0, 0), (0, 1), (0, 3), (0, 4), (3, 0), (4, 1), (4, 2), (4, 5), (5, 0)])
-def test_a_law_on_a_circle_comes_out_as_the_table_says(
+def test_a_law_on_a_circle_comes_out_as_in_the_table(
     law: int, circle: int, which: ModuleType, said: dict[str, Any]
 ) -> None:
     stated, place = said["laws"][law], said["circles"][circle]
@@ -264,7 +264,7 @@ def test_at_limits_is_the_share_of_instants_in_which_commands_or_torques_were_cu
     assert which._cell({**row, "diverged_at": "0.81", "at_limits": ""}) == "**diverges** at 810 ms"
 
 
-def test_a_law_is_configured_for_the_delay_where_a_predictor_says_from_where_it_goes_on(which: ModuleType) -> None:
+def test_a_law_is_configured_for_the_delay_where_a_predictor_states_from_where_it_goes_on(which: ModuleType) -> None:
     real = which.real(dm.load("ur10_slow_observer"), "ur")
     assert (real.blocks["task"].delay, real.blocks["inverse"].delay) == (1, 1)
     assert which.real(dm.load("ur10_slow_kinematic_inverse"), "ur").blocks["task"].delay == 0
@@ -272,7 +272,7 @@ def test_a_law_is_configured_for_the_delay_where_a_predictor_says_from_where_it_
 
 
 @pytest.mark.parametrize(("title", "reality"), [("observer behind it, margin 5", "none"), ("no limits", "ur")])
-def test_a_law_with_limits_does_what_the_table_says(
+def test_a_law_with_limits_does_what_the_table_states(
     title: str, reality: str, which: ModuleType, said: dict[str, Any]
 ) -> None:
     (law,) = (law for law in said["limits"]["laws"] if title in law["title"])
@@ -283,7 +283,7 @@ def test_a_law_with_limits_does_what_the_table_says(
         assert float(found[key]) == pytest.approx(float(kept[key]), rel=0.02)
 
 
-def test_what_the_page_says_of_laws_with_limits_is_in_the_table(which: ModuleType, said: dict[str, Any]) -> None:
+def test_what_the_page_states_of_laws_with_limits_is_in_the_table(which: ModuleType, said: dict[str, Any]) -> None:
     rows = {(row["law"], row["reality"]): row for row in which.rows_of(which.LIMITS)}
     titles = [law["title"] for law in said["limits"]["laws"]]
     assert rows.keys() == {(title, reality) for title in titles for reality in which.REALITIES}
@@ -315,7 +315,7 @@ def test_all_laws_of_a_circle_have_its_plant_path_clock_and_start(which: ModuleT
             assert {name: graph.blocks[name] for name in shared} == {name: base.blocks[name] for name in shared}
 
 
-def test_what_the_page_says_of_the_competitors_agrees_with_the_table(which: ModuleType, said: dict[str, Any]) -> None:
+def test_what_the_page_states_of_the_competitors_agrees_with_the_table(which: ModuleType, said: dict[str, Any]) -> None:
     cells = {(row["law"], row["circle"]): row for row in which.rows_of(which.LAWS)}
     *titles, series = (law["title"] for law in said["laws"])  # the last one requires the period of the path
     soft, stiff = ([c for c in said["circles"] if ("servo" in c) is wanted] for wanted in (False, True))

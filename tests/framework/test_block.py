@@ -86,7 +86,7 @@ class Counted(AbstractBlock):
         ({"filtered": []}, "counted.filtered: expected true or false, found []"),
     ],
 )
-def test_a_truth_a_number_and_a_text_are_reported_apart(values: dict[str, Any], text: str) -> None:
+def test_a_truth_a_number_and_a_text_are_reported_separately(values: dict[str, Any], text: str) -> None:
     assert str(fault(Counted, **values)) == text
 
 
@@ -128,14 +128,14 @@ def test_equations_that_read_what_is_not_there_name_the_nearest() -> None:
         ),
         (
             {"states": (State("a", box="a_bux"),)},
-            "the box of a is a_bux, which is no Interval parameter; did you mean a_box?",
+            "the box of a is a_bux, not an Interval parameter; did you mean a_box?",
         ),
         (
             {"states": (State("b_d_hat"),), "outputs": (Output("b_hat_d"),)},
             "its names b_hat_d and b_d_hat both print as b\u0302_d; rename one",
         ),
         ({"states": (State("alpha"),), "inputs": (Input("α"),)}, "its names α and alpha both print as α; rename one"),
-        ({"states": (State("у"),)}, r"the name '\u0443' holds '\u0443', no Latin and no known Greek letter"),
+        ({"states": (State("у"),)}, r"the name '\u0443' contains '\u0443', not a Latin or known Greek letter"),
         ({"inputs": (Input("x - y"),)}, "expected a name such as K_star, found 'x - y'"),
         ({"states": (State("a", "n"),)}, "the parameter a and the state that it initialises have different shapes"),
     ],

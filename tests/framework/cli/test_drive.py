@@ -44,7 +44,7 @@ def test_a_drive_writes_what_a_run_writes_and_is_played_again(dmframe: Any) -> N
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_brings_the_robot_to_rest_and_what_was_done_is_kept(
+def test_a_signal_stops_the_robot_and_what_was_done_is_kept(
     dmframe: Any, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
 ) -> None:
     stops, reads = list[float](), []

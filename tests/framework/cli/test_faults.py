@@ -148,7 +148,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("case", FAULTS)
-def test_a_bad_call_gives_status_2_and_says_what_is_right(case: str, dmframe: Any, tmp_path: Path) -> None:
+def test_a_bad_call_gives_status_2_and_states_what_is_right(case: str, dmframe: Any, tmp_path: Path) -> None:
     words, text = FAULTS[case]
     said = dmframe(*words)
     assert said.status == 2

@@ -132,7 +132,7 @@ def test_each_packaged_target_has_its_option_and_its_function() -> None:
         ({"a": 3}, "expected a as str or bytes, found int"),
     ],
 )
-def test_what_is_no_set_of_files_is_refused_and_nothing_is_written(
+def test_what_is_not_a_set_of_files_is_refused_and_nothing_is_written(
     graph: Any, returned: Any, text: str, tmp_path: Path
 ) -> None:
     with pytest.raises(ValueFault, match=text):

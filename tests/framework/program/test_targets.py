@@ -146,7 +146,7 @@ REFUSED: Final = {
     "fractions": r"f: expected \+ - \* / only, found CasADi's instruction {}; its sign cannot be decided",
     "intervals": r"f: expected \+ - \* / only, found CasADi's instruction {}; its sign cannot be decided",
     "enclosures": r"f: expected \+ - \* /, sin and cos only, found CasADi's instruction {}",
-    "balls": "no enclosure is known of CasADi's instruction {}",
+    "balls": "CasADi's instruction {} has no enclosure rule",
     "polynomials": "f: expected sums and products of symbols, sines and cosines, found CasADi's instruction {}",
     "numpy": "Python source of f: expected plain operations, found CasADi's {}",
     "plain python": "f: no rule for CasADi's instruction {}",
@@ -268,7 +268,7 @@ def test_polynomials_in_time_have_the_rules_of_numbers(code: int, monkeypatch: p
     assert not on_polynomials(code)
 
 
-def test_the_field_reads_back_what_is_rational_and_knows_nothing_else() -> None:
+def test_the_field_reconstructs_rational_values_only() -> None:
     rational_ones = {*ARITHMETIC, ca.OP_FABS}
     for code in CODES:
         for x, y in POINTS:
@@ -324,7 +324,7 @@ def test_wrong_rules_in_c_are_caught() -> None:
     assert [OPERATIONS[code].name for code, alike in zip(IN_C, same, strict=True) if alike] == []
 
 
-def test_numbers_that_are_none_are_written_in_c_and_refused_elsewhere() -> None:
+def test_numbers_that_are_not_finite_are_written_in_c_and_refused_elsewhere() -> None:
     x = ca.SX.sym("x")
     f = ca.Function("f", [x], [ca.vertcat(x + math.nan, x + math.inf, x * -math.inf, x * -2.5)])
     text = c.written(f)

@@ -196,9 +196,7 @@ def kept(place: Path, **more: object) -> dict[str, object]:
     return entry
 
 
-def test_a_kept_verdict_is_found_and_says_that_it_is_remembered(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_kept_verdict_is_found_and_marked_as_remembered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DMFRAME_CACHE", str(tmp_path))
     kept(tmp_path / store.FOLDER)
     entry = found(CALL)

@@ -47,7 +47,7 @@ def intruders(page: str) -> list[str]:
 
 @pytest.mark.parametrize("text", EVIL)
 @pytest.mark.parametrize("name", ["proved", "refuted", "failing"])
-def test_a_text_of_others_is_a_text_wherever_it_stands(contents, name, text):
+def test_a_text_of_others_is_a_text_wherever_it_appears(contents, name, text):
     evil = with_text(contents[name], text)
     page = as_html([evil])
     assert intruders(page) == []

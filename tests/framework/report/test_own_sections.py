@@ -88,6 +88,6 @@ def test_data_have_neither_the_sections_nor_the_recording(written, content, larg
         ([lambda _: Section("own", "One", [])] * 2, "the section name 'own' is used already; choose another"),
     ],
 )
-def test_what_is_no_section_of_its_own_is_refused(written, sections, text):
+def test_what_is_not_a_section_of_its_own_is_refused(written, sections, text):
     with pytest.raises(ValueFault, match=text):
         written(".md", *sections)
