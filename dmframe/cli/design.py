@@ -19,8 +19,13 @@ def design(
         str, typer.Argument(help="A robot's name, or a URDF, xacro or MJCF file.", autocompletion=robot_names)
     ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", callback=home, help="Folder of the results.")],
+    log: Annotated[
+        str | None, typer.Option(metavar="LOG", help="Log from which the servo is identified; see identify.")
+    ] = None,
     task: Annotated[str, typer.Option(metavar="TASK", help="What follows the path: joints.")] = "joints",
-    clock: Annotated[str | None, typer.Option(metavar="S", help="Sampling period; default: 8 ms.")] = None,
+    clock: Annotated[
+        str | None, typer.Option("--clock", "--period", metavar="S", help="Sampling period; default: 8 ms.")
+    ] = None,
     payload: Annotated[
         str | None, typer.Option(metavar="0..M", help="Mass at the tool [kg]; default: 1/20 of the moving mass.")
     ] = None,
@@ -46,7 +51,7 @@ def design(
 
     count = None if workers is None else whole("--workers", workers)
     held = tuple(angles("--hold", hold).items())
-    request = Request.of(robot, task=task, clock=clock, payload=payload, tool=tool, hold=held)
+    request = Request.of(robot, task=task, clock=clock, payload=payload, log=log, tool=tool, hold=held)
     try:
         with progress_line(Path(robot).name) as say:
             found = designed(request, out, workers=count, say=say)

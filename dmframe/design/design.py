@@ -18,12 +18,16 @@ from dmframe.common.units import plain
 from dmframe.design.contest import Contest
 from dmframe.design.decide import Candidate, worth
 from dmframe.design.designed import GRAPH, REPORT, SUMMARY, Check, Designed, finite
-from dmframe.design.family import Family, makers
+from dmframe.design.family import Family, identified, makers
 from dmframe.design.motion import NEVER, motion_of
 from dmframe.design.race_text import ADAPTIVE, FIRST, duration_of, race_text
 from dmframe.design.request import CLOCK, Request
 from dmframe.graph.first import FirstGraph, first_graph
 from dmframe.graph.graph import Graph
+from dmframe.identification.identify import identify
+from dmframe.identification.race_text import clock_of
+from dmframe.identification.robot_file import TOOL
+from dmframe.identification.write import robot_text
 from dmframe.race.plan import Cell, Race, Run
 from dmframe.race.read import load_race
 from dmframe.race.run import Finished, run_race
@@ -37,8 +41,10 @@ PAGE: Final = "page.html"
 CONTROLLER: Final = "controller"
 REHEARSALS: Final = "rehearsals"
 COMMANDS: Final = "commands.txt"
-LATE: Final = 2.0
-"""Longest delay of a plant and the channel [samples]."""
+LOG: Final = "identified"
+"""Folder of an identification."""
+TWIN: Final = "twin.urdf"
+"""The identified robot."""
 LOAD: Final = ("payload", "payload_at")
 """Parameters of the arm that the handed-over graph does not have."""
 REHEARSED: Final = 40.0
@@ -64,7 +70,8 @@ def design(request: Request, out: str | Path, *, workers: int | None = None, say
     with writing(folder, "folder"):
         folder.mkdir(parents=True, exist_ok=True)
     clock, payload = request.clock or CLOCK, request.payload or 0.0
-    found = Designed("blocked", "", folder, Path(request.robot).name, clock, payload, command=command_of(request, out))
+    found = Designed("blocked", "", folder, Path(request.robot).name, clock, payload)
+    found = replace(found, command=command_of(request, out), log=request.log or "")
     try:
         found = _designed(request, found, workers, say)
     except RobotError as error:
@@ -80,14 +87,25 @@ def _designed(request: Request, found: Designed, workers: int | None, say: Say) 
         return replace(found, reason=reason)
     if find_compiler() is None:
         return replace(found, reason="there is no C compiler, without which the comparison takes hours; install gcc")
+    log = None if request.log is None else identify(request.log, request.robot, out=found.folder / LOG, say=say)
+    if log is not None and not log.known:
+        return replace(found, reason="no class of servo explains the log: see identified/report.html")
     say("reading the robot")
-    first = first_graph(request.robot, found.folder, request.tool, dict(request.hold))
+    if log is None:
+        first = first_graph(request.robot, found.folder, request.tool, dict(request.hold))
+    else:
+        write_text(found.folder / TWIN, robot_text(log))
+        first = first_graph(str(found.folder / TWIN), found.folder, TOOL)
+        found = replace(found, clock=request.clock or max(clock_of(log), CLOCK))
     for name, text in first.robot.items():
         write_text(found.folder / name, text)
     write_text(found.folder / FIRST, first.text)
     if request.payload is None:
         found = replace(found, payload=_moving_mass(Graph.read(found.folder / FIRST)) / 20)
-    family = makers(first, found.payload, duration_of())
+    if log is None:
+        family = makers(first, found.payload, duration_of())
+    else:
+        family = identified(log, found.payload, duration_of(), found.clock)
     finished = _raced(first, family, found, workers, say)
     contest = Contest(finished, (finished.race.file.entrant, ADAPTIVE), workers)
     found = replace(found, ranking=contest.ranking)
@@ -125,7 +143,7 @@ def _simple(race: Race, family: Family, found: Designed, why: str, say: Say) -> 
 
 
 def _raced(first: FirstGraph, family: Family, found: Designed, workers: int | None, say: Say) -> Finished:
-    text = race_text(first, family, motion_of(first), found.clock, LATE)
+    text = race_text(first, family, motion_of(first), found.clock)
     write_text(found.folder / RACE, text)
 
     def report(stage: str, state: State) -> None:
@@ -144,7 +162,8 @@ def _graph_of(race: Race, candidate: Candidate, family: Family) -> Graph:
     graph = race.graph(Run(candidate.law, cell, tuple(candidate.values.items()), race.file.seed + 1))
     arm = {key: value for key, value in race.file.plants[family.nominal].blocks["arm"].items() if key not in LOAD}
     title = f"{candidate.law} for a path of the joints of {graph.robot.name}"
-    return graph.set({"reality": None, "title": title, "blocks.arm": {**arm, "type": "manipulator"}})
+    kind = arm["type"] if "bodies" in arm else "manipulator"
+    return graph.set({"reality": None, "title": title, "blocks.arm": {**arm, "type": kind}})
 
 
 def _checks(graph: Graph, candidate: Candidate, found: Designed, say: Say) -> Iterator[Check]:
@@ -237,6 +256,7 @@ def commands(found: Designed) -> str:
 def command_of(request: Request, out: str | Path) -> str:
     """The command of a request."""
     words = ["dmframe", "design", request.robot, "--out", str(out), "--task", request.task]
+    words += ["--log", request.log] if request.log is not None else []
     words += ["--clock", plain(request.clock, "s")] if request.clock is not None else []
     words += ["--payload", f"0..{request.payload:g}"] if request.payload is not None else []
     words += ["--tool", request.tool] if request.tool else []

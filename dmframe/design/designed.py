@@ -46,6 +46,8 @@ class Designed:
         Of the handed-over graph.
     files
         Files of the folder, each with what it is.
+    log
+        The log from which the servo was identified; empty without one.
     """
 
     outcome: Outcome
@@ -60,6 +62,7 @@ class Designed:
     checks: Sequence[Check] = ()
     files: Sequence[tuple[str, str]] = ()
     command: str = ""
+    log: str = ""
 
     @property
     def unit(self) -> str:

@@ -7,6 +7,7 @@ to one sample of delay besides that of the channel, and a load that is picked up
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
@@ -14,6 +15,9 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.graph.first import FirstGraph
+from dmframe.identification.drawn import Plant, rubbing_of, thetas
+from dmframe.identification.found import Identified
+from dmframe.identification.race_text import FIT, SERVO, noise_of
 
 Block = dict[str, Any]
 
@@ -22,6 +26,8 @@ STIFFNESS_P: Final = 20.0
 STIFFNESS_I: Final = 10.0
 """K_i/K_v of a cascade [1/s]."""
 DIGITS: Final = 6
+DRAWS: Final = 8
+"""Draws of an identified robot."""
 
 
 @final
@@ -54,10 +60,22 @@ HELD_OUT: Final[Mapping[str, Kind]] = {
 @final
 @dataclass(frozen=True)
 class Family:
-    """Plants by name, as sections of a race file, and which of them are for tuning; the first one is the nominal."""
+    """Plants by name, as sections of a race file.
+
+    Parameters
+    ----------
+    training
+        Names of those for tuning; the first one is the nominal.
+    channel
+        Channel models between controller and robot, as the key reality of a graph.
+    late
+        Longest delay of a plant and the channel [samples].
+    """
 
     plants: Mapping[str, Block]
     training: Sequence[str]
+    channel: str | Block = "ur"
+    late: float = 2.0
 
     @property
     def nominal(self) -> str:
@@ -72,6 +90,24 @@ def makers(first: FirstGraph, payload: float, seconds: float) -> Family:
     blocks = YAML(typ="safe").load(first.text)["blocks"]
     found = {name: _plant(kind, blocks, payload, seconds) for name, kind in {**TRAINING, **HELD_OUT}.items()}
     return Family(found, list(TRAINING))
+
+
+def identified(found: Identified, payload: float, seconds: float, clock: float, seed: int = 0) -> Family:
+    """The best fit of a log for tuning; draws from its covariance, and the best fit with a payload, for comparison."""
+    unknowns = found.fit.unknowns
+    plants = [Plant.of(unknowns, theta) for theta in (found.fit.theta, *thetas(found, DRAWS, seed).T)]
+    rubbing = rubbing_of(found)
+    late = [plant.delay * unknowns.log.period / clock for plant in plants]
+    names = [FIT, *(f"draw_{k}" for k in range(1, DRAWS + 1))]
+    sections: dict[str, Block] = {
+        name: plant.blocks(SERVO[found.kind], rubbing) | {"transport_delay": rounded([delay])[0]}
+        for name, plant, delay in zip(names, plants, late, strict=True)
+    }
+    for name, section in sections.items():  # all with a load, so that they share machine code
+        mass = payload if name == names[-1] else 0.0
+        section["arm"] = {**section["arm"], "payload": [mass], "payload_at": [seconds / 2]}
+    step = max(math.sqrt(12) * noise_of(found), 1e-9)
+    return Family(sections, [FIT], {"encoder": {"step": step}, "command_limits": {}}, max(late))
 
 
 def _plant(kind: Kind, blocks: Mapping[str, Block], payload: float, seconds: float) -> Block:

@@ -28,7 +28,7 @@ def _sections(found: Designed) -> Iterator[Section]:
         yield Section("laws", "The laws", [_laws(found), Paragraph(_measure(found), note=True)])
     if found.checks:
         yield Section("checks", "The checks", [_checks(found)])
-    if found.ranking is not None:
+    if found.ranking is not None and not found.log:
         yield Section("plants", "The servos", [_plants(), Paragraph(_assumed(), note=True)])
     if found.files:
         rows: list[list[Cell]] = [[Word(name, "code"), about] for name, about in found.files]

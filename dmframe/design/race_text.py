@@ -15,19 +15,19 @@ FIRST: Final = "first.yaml"
 """File of the robot's first graph."""
 ADAPTIVE: Final = "adaptive"
 """Name of the law of the first graph."""
+CHANNEL: Final = "channel"
+"""Name of the channel between controller and robot."""
 COUPLED: Final = 3
 """Largest number of joints with which the identified model contains the coupling of the joints."""
 
 
-def race_text(first: FirstGraph, family: Family, motion: Motion, clock: float, late: float) -> str:
+def race_text(first: FirstGraph, family: Family, motion: Motion, clock: float) -> str:
     """The packaged race of designs with a robot, its plants, its paths and its sampling period.
 
     Parameters
     ----------
     clock
         Sampling period [s].
-    late
-        Longest delay of a plant and its channel [samples].
     """
     from ruamel.yaml import YAML
 
@@ -36,9 +36,14 @@ def race_text(first: FirstGraph, family: Family, motion: Motion, clock: float, l
     data["robot"], data["start"], data["clocks"] = graph["robot"], {"q": motion.start}, [clock]
     data["plants"], data["paths"] = dict(family.plants), dict(motion.paths)
     data["training"]["plants"] = list(family.training)
+    data["realities"] = {CHANNEL: family.channel}
     entrant = data["laws"][data["entrant"]]
     coupled = len(motion.start) <= COUPLED
-    entrant["set"] = {**entrant["set"], "inverse.dynamics": "robot" if coupled else "joints", **settings(clock, late)}
+    entrant["set"] = {
+        **entrant["set"],
+        "inverse.dynamics": "robot" if coupled else "joints",
+        **settings(clock, family.late),
+    }
     Gamma = float(graph["blocks"]["dynamics"]["Gamma"])
     ranges = {
         "task.alpha_bar": [1, 10],

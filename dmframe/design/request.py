@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final, Literal, final, get_args
 
 from dmframe.common.errors import ValueFault
@@ -34,8 +33,6 @@ class Request:
         Largest mass at the tool [kg]; None for a twentieth of the moving mass.
     log
         Log of the robot, from which servo, delay and friction are identified.
-    path
-        File with a path of the joints.
     tool, hold
         As in `first_graph`.
     """
@@ -45,7 +42,6 @@ class Request:
     clock: float | None = None
     payload: float | None = None
     log: str | None = None
-    path: Path | None = None
     tool: str | None = None
     hold: tuple[tuple[str, float], ...] = ()
 
@@ -58,7 +54,6 @@ class Request:
         clock: str | float | None = None,
         payload: str | float | None = None,
         log: str | None = None,
-        path: Path | None = None,
         tool: str | None = None,
         hold: tuple[tuple[str, float], ...] = (),
     ) -> Request:
@@ -69,7 +64,7 @@ class Request:
         if period is not None and not SHORTEST <= period <= LONGEST:
             raise ValueFault(f"clock: expected a period from 2 ms to 100 ms, found {1000 * period:g} ms")
         chosen: Task = next(item for item in TASKS if item == task)
-        return cls(robot, chosen, period, None if payload is None else _mass(payload), log, path, tool, hold)
+        return cls(robot, chosen, period, None if payload is None else _mass(payload), log, tool, hold)
 
 
 def _mass(value: str | float) -> float:

@@ -79,7 +79,7 @@ def test_paths_start_at_rest_at_one_pose_and_stay_below_the_acceleration(first: 
 
 def test_the_race_of_a_robot_has_all_laws_and_no_held_out_cell_in_training(first: FirstGraph, tmp_path: Path) -> None:
     (tmp_path / FIRST).write_text(first.text)
-    text = race_text(first, makers(first, 0.1, 48.0), motion_of(first), 0.008, 2.0)
+    text = race_text(first, makers(first, 0.1, 48.0), motion_of(first), 0.008)
     (tmp_path / "race.yaml").write_text(text)
     race = load_race(tmp_path / "race.yaml")
     assert set(race.file.laws) == {"feedback", "level", "trend", "repetitive", "experts", "adaptive"}
