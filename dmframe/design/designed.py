@@ -83,9 +83,10 @@ class Designed:
     def headline(self) -> str:
         """The verdict in a few words."""
         law = self.chosen.law if self.chosen else ""
+        among = ", with the servo of its log" if self.log else ", on servos that cover those of manufacturers"
         return {
-            "adaptive": f"{law}: worth it on {self.robot}",
-            "simple": f"{law}: the simple law is the better choice for {self.robot}",
+            "adaptive": f"{law}: worth it on {self.robot}{among}",
+            "simple": f"{law}: a simple law is the better choice for {self.robot}{among}",
             "blocked": f"no controller for {self.robot}",
         }[self.outcome]
 

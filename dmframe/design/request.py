@@ -1,4 +1,4 @@
-"""What `dmframe design` is asked for."""
+"""Request for a design: a robot, a task and what is known."""
 
 from __future__ import annotations
 
