@@ -18,6 +18,7 @@ from dmframe.block import (
     Diagonal,
     Equations,
     Input,
+    NonNegative,
     NormalisedSteps,
     Output,
     Positive,
@@ -143,6 +144,7 @@ class ExpertAggregation(AbstractBlock):
         State("observed", "n H", "rad/s", sampled=True, recorded=False),
         State("phase", "", "rad", sampled=True, optional=True),
         State("losses", "n E", "rad^2/s^2", sampled=True, recorded=False, optional=True),
+        State("corrections", "n C", "rad/s", sampled=True, recorded=False, optional=True),
         State("weights", "w", sampled=True, recorded=False),
         State("forecasts", "n F", "rad", sampled=True, recorded=False),
         State("q_before", "n", "rad", sampled=True),
@@ -158,6 +160,7 @@ class ExpertAggregation(AbstractBlock):
     memory: Scalar = Positive("", "s", default=6.0)
     weight_gain: Scalar = Positive(default=0.2)
     quiet: Scalar = Positive("", "rad/s", default=1e-8)
+    roughness: Scalar = NonNegative(default=0.0)
     Gamma: Scalar = Positive(default=1.0)
     nu: Scalar = Positive("", "rad^2/s^2", default=1e-6)
     u_max: Diagonal = Positive("n", "rad/s", default=3.0)
@@ -184,7 +187,7 @@ class ExpertAggregation(AbstractBlock):
         observers = self._observers
         E = 2 * (1 + len(observers))
         own = {"E": E, "H": 2 * size_of(observers), "F": E * (longest(self) + 1), "d": longest(self) + 1}
-        return {**super().sizes(robot), **own, "w": robot.n * (E - 1)}
+        return {**super().sizes(robot), **own, "w": robot.n * (E - 1), "C": 3 * E}
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """At rest, with the silent expert alone."""
@@ -218,6 +221,9 @@ class ExpertAggregation(AbstractBlock):
         by_command = elementwise(experts.slope, halves(dq_sent, dq_sent, experts.command) - experts.command)
         ends = experts.q_start + u.T * (halves(u.dq_r, u.dq_r, experts.command) + by_command)
         E = experts.command.shape[1]
+        if self.weighting == "exponential":
+            correction = named("c", experts.command - halves(u.dq_r, u.dq_r, experts.command))
+            kept = {**kept, **self._begun(u, {"corrections": ca.horzcat(x.corrections[:, E:], correction)})}
         return Equations(
             outputs={"dq_sent": dq_sent, "q_start": q_start, "model_share": ca.sum2(w[:, E // 2 :])},
             next={
@@ -266,7 +272,10 @@ class ExpertAggregation(AbstractBlock):
             weights = named("w_new", projected(x.weights, h, y, p.Gamma, p.nu))
             return weights, {"weights": weights}
         delay = self.delay if self.delay_up_to is None else u.delay_hat
-        losses = named("L", ca.fmax(0, 1 - u.T / p.memory) * x.losses + elementwise(errors, errors))
+        before, last, newest = ca.horzsplit(x.corrections, errors.shape[1])
+        bend = named("bend", (x.count > 2) * p.roughness * (newest - 2 * last + before))
+        lost = elementwise(errors, errors) + elementwise(bend, bend)
+        losses = named("L", ca.fmax(0, 1 - u.T / p.memory) * x.losses + lost)
         wanted = named("w_wanted", in_power(losses / (p.quiet * p.quiet) + 1, p.memory / (2 * u.T)))
         known = x.count > delay + 1  # before, all losses are zero
         weights = named("w_new", x.weights + known * p.weight_gain * (wanted - x.weights))
