@@ -62,10 +62,12 @@ class ExpertAggregation(AbstractBlock):
 
     *Weights, exponential.* Of each joint, with the memory of M = `memory` / T samples,
 
-        L_i = (1 - 1/M) L_i + e_i^2,    w_i proportional to L_i^(-M/2)
+        L_i = (1 - 1/M) L_i + e_i^2 + (roughness b_i)^2,    w_i proportional to L_i^(-M/2)
 
-    smoothed with the gain `weight_gain`. This is the exponentially weighted average of the normalised likelihoods of
-    errors with unknown variance. No claim covers these weights.
+    smoothed with the gain `weight_gain`. Without `roughness` this is the exponentially weighted average of the
+    normalised likelihoods of errors with unknown variance. :math:`b_i` is the second difference of the correction
+    :math:`u_i - \dot q_r` over the last three samples: an expert can forecast well an oscillation that its own
+    corrections cause in the closed loop, and forecast errors alone then keep its weight. No claim covers these weights.
 
     *Weights, projection.* Of each joint, with the rows :math:`h_i = (\hat q_i - \hat q_0) / T` and the output
     :math:`y = (q - \hat q_0) / T`, expert 0 the silent one,
@@ -105,6 +107,9 @@ class ExpertAggregation(AbstractBlock):
         Share by which exponential weights approach those that the losses give in a sample.
     quiet : scalar, rad/s, > 0
         Errors far below this are compared as equal: its square is added to :math:`L_i`.
+    roughness : scalar, >= 0
+        Share of the second difference of an expert's correction that counts as a forecast error. With too much of it
+        the slow observers always win.
     Gamma, nu : scalar, , rad^2/s^2, > 0
         Gain and normalisation of the projection.
     u_max : diagonal (n,), rad/s, > 0
@@ -183,7 +188,7 @@ class ExpertAggregation(AbstractBlock):
         return (*SIMPLE, *(PERIODIC if self.periodic else ()))
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
-        """E: experts; w: weights of all but the first, of all joints; H: numbers of observers; F: stored forecasts."""
+        """E: experts; w: weights without the first; H: numbers of observers; F: stored forecasts; C: corrections."""
         observers = self._observers
         E = 2 * (1 + len(observers))
         own = {"E": E, "H": 2 * size_of(observers), "F": E * (longest(self) + 1), "d": longest(self) + 1}
@@ -273,8 +278,8 @@ class ExpertAggregation(AbstractBlock):
             return weights, {"weights": weights}
         delay = self.delay if self.delay_up_to is None else u.delay_hat
         before, last, newest = ca.horzsplit(x.corrections, errors.shape[1])
-        bend = named("bend", (x.count > 2) * p.roughness * (newest - 2 * last + before))
-        lost = elementwise(errors, errors) + elementwise(bend, bend)
+        rough = named("rough", (x.count > 2) * p.roughness * (newest - 2 * last + before))
+        lost = elementwise(errors, errors) + elementwise(rough, rough)
         losses = named("L", ca.fmax(0, 1 - u.T / p.memory) * x.losses + lost)
         wanted = named("w_wanted", in_power(losses / (p.quiet * p.quiet) + 1, p.memory / (2 * u.T)))
         known = x.count > delay + 1  # before, all losses are zero
